@@ -1,0 +1,91 @@
+# Needs Python 3.11 to 3.13 (PYTHON=...), make and git; everything else goes into $(VENV).
+
+PYTHON ?= python3
+VENV ?= .venv
+WORKERS ?= 2
+RIGS ?= six_joint
+OUT ?= out
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.SECONDEXPANSION:
+.SUFFIXES:
+
+# One thread of BLAS: results repeat to the last bit, and workers do not compete for cores.
+export OPENBLAS_NUM_THREADS ?= 1
+
+BIN := $(VENV)/bin
+RUN := $(VENV)/.installed
+DEV := $(VENV)/.installed-dev
+SEQID := $(BIN)/seqid
+STAGES := friction gravity imu inertia prediction
+
+.PHONY: help
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 12
+
+# ---- environment
+
+$(BIN)/python:
+	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else f"Python 3.11 to 3.13 is needed, this is {v[0]}.{v[1]}: set PYTHON=")'
+	$(PYTHON) -m venv $(VENV)
+
+$(RUN): pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(DEV): pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@ $(RUN)
+
+# ---- checks
+
+.PHONY: test lint types
+test: $(DEV) ## run the tests
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+lint: $(DEV) ## check the style
+	$(BIN)/ruff check .
+
+types: $(DEV) ## check the types
+	$(BIN)/mypy
+
+# ---- sample logs
+
+.PHONY: samples
+samples: $(DEV) ## make sample_logs/ anew (simulated, seeded)
+	$(BIN)/python -m tests.plants.samples sample_logs
+
+# ---- demo: every stage of every rig in sample_logs/, each made from the one before
+
+.PHONY: demo
+demo: $(foreach rig,$(RIGS),$(STAGES:%=$(OUT)/$(rig)/%.json)) ## identify the sample robots
+
+# $(call logs,FOLDER): the logs of a rig's folder, so that a new log makes its stage again
+logs = $$(wildcard sample_logs/$$*/$(1)/*)
+
+$(OUT)/%/friction.json: sample_logs/%/robot.toml $(call logs,friction) | $(RUN)
+	@mkdir -p $(@D)
+	$(SEQID) friction sample_logs/$*/friction -r $< -o $@
+
+$(OUT)/%/gravity.json: sample_logs/%/robot.toml $(OUT)/%/friction.json $(call logs,gravity) | $(RUN)
+	$(SEQID) gravity $(wildcard sample_logs/$*/gravity) sample_logs/$*/friction -r $< -p $(word 2,$^) -o $@
+
+$(OUT)/%/imu.json: sample_logs/%/robot.toml $(OUT)/%/gravity.json $(call logs,imu) | $(RUN)
+	$(SEQID) imu-calib sample_logs/$*/imu -r $< -p $(word 2,$^) -o $@
+
+$(OUT)/%/inertia.json: sample_logs/%/robot.toml $(OUT)/%/imu.json $(call logs,inertia) | $(RUN)
+	$(SEQID) inertia sample_logs/$*/inertia -r $< -p $(word 2,$^) -o $@
+
+$(OUT)/%/prediction.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,validation) | $(RUN)
+	$(SEQID) predict sample_logs/$*/validation -r $< -p $(word 2,$^) -o $@ --torques $(@D)/torques.parquet
+
+# Made on the way, kept all the same: the next stage starts from them.
+.SECONDARY:
+
+# ---- the rest
+
+.PHONY: clean
+clean: ## remove what was made, apart from the environment
+	rm -rf $(OUT) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

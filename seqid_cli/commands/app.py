@@ -1,0 +1,191 @@
+"""The command group: commands are imported when chosen, errors become messages and exit codes."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import json
+import os
+import sys
+import traceback
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import typer
+from typer._click import Command, Context, HelpFormatter, Parameter
+from typer._click.exceptions import ClickException, NoArgsIsHelpError
+from typer.core import TyperGroup, TyperOption
+
+from seqid_cli import __version__
+from seqid_cli.commands.options import screen_options
+from seqid_cli.errors import SeqidError, UsageError
+
+EXIT_BUG = 70
+EXIT_INTERRUPTED = 130
+_BUG = "this is a bug in seqid"
+_HELP = "From recorded robot logs to a dynamic model that an engineer trusts."
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+class Entry(NamedTuple):
+    """Where a command lives, and its line in `seqid --help`."""
+
+    module: str
+    help: str
+
+
+COMMANDS: Mapping[str, Entry] = {
+    "friction": Entry("friction", "Identify joint friction from constant-velocity moves."),
+    "gravity": Entry("gravity", "Identify the gravity parameters, given the friction."),
+    "imu-calib": Entry("imu_calib", "Find how accelerometers and IMUs are mounted on the links."),
+    "inertia": Entry("inertia", "Identify the inertia parameters, given friction and gravity."),
+    "predict": Entry("predict", "Predict joint torques and compare them with the measured ones."),
+    "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
+    "completion": Entry("completion", "Print the completion script of a shell."),
+}
+
+
+class LazyGroup(TyperGroup):
+    """The group `seqid`, which knows its commands by name and imports only the one that runs."""
+
+    def list_commands(self, ctx: Context) -> list[str]:
+        """Return the names in the order of the work."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Context, cmd_name: str) -> Command | None:
+        """Import a command and build its parser."""
+        if cmd_name not in COMMANDS:
+            return None
+        return load_command(cmd_name)
+
+    def resolve_command(
+        self, ctx: Context, args: list[str]
+    ) -> tuple[str | None, Command | None, list[str]]:
+        """Find the command that the first word names.
+
+        Raises
+        ------
+        UsageError
+            There is none of that name.
+        """
+        name = args[0]
+        if name not in COMMANDS:
+            close = difflib.get_close_matches(name, COMMANDS)
+            hint = f"Did you mean {' or '.join(close)}?" if close else "See seqid --help."
+            raise UsageError(f"no such command: {name}", hint=hint)
+        return name, load_command(name), args[1:]
+
+    def format_commands(self, ctx: Context, formatter: HelpFormatter) -> None:
+        """Write the list of commands without importing any."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, entry.help) for name, entry in COMMANDS.items()])
+
+
+def load_command(name: str) -> Command:
+    """Build the parser of one command: its own parameters and those that every command has."""
+    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
+    examples = "\n".join(f"  {example}" for example in module.EXAMPLES)
+    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    app.command(name, context_settings=_SETTINGS, epilog=f"\b\nExamples:\n{examples}")(module.run)
+    command = typer.main.get_command(app)
+    command.params.extend(screen_options())
+    return command
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run a command line; whatever happens becomes a message and an exit code."""
+    try:
+        code = _guarded(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader has seen enough, as `head` does; the files are complete
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return code
+
+
+def _guarded(arguments: Sequence[str]) -> int:
+    name = f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
+    try:
+        return _invoke(arguments)
+    except NoArgsIsHelpError as error:
+        error.show()
+        return error.exit_code
+    except ClickException as error:
+        problem: SeqidError = UsageError(error.format_message(), hint=f"See {name} --help.")
+    except SeqidError as error:
+        problem = error
+    except BrokenPipeError:
+        raise
+    except (KeyboardInterrupt, typer.Abort):
+        sys.stderr.write(f"{name}: interrupted\n")
+        return EXIT_INTERRUPTED
+    except Exception as error:  # the last resort: a bug must not look like a verdict
+        return _report_bug(name, error, arguments)
+    _report(name, problem, arguments)
+    return problem.exit_code
+
+
+def _invoke(arguments: Sequence[str]) -> int:
+    group = LazyGroup(
+        name="seqid",
+        help=_HELP,
+        params=[_version_option()],
+        context_settings=_SETTINGS,
+        rich_markup_mode=None,
+        no_args_is_help=True,
+    )
+    try:
+        with group.make_context("seqid", list(arguments)) as context:
+            return int(group.invoke(context) or 0)
+    except typer.Exit as request:
+        return request.exit_code
+
+
+def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> None:
+    if "--debug" in arguments:
+        traceback.print_exception(problem)
+    sys.stderr.write(f"{name}: error: {problem}\n")
+    if problem.hint:
+        sys.stderr.write(f"  hint: {problem.hint}\n")
+    _report_json(
+        arguments,
+        code=problem.exit_code,
+        message=problem.message,
+        hint=problem.hint,
+        where=problem.where,
+    )
+
+
+def _report_bug(name: str, error: Exception, arguments: Sequence[str]) -> int:
+    message = f"{_BUG}: {type(error).__name__}: {error}"
+    hint = "Report it with the command line and the output of the same command with --debug."
+    if "--debug" in arguments:
+        traceback.print_exception(error)
+    sys.stderr.write(f"{name}: error: {message}\n  hint: {hint}\n")
+    _report_json(arguments, code=EXIT_BUG, message=message, hint=hint, where="")
+    return EXIT_BUG
+
+
+def _report_json(
+    arguments: Sequence[str], *, code: int, message: str, hint: str, where: str
+) -> None:
+    if "--json" in arguments:
+        error = {"code": code, "message": message, "hint": hint, "where": where}
+        sys.stdout.write(json.dumps({"error": error}, indent=2) + "\n")
+
+
+def _version_option() -> TyperOption:
+    return TyperOption(
+        param_decls=["version", "--version"],
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_show_version,
+        help="Show the version.",
+    )
+
+
+def _show_version(context: Context, param: Parameter, value: bool) -> None:
+    if value:
+        sys.stdout.write(f"seqid {__version__}\n")
+        raise typer.Exit

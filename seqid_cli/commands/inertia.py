@@ -1,0 +1,72 @@
+"""`seqid inertia`: the last stage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import typer
+
+from seqid_cli.commands.job import prepare
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Logs,
+    MotionSource,
+    Output,
+    Parameters,
+    RobotPath,
+    Strict,
+)
+from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.stages import run_stage
+from seqid_cli.params.schema import Stages
+
+if TYPE_CHECKING:
+    from seqid_cli.logs.recording import Recording
+
+EXAMPLES = (
+    "seqid inertia sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
+    " -p imu.json -o inertia.json",
+    "seqid inertia sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
+    " -p gravity.json --motion encoder --strict",
+)
+_FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
+
+
+def run(
+    context: typer.Context,
+    logs: Logs,
+    robot: RobotPath,
+    parameters: Parameters,
+    output: Output = None,
+    motion: MotionSource = "auto",
+    cutoff: Cutoff = None,
+    time: Clock = "header",
+    strict: Strict = False,
+) -> int:
+    """Identify the inertia parameters, given friction and gravity.
+
+    The logs hold moves of two joints (or more) at a time.
+    """
+    imu = ("imu",) if motion == "imu" else ()
+    job = prepare(
+        screen_of(context),
+        logs,
+        robot,
+        parameters,
+        output=output,
+        time_source=time,
+        needs=("friction", "gravity", *imu),
+    )
+
+    from seqid_cli.identify.inertia import identify_inertia
+    from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.motion.options import MotionOptions
+
+    options = InertiaOptions(motion=MotionOptions(cutoff_hz=cutoff), source=motion)
+
+    def identify(recordings: Iterable[Recording]) -> Stages:
+        return Stages(inertia=identify_inertia(recordings, job.robot, job.stages, options=options))
+
+    return run_stage(job, identify, strict=strict, following=_FOLLOWING)

@@ -1,0 +1,102 @@
+"""Arguments and options that commands share, spelled once."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from typer.core import TyperOption
+
+TimeSource = Literal["header", "log"]
+
+
+def _positive(value: float | None) -> float | None:
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        message = f"{value} is not a positive number"
+        raise typer.BadParameter(message)
+    return value
+
+
+Logs = Annotated[
+    list[str],
+    typer.Argument(metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."),
+]
+RobotPath = Annotated[
+    Path,
+    typer.Option("-r", "--robot", metavar="FILE", help="Robot file (robot.toml)."),
+]
+Parameters = Annotated[
+    list[Path],
+    typer.Option(
+        "-p",
+        "--parameters",
+        metavar="FILE",
+        help="Parameter file of the stages before; repeat it to join several.",
+    ),
+]
+OptionalParameters = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "-p",
+        "--parameters",
+        metavar="FILE",
+        help="Parameter file to add the result to; repeat it to join several.",
+    ),
+]
+Output = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help="Where the result goes, as JSON."),
+]
+Cutoff = Annotated[
+    float | None,
+    typer.Option(
+        "--cutoff",
+        metavar="HZ",
+        callback=_positive,
+        help="Low-pass cut-off frequency; chosen from each log when left out.",
+    ),
+]
+Clock = Annotated[
+    TimeSource,
+    typer.Option("--time", help="Which time stamps of an MCAP log count."),
+]
+MotionSource = Annotated[
+    Literal["auto", "encoder", "imu"],
+    typer.Option("--motion", help="Where joint acceleration comes from."),
+]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 when a verdict is poor.")]
+
+_SCREEN_FLAGS = (
+    ("quiet", ["-q", "--quiet"], "No progress and no advice, only results and warnings."),
+    ("verbose", ["-v", "--verbose"], "Say more about each log."),
+    ("json", ["--json"], "Print the result as one JSON document."),
+    ("no_color", ["--no-color"], "No colours, whatever the terminal can do."),
+    ("debug", ["--debug"], "Show the traceback of an error."),
+)
+_META = "seqid.screen."
+
+
+def screen_options() -> list[TyperOption]:
+    """Return new parser entries of the flags that every command takes; see `screen_flag`."""
+    return [
+        TyperOption(
+            param_decls=[name, *spellings],
+            is_flag=True,
+            default=False,
+            expose_value=False,
+            callback=_remember,
+            help=text,
+        )
+        for name, spellings, text in _SCREEN_FLAGS
+    ]
+
+
+def screen_flag(context: typer.Context, name: str) -> bool:
+    """Return whether one of the `screen_options` was given."""
+    return bool(context.meta.get(_META + name, False))
+
+
+def _remember(context: typer.Context, param: typer.CallbackParam, value: bool) -> None:
+    context.meta[_META + str(param.name)] = value

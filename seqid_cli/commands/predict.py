@@ -1,0 +1,196 @@
+"""`seqid predict`: how well a model explains the torque of some logs."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from seqid_cli.commands.job import Account, Job, exit_code, prepare
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Logs,
+    MotionSource,
+    Output,
+    Parameters,
+    RobotPath,
+    Strict,
+)
+from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.commands.show import verdict_text
+from seqid_cli.commands.stages import tell_output
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.params.document import now, present, robot_id, tool
+from seqid_cli.params.io import file_sha256, write_json_atomic
+from seqid_cli.params.prediction_schema import (
+    PREDICTION_SCHEMA,
+    FileId,
+    JointError,
+    LogPredictionError,
+    PredictionFile,
+)
+from seqid_cli.params.schema import Verdict
+
+if TYPE_CHECKING:
+    from seqid_cli.commands.prediction_errors import ErrorSums
+    from seqid_cli.identify.options import InertiaOptions
+
+EXAMPLES = (
+    "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    " -p inertia.json -o prediction.json",
+    "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    " -p inertia.json --torques torques.parquet --json",
+)
+# Above this share of the measured torque's RMS, a user should not rely on the prediction.
+MAX_RELATIVE_RMSE = 0.3
+
+Torques = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Where the torques themselves go, as Parquet."),
+]
+
+
+def run(
+    context: typer.Context,
+    logs: Logs,
+    robot: RobotPath,
+    parameters: Parameters,
+    output: Output = None,
+    torques: Torques = None,
+    motion: MotionSource = "auto",
+    cutoff: Cutoff = None,
+    time: Clock = "header",
+    strict: Strict = False,
+) -> int:
+    """Predict the joint torques of any logs and compare them with the measured ones.
+
+    The error is given per joint in N m and relative to the RMS of the measured torque.
+    """
+    if output is not None and torques is not None and output.resolve() == torques.resolve():
+        message = "-o and --torques name the same file"
+        raise UsageError(message, where=str(output), hint="Give them different names.")
+    job = prepare(
+        screen_of(context),
+        logs,
+        robot,
+        parameters,
+        output=output,
+        more_outputs=[torques] if torques else [],
+        time_source=time,
+        needs=("imu",) if motion == "imu" else (),
+    )
+    there = present(job.stages)
+    if not there:
+        hint = "Run seqid friction first."
+        raise ConfigError("holds no stage at all", where=str(parameters[0]), hint=hint)
+
+    from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.motion.options import MotionOptions
+
+    options = InertiaOptions(motion=MotionOptions(cutoff_hz=cutoff), source=motion)
+    account = Account(job)
+    file = _predict(job, account, torques, options)
+    if output is not None:
+        write_json_atomic(output, file, inputs=[*job.files, *job.parameters])
+    job.screen.document(file)
+    _show(job.screen, file)
+    if torques is not None:
+        job.screen.note(f"written: {torques}")
+    tell_output(job, "")
+    poor = any(not verdict.good for verdict in file.verdicts)
+    return exit_code(untrusted=strict and poor, partial=account.partial)
+
+
+def _predict(
+    job: Job, account: Account, torques: Path | None, options: InertiaOptions
+) -> PredictionFile:
+    from seqid_cli.commands.prediction_errors import ErrorSums, TorqueWriter
+    from seqid_cli.identify.predict import predict
+
+    names = job.robot.joint_names
+    overall, logs = ErrorSums.none(len(names)), []
+    with contextlib.ExitStack() as stack:
+        writer = stack.enter_context(TorqueWriter.open(torques, names)) if torques else None
+        for log in predict(account, job.robot, job.stages, options=options):
+            sums = ErrorSums.of(log)
+            overall = overall + sums
+            logs.append(
+                LogPredictionError(
+                    path=str(log.path),
+                    sha256=log.sha256,
+                    samples=log.samples,
+                    cutoff_hz=log.cutoff_hz,
+                    joints=_joints(sums, names),
+                    notes=list(log.notes),
+                )
+            )
+            if writer is not None:
+                writer.write(log)
+    joints = _joints(overall, names)
+    used = list(present(job.stages))
+    return PredictionFile(
+        schema=PREDICTION_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(job.robot),
+        inputs=account.inputs(),
+        parameters=[FileId(path=str(p), sha256=file_sha256(p)) for p in job.parameters],
+        stages=used,
+        joints=joints,
+        logs=logs,
+        verdicts=[_verdict(name, error) for name, error in joints.items() if error.samples],
+        notes=_notes(used, joints),
+    )
+
+
+def _joints(sums: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
+    return {
+        name: JointError(
+            rmse=sums.rmse(index),
+            relative_rmse=sums.relative_rmse(index),
+            max_abs=sums.largest(index),
+            samples=sums.samples(index),
+        )
+        for index, name in enumerate(names)
+    }
+
+
+def _notes(stages: list[str], joints: dict[str, JointError]) -> list[str]:
+    notes = [] if "inertia" in stages else ["the parameters hold no inertia stage"]
+    still = [name for name, error in joints.items() if not error.samples]
+    if still:
+        notes.append(f"never slides in these logs and is not judged: {', '.join(still)}")
+    return notes
+
+
+def _verdict(name: str, error: JointError) -> Verdict:
+    share = error.relative_rmse
+    if share is None or share > MAX_RELATIVE_RMSE:
+        limit = percent(MAX_RELATIVE_RMSE)
+        reason = f"the error is {percent(share)} of the torque's RMS, above {limit}"
+        return Verdict(joint=name, good=False, reason=reason)
+    return Verdict(joint=name, good=True)
+
+
+def _show(screen: Screen, file: PredictionFile) -> None:
+    rows = [
+        (
+            name,
+            number(error.rmse),
+            percent(error.relative_rmse),
+            number(error.max_abs),
+            str(error.samples),
+            verdict_text(file.verdicts, name),
+        )
+        for name, error in file.joints.items()
+    ]
+    columns = ("joint", "RMS error N m", "relative", "largest N m", "samples", "verdict")
+    screen.table(columns, rows)
+    notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
+    for note in notes:
+        screen.note(f"note: {note}")
+    for log in file.logs:
+        screen.detail(f"{log.path}: cut-off {number(log.cutoff_hz)} Hz")

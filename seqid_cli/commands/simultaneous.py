@@ -1,0 +1,51 @@
+"""`seqid simultaneous`: the classical way, for comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import typer
+
+from seqid_cli.commands.job import prepare
+from seqid_cli.commands.options import Clock, Cutoff, Logs, Output, RobotPath, Strict
+from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.stages import run_stage
+from seqid_cli.params.schema import Stages
+
+if TYPE_CHECKING:
+    from seqid_cli.logs.recording import Recording
+
+EXAMPLES = (
+    "seqid simultaneous sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
+    " -o simultaneous.json",
+    "seqid simultaneous sample_logs/six_joint -r sample_logs/six_joint/robot.toml --json",
+)
+_FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
+
+
+def run(
+    context: typer.Context,
+    logs: Logs,
+    robot: RobotPath,
+    output: Output = None,
+    cutoff: Cutoff = None,
+    time: Clock = "header",
+    strict: Strict = False,
+) -> int:
+    """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
+
+    Any logs will do. For comparison, and for data without moves of single joints.
+    """
+    job = prepare(screen_of(context), logs, robot, (), output=output, time_source=time)
+
+    from seqid_cli.identify.simultaneous import identify_simultaneous
+    from seqid_cli.motion.options import MotionOptions
+
+    options = MotionOptions(cutoff_hz=cutoff)
+
+    def identify(recordings: Iterable[Recording]) -> Stages:
+        friction, inertia = identify_simultaneous(recordings, job.robot, options=options)
+        return Stages(friction=friction, inertia=inertia)
+
+    return run_stage(job, identify, strict=strict, following=_FOLLOWING)

@@ -1,0 +1,1 @@
+"""One readable recipe per stage: friction, gravity, inertia, IMU calibration, prediction."""

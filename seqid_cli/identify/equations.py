@@ -1,0 +1,90 @@
+"""Rows of the torque equation (Eq. 4) of one log, filtered and decimated, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.motion import Motion, decimated, estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.robot.base import Basis, base_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+BLOCK_S = 1.0
+CHUNK = 4096
+
+
+def torque_motion(recording: Recording, robot: Robot, options: MotionOptions) -> Motion:
+    """Decimated motion of a log that carries torque.
+
+    Raises
+    ------
+    InputError
+        If the log carries neither torque nor current.
+    """
+    if recording.tau is None:
+        raise InputError(
+            "the log has neither joint torque nor motor current",
+            hint="record current (with torque_constant in the robot file) or torque",
+            where=str(recording.path),
+        )
+    return decimated(estimate_motion(recording, robot, options))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Consecutive samples of all joints: H (N, n, b) filtered like `motion.tau`."""
+
+    motion: Motion
+    H: Array
+    where: slice
+
+
+def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[Rows]:
+    """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
+
+    Yields
+    ------
+    Rows
+        Chunks in time order.
+    """
+    overlap = 6 * motion.lowpass.settling
+    for start in range(0, motion.samples, CHUNK):
+        stop = min(start + CHUNK, motion.samples)
+        low, high = max(0, start - overlap), min(motion.samples, stop + overlap)
+        wide = slice(low, high)
+        H = base_regressor(robot, basis, motion.q[wide], motion.dq[wide], motion.ddq[wide])
+        H = motion.lowpass(H, motion.valid[wide])
+        where = slice(start, stop)
+        yield Rows(_part(motion, where), H[start - low : stop - low], where)
+
+
+def _part(motion: Motion, where: slice) -> Motion:
+    return replace(
+        motion,
+        t=motion.t[where],
+        q=motion.q[where],
+        dq=motion.dq[where],
+        ddq=motion.ddq[where],
+        tau=None if motion.tau is None else motion.tau[where],
+        moving=motion.moving[where],
+        usable=motion.usable[where],
+        valid=motion.valid[where],
+    )
+
+
+def blocks(samples: int, rate_hz: float) -> Iterator[slice]:
+    """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
+    length = max(8, round(BLOCK_S * rate_hz))
+    count = max(1, round(samples / length))
+    edges = np.linspace(0, samples, count + 1).astype(int)
+    for a, b in pairwise(edges):
+        yield slice(int(a), int(b))

@@ -1,0 +1,384 @@
+"""Friction stage (Sec. 2.2.1-2.2.2, Eq. 7-16): one surface per joint from steady motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import QualityError
+from seqid_cli.identify.gravity_of_trials import GravityFit, GravityGroup, fit_gravity
+from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.surface_fit import (
+    Orders,
+    Reduced,
+    SpeedData,
+    choose_orders,
+    fit_surface,
+    information,
+    left_out_errors,
+    reduce_speed,
+)
+from seqid_cli.identify.trials import (
+    Trial,
+    by_joint,
+    collect_trials,
+    speed_levels,
+)
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import FrictionSurface, Scaling, tensor_basis
+from seqid_cli.params.schema import (
+    FrictionJoint,
+    FrictionStage,
+    GravityOfTrial,
+    SpeedLevel,
+    Verdict,
+)
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+Chosen = tuple[Scaling, list[Reduced], Orders]
+
+DEFAULT_BETA = 0.05
+WIDE_RANGE = 4.0  # fastest over slowest speed from which a logarithmic scale is tried
+POOR_HELD_OUT = 0.15  # left-out error over friction beyond which the surface is not to be trusted
+NARROW_SIGN = 10.0  # the sign is smoothed over a tenth of the slowest speed
+CLEAR_SIGMA = 5.0
+BLOCK = 8  # neighbouring slices whose errors may share a cause
+
+
+def identify_friction(
+    recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
+) -> FrictionStage:
+    """Identify the friction surface of every joint that the logs move at constant velocity.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque; one joint moves at a time, forward and backward, at several speeds.
+    robot : Robot
+        Chain and gravity, to remove the gravity torque by Eq. 12-15.
+    options : FrictionOptions
+        Orders m, l and threshold beta.
+
+    Returns
+    -------
+    FrictionStage
+        One surface per joint, N m, with a verdict for every joint of the robot.
+
+    Raises
+    ------
+    QualityError
+        If no joint moves by itself at constant velocity, or the orders ask for more speeds than
+        there are.
+    """
+    trials = collect_trials(recordings, robot)
+    if not trials:
+        raise QualityError(
+            "no stretch was found in which one joint moves by itself at constant velocity",
+            hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
+        )
+    joints, verdicts, notes = {}, [], []
+    for j, joint in enumerate(robot.joints):
+        own = by_joint(trials, j)
+        if not own:
+            reason = "no constant-velocity trial moves this joint"
+            verdicts.append(Verdict(joint=joint.name, good=False, reason=reason))
+            continue
+        fit = _identify_joint(robot, j, own, options)
+        joints[joint.name] = fit.joint
+        verdicts.append(fit.verdict)
+        notes += fit.notes
+    return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
+
+
+@dataclass(frozen=True)
+class _JointFit:
+    joint: FrictionJoint
+    verdict: Verdict
+    notes: list[str]
+
+
+def _identify_joint(
+    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
+) -> _JointFit:
+    """Fit twice: the first surface shows what acceleration is left in the trials."""
+    first = _fit(robot, j, trials, options)
+    steady = [trial for group in first.gravity.groups for trial in without_inertia(group, first)]
+    unpaired = first.gravity.unpaired
+    second = _fit(robot, j, steady, options)
+    return _summarise(robot, j, second, unpaired, options)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    gravity: GravityFit
+    data: list[SpeedData]
+    surface: FrictionSurface
+    chosen: Chosen
+
+
+def _fit(robot: Robot, j: int, trials: list[Trial], options: FrictionOptions) -> _Fit:
+    gravity = fit_gravity(robot, j, trials)
+    if not gravity.groups:
+        raise QualityError(
+            "no pair of forward and backward trials at one speed in one configuration",
+            hint="record every speed in both directions over the same range (Eq. 15)",
+            where=f"joint {robot.joints[j].name}",
+        )
+    data = friction_data(gravity)
+    scaling = _scaling(data)
+    _check_orders(robot, j, data, options.velocity_order)
+    chosen = _choose(data, scaling, options)
+    if scaling.speed[0] * WIDE_RANGE < scaling.speed[1]:
+        logarithmic = _choose(data, replace(scaling, logarithmic=True), options)
+        if logarithmic[2].held_out_rmse < 0.97 * chosen[2].held_out_rmse:
+            chosen = logarithmic
+    data = weighted_by_level(data, chosen)
+    chosen = _choose(data, chosen[0], options)
+    surface = _surface(data, *chosen, directional=gravity.directional)
+    return _Fit(gravity, data, surface, chosen)
+
+
+def without_inertia(group: GravityGroup, fit: _Fit) -> list[Trial]:
+    """Take the torque of what acceleration is left (Eq. 25) off the trials of one configuration.
+
+    With one joint moving, its inertia d_kk is one number per configuration; it is fitted to what
+    the friction surface leaves over, and taken only where the data are clear about it.
+    """
+    left, ddq = [], []
+    for trial in group.trials:
+        velocity = np.full(len(trial.q), trial.velocity)
+        gravity = group.columns_of(trial) @ group.p_xi
+        left.append(trial.tau - gravity - fit.surface.torque(trial.q, velocity))
+        ddq.append(trial.ddq - trial.ddq.mean())
+    a, r = np.concatenate(ddq), np.concatenate(left)
+    power = float(a @ a)
+    inertia = float(a @ r) / max(power, 1e-300)
+    error = float(np.sqrt(np.sum((a * (r - inertia * a)) ** 2))) / max(power, 1e-300)
+    if inertia < CLEAR_SIGMA * error:
+        return group.trials
+    return [replace(t, tau=t.tau - inertia * (t.ddq - t.ddq.mean())) for t in group.trials]
+
+
+def weighted_by_level(data: list[SpeedData], chosen: Chosen) -> list[SpeedData]:
+    """Weight each speed by the inverse variance of what the fit leaves at it."""
+    _, reduced, orders = chosen
+    D = fit_surface(reduced, orders.position, orders.velocity)
+    left = dict.fromkeys({item.u for item in reduced}, 0.0)
+    total = dict(left)
+    for item in reduced:
+        left[item.u] += item.misfit(D)
+        total[item.u] += item.total
+    variance = {u: left[u] / total[u] for u in left}
+    typical = float(np.median(list(variance.values())))
+    return [
+        replace(item, weight=item.weight * typical / max(variance[step1.u], 0.1 * typical))
+        for item, step1 in zip(data, reduced, strict=True)
+    ]
+
+
+def _choose(data: list[SpeedData], scaling: Scaling, options: FrictionOptions) -> Chosen:
+    """Reduce the data on one scale and choose the orders by speeds left out (Eq. 8, 10, 11)."""
+    reduced = [reduce_speed(item, scaling) for item in data]
+
+    def accept(m: int, l: int) -> bool:
+        beta = options.beta
+        return beta is not None and left_out_errors(data, reduced, m, l).meets(beta)
+
+    orders = choose_orders(
+        reduced, position=options.position_order, velocity=options.velocity_order, accept=accept
+    )
+    return scaling, reduced, orders
+
+
+def friction_data(gravity: GravityFit) -> list[SpeedData]:
+    """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
+    result = []
+    for group in gravity.groups:
+        for trial in group.trials:
+            direction = 1 if trial.velocity > 0 else -1
+            friction = direction * (trial.tau - group.columns_of(trial) @ group.p_xi)
+            weight = np.full(len(trial.q), trial.weight)
+            result.append(SpeedData(trial.speed, direction, trial.q, friction, weight))
+    return _on_levels(result)
+
+
+def _on_levels(data: list[SpeedData]) -> list[SpeedData]:
+    result = []
+    for level in speed_levels(data):
+        speed = float(np.mean([item.speed for item in level]))
+        result += [replace(item, speed=speed) for item in level]
+    return result
+
+
+def _scaling(data: list[SpeedData]) -> Scaling:
+    low = min(float(item.q.min()) for item in data)
+    high = max(float(item.q.max()) for item in data)
+    speeds = [item.speed for item in data]
+    return Scaling((low, high), (min(speeds), max(speeds)))
+
+
+def _check_orders(robot: Robot, j: int, data: list[SpeedData], velocity: int | None) -> None:
+    levels = len({item.speed for item in data})
+    if velocity is not None and velocity + 1 > levels:
+        raise QualityError(
+            f"velocity order {velocity} needs at least {velocity + 1} speeds, "
+            f"these logs hold {levels}",
+            hint=f"record more speeds or use --velocity-order {levels - 1} or less",
+            where=f"joint {robot.joints[j].name}",
+        )
+
+
+def _surface(
+    data: list[SpeedData],
+    scaling: Scaling,
+    reduced: list[Reduced],
+    orders: Orders,
+    *,
+    directional: bool,
+) -> FrictionSurface:
+    """Fit both directions together (Eq. 15's assumption) or each by itself."""
+    sides = (1, -1) if directional else (0,)
+    D, covariance = [], []
+    for side in sides:
+        chosen = [i for i, item in enumerate(data) if side in (0, item.direction)]
+        own = [reduced[i] for i in chosen]
+        D.append(fit_surface(own, orders.position, orders.velocity))
+        covariance.append(_covariance([data[i] for i in chosen], own, scaling, D[-1]))
+    size = covariance[0].shape[0]
+    joined = np.zeros((len(sides) * size, len(sides) * size))
+    for k, block in enumerate(covariance):
+        joined[k * size : (k + 1) * size, k * size : (k + 1) * size] = block
+    width = scaling.speed[0] / NARROW_SIGN
+    return FrictionSurface(scaling, width, D[0], D[-1], joined, directional)
+
+
+def _covariance(data: list[SpeedData], reduced: list[Reduced], scaling: Scaling, D: Array) -> Array:
+    """Covariance of D's entries, robust against errors shared by neighbouring slices."""
+    m, l = D.shape[0] - 1, D.shape[1] - 1
+    bread = np.linalg.pinv(information(reduced, m, l), rcond=1e-12, hermitian=True)
+    meat = np.zeros_like(bread)
+    blocks = 0
+    for item in data:
+        A = _basis(item, scaling, m, l)
+        scores = A * ((item.friction - A @ D.ravel()) * item.weight)[:, None]
+        edges = np.arange(0, len(item.q), BLOCK)
+        summed = np.add.reduceat(scores, edges, axis=0)
+        meat += summed.T @ summed
+        blocks += len(edges)
+    # Few blocks per coefficient make the sandwich too small; the usual degrees-of-freedom factor.
+    meat *= blocks / max(blocks - D.size, 1)
+    covariance: Array = bread @ meat @ bread
+    return covariance
+
+
+def _basis(item: SpeedData, scaling: Scaling, m: int, l: int) -> Array:
+    u = scaling.u(np.full(len(item.q), item.speed))
+    return tensor_basis(scaling.x(item.q), u, m, l)
+
+
+def _summarise(
+    robot: Robot, j: int, fit: _Fit, unpaired: int, options: FrictionOptions
+) -> _JointFit:
+    data, surface, gravity = fit.data, fit.surface, fit.gravity
+    _, reduced, orders = fit.chosen
+    errors = left_out_errors(data, reduced, orders.position, orders.velocity)
+    beta = options.beta or DEFAULT_BETA
+    rms = float(np.sqrt(np.mean(np.concatenate([item.friction for item in data]) ** 2)))
+    levels = _levels(data, surface)
+    joint = FrictionJoint(
+        position_order=orders.position,
+        velocity_order=orders.velocity,
+        max_error=errors.relative,
+        max_abs_error=errors.absolute,
+        rmse=float(np.sqrt(np.mean([level.rmse**2 for level in levels]))),
+        held_out_rmse=errors.rmse,
+        beta=beta,
+        criterion_met=errors.meets(beta),
+        position_range=list(surface.scaling.position),
+        speed_range=list(surface.scaling.speed),
+        speed_scale="log" if surface.scaling.logarithmic else "linear",
+        sign_width=surface.sign_width,
+        directional=surface.directional,
+        asymmetry=gravity.asymmetry,
+        positive=surface.positive.tolist(),
+        negative=surface.negative.tolist(),
+        covariance=surface.covariance.tolist(),
+        gravity=[
+            GravityOfTrial(
+                configuration=group.configuration.tolist(),
+                p_xi=group.p_xi.tolist(),
+                std_error=group.std_error.tolist(),
+            )
+            for group in gravity.groups
+        ],
+        speeds=levels,
+        unit="N" if robot.joints[j].prismatic else "N m",
+    )
+    name = robot.joints[j].name
+    notes = _notes(name, joint, gravity.asymmetry, unpaired)
+    return _JointFit(joint, _verdict(name, joint, rms), notes)
+
+
+def _levels(data: list[SpeedData], surface: FrictionSurface) -> list[SpeedLevel]:
+    result = []
+    for speed in sorted({item.speed for item in data}):
+        own = [item for item in data if item.speed == speed]
+        squares = [
+            (item.friction - item.direction * surface.torque(item.q, _velocity(item))) ** 2
+            for item in own
+        ]
+        result.append(
+            SpeedLevel(
+                speed=speed,
+                forward=sum(item.direction > 0 for item in own),
+                backward=sum(item.direction < 0 for item in own),
+                rmse=float(np.sqrt(np.mean(np.concatenate(squares)))),
+            )
+        )
+    return result
+
+
+def _velocity(item: SpeedData) -> Array:
+    return np.full(len(item.q), item.direction * item.speed)
+
+
+def _verdict(name: str, joint: FrictionJoint, friction_rms: float) -> Verdict:
+    """Good, or poor and why."""
+    share = (joint.held_out_rmse or 0.0) / max(friction_rms, 1e-12)
+    if len(joint.speeds) < 3:
+        reason = f"only {len(joint.speeds)} speed(s); three or more show how friction depends on it"
+        return Verdict(joint=name, good=False, reason=reason)
+    if share > POOR_HELD_OUT:
+        reason = (
+            f"speeds left out are missed by {100 * share:.0f} % of the friction; "
+            "record more speeds, or look at what else moves the torque (seqid diagnose)"
+        )
+        return Verdict(joint=name, good=False, reason=reason)
+    reason = f"speeds left out are predicted to {100 * share:.1f} % of the friction"
+    return Verdict(joint=name, good=True, reason=reason)
+
+
+def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> list[str]:
+    notes = []
+    if unpaired:
+        notes.append(
+            f"{name}: {unpaired} trial(s) have no twin in the other direction in the same "
+            "configuration and were left out; Eq. 15 needs both"
+        )
+    if joint.directional:
+        notes.append(
+            f"{name}: friction depends on direction by {100 * asymmetry:.1f} %, against the "
+            "assumption of Eq. 15; each direction has its own surface"
+        )
+    if not joint.criterion_met:
+        notes.append(
+            f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the "
+            f"largest error is {100 * joint.max_error:.1f} % "
+            f"({joint.max_abs_error:.3g} {joint.unit})"
+        )
+    return notes

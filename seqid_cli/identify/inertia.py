@@ -1,0 +1,258 @@
+"""Inertia stage (Sec. 2.2.4, Eq. 22-26): what gravity left open, from moves of few joints.
+
+    tau - tau_f - H_g pi_g = H_r pi_r.
+
+Friction is subtracted, gravity enters as a prior with the covariance of its stage, and both
+uncertainties end up in the standard errors. Only joints that slide contribute rows: the torque of
+a locked joint lies anywhere within its stiction. Rotor inertias are parameters of their own,
+acting on their own joint alone (Eq. 43); whether the gyroscopic coupling to the link that carries
+the rotor is there too is asked of the data, as one more parameter that is either near 0 or near 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.identify.equations import blocks, filtered_regressor, torque_motion
+from seqid_cli.identify.excitation import missing_pairs
+from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve, whitened
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.rigid_stage import (
+    not_excited,
+    parameters_of,
+    representative_of,
+)
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.torque import friction_surfaces, friction_torque, known_rotors, sliding
+from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.motion import Motion
+from seqid_cli.params.schema import RigidStage, Stages, Verdict
+from seqid_cli.robot.base import Basis, base_parameters, gear_ratios, standard_names
+from seqid_cli.robot.regressor import rotor_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+POOR_CONDITION = 1000.0
+POOR_SHARE = 0.15  # residual over torque RMS beyond which a joint's verdict is poor
+
+
+def identify_inertia(
+    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+) -> RigidStage:
+    """Identify the base parameters that gravity does not show.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque in which one, two or more joints move.
+    robot : Robot
+        Chain, gravity, gear ratios, known rotor inertias.
+    stages : Stages
+        With friction; with gravity where gravity loads the arm; with imu to use accelerometers.
+    options : InertiaOptions
+        Cut-off and source of the motion.
+
+    Returns
+    -------
+    RigidStage
+        Parameters in kg m^2 (others where gravity could not tell them), with a verdict per joint.
+
+    Raises
+    ------
+    UsageError
+        If the friction stage is missing.
+    QualityError
+        If no joint moves.
+    """
+    if stages.friction is None:
+        raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
+    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
+    basis = base_parameters(robot, rotor=rotor)
+    equations = InertiaEquations(robot, basis, stages)
+    for recording in recordings:
+        equations.add(recording, options)
+    if not any(joint.samples for joint in equations.joints):
+        raise QualityError("no joint with known friction moves in these logs")
+    return equations.stage()
+
+
+class InertiaEquations:
+    """Accumulates the rows of all logs; the last column is the share of gyroscopic coupling."""
+
+    def __init__(self, robot: Robot, basis: Basis, stages: Stages) -> None:
+        self.robot, self.basis, self.stages = robot, basis, stages
+        self.surfaces = friction_surfaces(stages, robot)
+        self.slowest = slowest_speeds(self.surfaces)
+        self.rotors = known_rotors(robot)
+        self.joints = [Accumulator(basis.size + 1) for _ in range(robot.n)]
+        self.torque_squares = np.zeros(robot.n)
+        self.cutoffs: list[float] = []
+        self.sources: dict[str, str] = {}
+        self._cross: dict[int, Array] = {}
+
+    def add(self, recording: Recording, options: InertiaOptions) -> None:
+        """Add the rows of one log."""
+        motion = best_motion(
+            recording,
+            self.robot,
+            self.stages.imu,
+            torque_motion(recording, self.robot, options.motion),
+            source=options.source,
+        )
+        self.cutoffs.append(motion.cutoff.hz)
+        self.sources[str(recording.path)] = motion.source
+        usable = sliding(motion, self.slowest)
+        y = self._right_side(motion)
+        kappa = self._coupling_column(motion)
+        for rows in filtered_regressor(motion, self.robot, self.basis):
+            H = np.concatenate([rows.H, kappa[rows.where][:, :, None]], axis=2)
+            self._add_chunk(rows.motion, H, y[rows.where], usable[rows.where])
+
+    def _right_side(self, motion: Motion) -> Array:
+        """Torque without friction and known rotors, filtered alike (N, n) N m."""
+        assert motion.tau is not None
+        friction = friction_torque(self.surfaces, motion.q, motion.dq)
+        known = gear_ratios(self.robot) ** 2 * self.rotors * motion.ddq
+        return motion.tau - motion.filtered(friction, times=2) - motion.filtered(known)
+
+    def _coupling_column(self, motion: Motion) -> Array:
+        """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
+        if not self.rotors.any():
+            return np.zeros_like(motion.q)
+        gear = gear_ratios(self.robot)
+        state = (self.robot.chain, motion.q, motion.dq, motion.ddq, gear)
+        coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
+        return motion.filtered(coupled @ self.rotors)
+
+    def _add_chunk(self, motion: Motion, H: Array, y: Array, usable: NDArray[np.bool_]) -> None:
+        for block in blocks(motion.samples, motion.rate_hz):
+            for j, joint in enumerate(self.joints):
+                rows = usable[block, j] & (self.surfaces[j] is not None)
+                joint.add(H[block, j][rows], y[block, j][rows])
+        for j, surface in enumerate(self.surfaces):
+            rows = usable[:, j]
+            if surface is None or not rows.any():
+                continue
+            assert motion.tau is not None
+            self.torque_squares[j] += float(np.sum(motion.tau[rows, j] ** 2))
+            F = surface.columns(motion.q[rows, j], motion.dq[rows, j])
+            crossed = self._cross.get(j, np.zeros((H.shape[2], F.shape[1])))
+            self._cross[j] = crossed + H[rows, j].T @ F
+
+    def stage(self) -> RigidStage:
+        """Solve, decide on the rotor coupling, and describe the result."""
+        prior = gravity_prior(self.stages.gravity, self.basis)
+        kappa = self.basis.size
+        free = solve(self.joints, prior=_wider(prior))
+        coupled = bool(
+            free.determined[kappa]
+            and free.theta[kappa] > 0.5 + 2 * np.sqrt(free.covariance[kappa, kappa])
+        )
+        fixed = [joint.with_fixed(kappa, float(coupled)) for joint in self.joints]
+        solution = solve(fixed, prior=prior)
+        covariance = solution.covariance + self._friction_part(solution)
+        return self._describe(solution, covariance, fixed, coupled)
+
+    def _friction_part(self, solution: Solution) -> Array:
+        """Covariance that the uncertainty of the friction surfaces adds."""
+        total = np.zeros_like(solution.bread)
+        for j, crossed in self._cross.items():
+            surface = self.surfaces[j]
+            assert surface is not None
+            G = solution.bread @ crossed[:-1] / solution.sigma[j] ** 2
+            total += G @ surface.covariance @ G.T
+        return total
+
+    def _describe(
+        self, solution: Solution, covariance: Array, joints: list[Accumulator], coupled: bool
+    ) -> RigidStage:
+        robot, basis = self.robot, self.basis
+        known = {p.name for p in self.stages.gravity.parameters} if self.stages.gravity else set()
+        own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
+        determined = own[solution.determined[own]]
+        missing = not_excited(basis, solution, own)
+        pairs = missing_pairs(robot, basis, joints) if missing else []
+        rmse = {
+            robot.joint_names[j]: float(solution.sigma[j])
+            for j, joint in enumerate(joints)
+            if joint.samples
+        }
+        return RigidStage(
+            parameters=parameters_of(robot, basis, determined, solution.theta, covariance),
+            condition=solution.condition,
+            rank=solution.rank,
+            structural_rank=basis.size,
+            representative=representative_of(basis, solution.theta, self.rotors),
+            covariance=covariance[np.ix_(determined, determined)].tolist(),
+            not_excited=missing,
+            rmse=rmse,
+            rotor_coupling="gyroscopic" if coupled else "diagonal",
+            motion=self.sources,
+            missing_pairs=pairs,
+            cutoff_hz=float(np.median(self.cutoffs)),
+            verdicts=self._verdicts(solution, joints),
+            notes=self._notes(missing, pairs, coupled),
+        )
+
+    def _verdicts(self, solution: Solution, joints: list[Accumulator]) -> list[Verdict]:
+        verdicts = []
+        for j, name in enumerate(self.robot.joint_names):
+            if not joints[j].samples:
+                reason = "does not move in these logs, or its friction is not known"
+                verdicts.append(Verdict(joint=name, good=False, reason=reason))
+                continue
+            rms = float(np.sqrt(self.torque_squares[j] / joints[j].samples))
+            share = float(solution.sigma[j]) / max(rms, 1e-300)
+            reason = f"leaves {100 * share:.1f} % of the torque ({solution.sigma[j]:.3g} N m)"
+            verdicts.append(Verdict(joint=name, good=share < POOR_SHARE, reason=reason))
+        full = solution.rank == self.basis.size
+        reason = f"rank {solution.rank} of {self.basis.size}, condition {solution.condition:.3g}"
+        verdicts.append(Verdict(good=full and solution.condition < POOR_CONDITION, reason=reason))
+        return verdicts
+
+    def _notes(self, missing: list[str], pairs: list[list[str]], coupled: bool) -> list[str]:
+        notes = []
+        if missing:
+            notes.append("not excited by these logs: " + "; ".join(missing))
+        if pairs:
+            text = ", ".join(" + ".join(pair) for pair in pairs)
+            notes.append(f"moving these joints together as well would give full rank: {text}")
+        if coupled:
+            notes.append("the data show rotors coupled to the links that carry them; used as such")
+        return notes
+
+
+def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
+    """Speed (n,) below which the sign of the friction is not certain."""
+    return np.array([0.0 if s is None else 2 * s.sign_width for s in surfaces])
+
+
+def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:
+    """The gravity stage as rows of unit variance on the first base parameters."""
+    if gravity is None or not gravity.parameters:
+        return None
+    size = int(basis.gravity.sum())
+    rows = whitened(np.array(gravity.covariance))
+    wide = np.zeros((len(rows), basis.size))
+    wide[:, :size] = rows
+    return Prior(wide, rows @ _gravity_values(gravity, basis, size))
+
+
+def _gravity_values(gravity: RigidStage, basis: Basis, size: int) -> Array:
+    """Base gravity parameters of the stage, undetermined ones at their smallest values."""
+    names = standard_names(basis.expression.shape[1] // 11)
+    phi = np.array([gravity.representative.get(name, 0.0) for name in names])
+    values: Array = (basis.expression @ phi)[:size]
+    return values
+
+
+def _wider(prior: Prior | None) -> Prior | None:
+    if prior is None:
+        return None
+    return Prior(np.hstack([prior.A, np.zeros((len(prior.A), 1))]), prior.b)

@@ -1,0 +1,29 @@
+"""What a user may set per stage; kept free of heavy imports for the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from seqid_cli.motion.options import MotionOptions
+
+
+@dataclass(frozen=True)
+class FrictionOptions:
+    """Orders m and l of Eq. 8 and 10, and the threshold beta of Eq. 11.
+
+    Orders left None are raised while speeds that were left out are predicted better; with a `beta`
+    the raising stops as soon as Eq. 11 holds at it.
+    """
+
+    motion: MotionOptions = field(default_factory=MotionOptions)
+    position_order: int | None = None
+    velocity_order: int | None = None
+    beta: float | None = None
+
+
+@dataclass(frozen=True)
+class InertiaOptions:
+    """`source` is where joint accelerations come from: "auto", "encoder" or "imu"."""
+
+    motion: MotionOptions = field(default_factory=MotionOptions)
+    source: str = "auto"

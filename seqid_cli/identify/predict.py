@@ -1,0 +1,118 @@
+"""Torque predicted by an identified model, log by log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import InputError
+from seqid_cli.identify.inertia import slowest_speeds
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.torque import TorqueModel, sliding
+from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.motion import estimate_motion
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
+
+
+@dataclass(frozen=True)
+class LogPrediction:
+    """Measured and predicted torque (N, n) N m of one log, both low-passed alike.
+
+    `used` (N,) marks the samples that count, away from ends and gaps; `sliding` (N, n) those at
+    which a joint certainly slides. Elsewhere friction is known only as an interval, and
+    `predicted` is the value of it that lies nearest to the measured torque.
+    """
+
+    path: Path
+    sha256: str
+    samples: int
+    cutoff_hz: float
+    t: Array
+    tau: Array
+    predicted: Array
+    used: Mask
+    sliding: Mask
+    notes: tuple[str, ...] = ()
+
+
+def predict(
+    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+) -> Iterator[LogPrediction]:
+    """Predict the torque of any logs.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque or current.
+    robot : Robot
+    stages : Stages
+        Whatever has been identified; what is missing is taken as zero and noted.
+    options : InertiaOptions
+        Cut-off and source of the motion.
+
+    Yields
+    ------
+    LogPrediction
+        One per log.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    """
+    model = TorqueModel.from_stages(stages, robot)
+    for recording in recordings:
+        yield _predict_log(recording, robot, stages, model, options)
+
+
+def _predict_log(
+    recording: Recording, robot: Robot, stages: Stages, model: TorqueModel, options: InertiaOptions
+) -> LogPrediction:
+    encoder = estimate_motion(recording, robot, options.motion)
+    motion = best_motion(recording, robot, stages.imu, encoder, source=options.source)
+    if motion.tau is None:
+        raise InputError(
+            "the log has neither joint torque nor motor current",
+            hint="record current (with torque_constant in the robot file) or torque",
+            where=str(recording.path),
+        )
+    slides = sliding(motion, slowest_speeds(model.surfaces))
+    return LogPrediction(
+        path=recording.path,
+        sha256=recording.sha256,
+        samples=motion.samples,
+        cutoff_hz=motion.cutoff.hz,
+        t=motion.t,
+        tau=motion.tau,
+        predicted=model.predict_set(motion, slides),
+        used=motion.usable,
+        sliding=slides,
+        notes=tuple(_notes(model, robot, stages, model.outside(motion) & slides, slides)),
+    )
+
+
+def _notes(
+    model: TorqueModel, robot: Robot, stages: Stages, outside: Mask, slides: Mask
+) -> Iterator[str]:
+    if stages.inertia is None:
+        yield "no inertia stage in the parameter file: inertial torque is taken as zero"
+    for j, name in enumerate(robot.joint_names):
+        if model.surfaces[j] is None:
+            yield f"{name}: no friction in the parameter file, taken as zero"
+        share = outside[:, j].sum() / max(slides[:, j].sum(), 1)
+        if share > OUTSIDE_NOTE:
+            yield (
+                f"{name}: {100 * share:.0f} % of the samples lie outside the speeds or positions "
+                "at which friction was identified; the nearest identified value is used"
+            )

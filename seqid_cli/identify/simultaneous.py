@@ -1,0 +1,212 @@
+"""The classical way (Eq. 5-6): rigid body, Coulomb and viscous friction in one least squares.
+
+    tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq + F_o
+
+for comparison with the sequential way, and for logs that hold no single-joint trials. The result is
+written as a friction stage of orders (0, 1) and an inertia stage with all base parameters, so that
+every later command reads it like any other file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import QualityError
+from seqid_cli.identify.equations import blocks, filtered_regressor, torque_motion
+from seqid_cli.identify.least_squares import Accumulator, Solution, solve
+from seqid_cli.identify.rigid_stage import not_excited, parameters_of, representative_of
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.torque import known_rotors, sliding
+from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import (
+    FrictionJoint,
+    FrictionStage,
+    Parameter,
+    RigidStage,
+    SpeedLevel,
+    Verdict,
+)
+from seqid_cli.robot.base import Basis, base_parameters, gear_ratios
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+PER_JOINT = 3  # Coulomb, viscous, offset
+SIGN_SHARE = 0.01  # width of the smoothed sign over the joint's fastest speed
+POOR_SHARE = 0.25
+
+
+def identify_simultaneous(
+    recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
+) -> tuple[FrictionStage, RigidStage]:
+    """Identify rigid body and Coulomb-viscous friction together.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Any logs with torque.
+    robot : Robot
+        Chain, gravity, known rotor inertias.
+    options : MotionOptions
+        Cut-off.
+
+    Returns
+    -------
+    tuple of FrictionStage and RigidStage
+        Friction as surfaces of orders (0, 1); all base parameters.
+
+    Raises
+    ------
+    QualityError
+        If no joint moves.
+    """
+    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
+    equations = SimultaneousEquations(robot, base_parameters(robot, rotor=rotor))
+    for recording in recordings:
+        equations.add(torque_motion(recording, robot, options))
+    if not any(joint.samples for joint in equations.joints):
+        raise QualityError("no joint moves in these logs", hint="record moves of every joint")
+    return equations.stages()
+
+
+class SimultaneousEquations:
+    """Accumulates [H, friction columns | tau] of every joint."""
+
+    def __init__(self, robot: Robot, basis: Basis) -> None:
+        self.robot, self.basis = robot, basis
+        self.joints = [Accumulator(basis.size + PER_JOINT * robot.n) for _ in range(robot.n)]
+        self.width = np.zeros(robot.n)
+        self.fastest = np.zeros(robot.n)
+        self.position = np.array([[np.inf, -np.inf]] * robot.n)
+        self.torque_squares = np.zeros(robot.n)
+        self.cutoffs: list[float] = []
+
+    def add(self, motion: Motion) -> None:
+        """Add the rows of one log."""
+        assert motion.tau is not None
+        self._remember(motion)
+        self.cutoffs.append(motion.cutoff.hz)
+        usable = sliding(motion, self.width)
+        y = motion.tau - motion.filtered(
+            gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * motion.ddq
+        )
+        friction = self._friction(motion)
+        for rows in filtered_regressor(motion, self.robot, self.basis):
+            part = rows.where
+            for block in blocks(rows.motion.samples, rows.motion.rate_hz):
+                for j, joint in enumerate(self.joints):
+                    kept = usable[part][block, j]
+                    wide = np.zeros((int(kept.sum()), joint.size))
+                    wide[:, : self.basis.size] = rows.H[block, j][kept]
+                    wide[:, self._own(j)] = friction[part][block, j][kept]
+                    joint.add(wide, y[part][block, j][kept])
+        self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
+
+    def _own(self, j: int) -> slice:
+        start = self.basis.size + PER_JOINT * j
+        return slice(start, start + PER_JOINT)
+
+    def _remember(self, motion: Motion) -> None:
+        """Ranges of motion; the width of the sign is set by the first log that moves a joint."""
+        speed = np.where(motion.moving, np.abs(motion.dq), 0.0)
+        fast = np.quantile(speed, 0.99, axis=0)
+        self.width = np.where(self.width > 0, self.width, SIGN_SHARE * fast)
+        self.fastest = np.maximum(self.fastest, speed.max(axis=0))
+        low, high = motion.q.min(axis=0), motion.q.max(axis=0)
+        self.position[:, 0] = np.minimum(self.position[:, 0], low)
+        self.position[:, 1] = np.maximum(self.position[:, 1], high)
+
+    def _friction(self, motion: Motion) -> Array:
+        """Columns (N, n, 3) of sign, velocity and offset, filtered like predicted friction."""
+        safe = np.where(self.width > 0, self.width, 1.0)
+        sign = np.tanh(motion.dq / safe)
+        columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
+        return motion.filtered(columns, times=2)
+
+    def stages(self) -> tuple[FrictionStage, RigidStage]:
+        """Solve and describe the result."""
+        solution = solve(self.joints)
+        moved = [j for j in range(self.robot.n) if self.joints[j].samples]
+        friction = {self.robot.joint_names[j]: self._joint(j, solution) for j in moved}
+        note = "Coulomb, viscous and offset from one least squares with the rigid body (Eq. 5-6)"
+        cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
+        stage = FrictionStage(
+            joints=friction, method="simultaneous", cutoff_hz=cutoff, notes=[note]
+        )
+        return stage, self._rigid(solution, cutoff)
+
+    def _joint(self, j: int, solution: Solution) -> FrictionJoint:
+        """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
+        own = self._own(j)
+        values = solution.theta[own]
+        fast = float(self.fastest[j])
+        # Chebyshev over [0, fast]: |v| = fast (1 + T_1(u)) / 2; the offset has the sign of motion
+        # taken off.
+        ahead = np.array([[1.0, fast / 2, 1.0], [0.0, fast / 2, 0.0]])
+        back = ahead * np.array([1.0, 1.0, -1.0])
+        both = np.vstack([ahead, back])
+        covariance = both @ solution.covariance[own, own] @ both.T
+        sigma = float(solution.sigma[j])
+        names = ("coulomb", "viscous", "offset")
+        units = ("N m", "N m s/rad", "N m")
+        errors = np.sqrt(np.diag(solution.covariance)[own])
+        return FrictionJoint(
+            position_order=0,
+            velocity_order=1,
+            max_error=0.0,
+            rmse=sigma,
+            position_range=[float(x) for x in self.position[j]],
+            speed_range=[0.0, fast],
+            sign_width=float(self.width[j]),
+            directional=True,
+            positive=[(ahead @ values).tolist()],
+            negative=[(back @ values).tolist()],
+            covariance=covariance.tolist(),
+            speeds=[SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
+            parameters=[
+                Parameter(name=n, value=float(v), std_error=float(e), unit=u)
+                for n, v, e, u in zip(names, values, errors, units, strict=True)
+            ],
+        )
+
+    def _rigid(self, solution: Solution, cutoff: float | None) -> RigidStage:
+        basis, robot = self.basis, self.robot
+        indices = np.arange(basis.size)
+        own = indices[solution.determined[: basis.size]]
+        missing = not_excited(basis, solution, indices)
+        rank = solution.rank - PER_JOINT * sum(joint.samples > 0 for joint in self.joints)
+        return RigidStage(
+            parameters=parameters_of(robot, basis, own, solution.theta, solution.covariance),
+            condition=solution.condition,
+            rank=rank,
+            structural_rank=basis.size,
+            representative=representative_of(
+                basis, solution.theta[: basis.size], known_rotors(robot)
+            ),
+            covariance=solution.covariance[np.ix_(own, own)].tolist(),
+            not_excited=missing,
+            rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
+            method="simultaneous",
+            cutoff_hz=cutoff,
+            verdicts=self._verdicts(solution, missing),
+            notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
+        )
+
+    def _verdicts(self, solution: Solution, missing: list[str]) -> list[Verdict]:
+        verdicts = []
+        for j, name in enumerate(self.robot.joint_names):
+            samples = self.joints[j].samples
+            if not samples:
+                verdicts.append(Verdict(joint=name, good=False, reason="does not move"))
+                continue
+            rms = float(np.sqrt(self.torque_squares[j] / samples))
+            share = float(solution.sigma[j]) / max(rms, 1e-300)
+            reason = f"leaves {100 * share:.1f} % of the torque ({solution.sigma[j]:.3g} N m)"
+            verdicts.append(Verdict(joint=name, good=share < POOR_SHARE, reason=reason))
+        reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
+        verdicts.append(Verdict(good=not missing, reason=reason))
+        return verdicts

@@ -1,0 +1,227 @@
+"""Constant-velocity trials reduced to a few averages each, and gravity removed from them.
+
+A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
+slice replace a low-pass. Forward and backward trials of one joint, at one speed and in one locked
+configuration, give the gravity torque by Eq. 15; p_xi (Eq. 12-14) is fitted to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.segments import Stretch, constant_velocity, noise_step
+from seqid_cli.robot.kinematics import forward
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+SLICES = 64
+SLOW_WINDOW_S = 0.08
+SAME_SPEED = 0.12
+SAME_CONFIGURATION = 0.03  # rad
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One joint at constant velocity.
+
+    `q` (K,) rad, `tau` (K,) N m and `ddq` (K,) rad/s^2 are slice averages; `configuration` (n,)
+    rad is where every joint stood, the moving one at the middle of its range.
+    """
+
+    joint: int
+    velocity: float
+    q: Array
+    tau: Array
+    ddq: Array
+    weight: float  # samples per slice
+    configuration: Array
+
+    @property
+    def speed(self) -> float:
+        """Magnitude of the velocity, rad/s."""
+        return abs(self.velocity)
+
+    def positions(self, n: int) -> Array:
+        """Positions of all joints (K, n) rad, slice by slice."""
+        full = np.tile(self.configuration, (len(self.q), 1))
+        full[:, self.joint] = self.q
+        return full[:, :n]
+
+
+def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
+    """Constant-velocity trials of all logs.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    """
+    trials: list[Trial] = []
+    for recording in recordings:
+        if recording.tau is None:
+            raise InputError(
+                "the log has neither joint torque nor motor current",
+                hint="record current (with torque_constant in the robot file) or torque",
+                where=str(recording.path),
+            )
+        step = noise_step(recording.q, encoder_resolution(robot))
+        stretches = constant_velocity(
+            recording.q, recording.rate_hz, step=step, valid=recording.valid
+        )
+        trials += [_trial(recording, stretch) for stretch in stretches]
+    return trials
+
+
+def _trial(recording: Recording, stretch: Stretch) -> Trial:
+    assert recording.tau is not None
+    j = stretch.joint
+    slices = int(np.clip(stretch.samples // 4, 4, SLICES))
+    length = stretch.samples // slices
+    stop = stretch.start + slices * length
+    tau = recording.tau[stretch.start : stop, j].reshape(slices, length).mean(axis=1)
+    # Positions on the straight line through the stretch: finer than the encoder's counts.
+    time = (np.arange(slices) + 0.5) * length / recording.rate_hz
+    middle = stretch.samples / 2 / recording.rate_hz
+    q = np.asarray(stretch.configuration[j] + stretch.velocity * (time - middle), dtype=np.float64)
+    ddq = _slow_acceleration(recording.q[stretch.start : stop, j], recording.rate_hz)
+    mean_ddq: Array = np.asarray(ddq.reshape(slices, length).mean(axis=1), dtype=np.float64)
+    configuration = np.array(stretch.configuration)
+    return Trial(j, stretch.velocity, q, tau, mean_ddq, float(length), configuration)
+
+
+def _slow_acceleration(q: Array, rate_hz: float) -> Array:
+    """Acceleration, rad/s^2, that is left below about 5 Hz where the velocity should be constant.
+
+    Zero near the ends, where the window would reach into the ramps.
+    """
+    h = max(1, round(SLOW_WINDOW_S * rate_hz))
+    result = np.zeros_like(q)
+    if len(q) > 5 * h:
+        mean = uniform_filter1d(q, h, mode="nearest")
+        second = (mean[2 * h :] - 2 * mean[h:-h] + mean[: -2 * h]) * (rate_hz / h) ** 2
+        result[2 * h : -2 * h] = second[h:-h]
+    return result
+
+
+def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:
+    """Trials of one joint, slowest first."""
+    return sorted((t for t in trials if t.joint == joint), key=lambda trial: trial.speed)
+
+
+class HasSpeed(Protocol):
+    """Anything measured at one speed, rad/s."""
+
+    @property
+    def speed(self) -> float:
+        """Magnitude of the velocity, rad/s."""
+
+
+S = TypeVar("S", bound=HasSpeed)
+
+
+def speed_levels(trials: list[S]) -> list[list[S]]:
+    """Group what was measured at speeds within 12 percent of the slowest of the group."""
+    levels: list[list[S]] = []
+    for trial in sorted(trials, key=lambda t: t.speed):
+        if levels and trial.speed <= levels[-1][0].speed * (1 + SAME_SPEED):
+            levels[-1].append(trial)
+        else:
+            levels.append([trial])
+    return levels
+
+
+def configurations(trials: list[Trial]) -> list[list[Trial]]:
+    """Group trials of one joint by where the other joints are locked."""
+    groups: list[list[Trial]] = []
+    for trial in trials:
+        for group in groups:
+            off = np.abs(trial.configuration - group[0].configuration)
+            off[trial.joint] = 0.0
+            if off.max(initial=0.0) < SAME_CONFIGURATION:
+                group.append(trial)
+                break
+        else:
+            groups.append([trial])
+    return groups
+
+
+def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
+    """Vector a of Eq. 13 at positions q of one joint, the others locked.
+
+    Parameters
+    ----------
+    robot : Robot
+        Chain and gravity vector.
+    joint : int
+        The moving joint.
+    configuration : (n,) array
+        Positions of the joints before it [rad].
+    q : (K,) array
+        Positions of the joint itself [rad].
+
+    Returns
+    -------
+    (K, 2) array
+        m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic joint, whose gravity
+        force is mass times gravity along the axis; no column where gravity has no part across the
+        axis.
+    """
+    zero = configuration.copy()
+    zero[joint] = 0.0
+    R = forward(robot.chain, zero[None]).R[0, joint]
+    g = R.T @ robot.gravity
+    axis = robot.chain.axis[joint]
+    if robot.chain.prismatic[joint]:
+        column = np.full((len(q), 1), -float(g @ axis))
+        return column if abs(g @ axis) > 1e-6 else column[:, :0]
+    e_x, e_y = plane_across(axis)
+    g_x, g_y = float(g @ e_x), float(g @ e_y)
+    if np.hypot(g_x, g_y) < 1e-6:
+        return np.empty((len(q), 0))
+    sin, cos = np.sin(q), np.cos(q)
+    return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
+
+
+def plane_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    e_x = start - axis * (axis @ start)
+    e_x /= np.linalg.norm(e_x)
+    return e_x, np.cross(axis, e_x)
+
+
+@dataclass(frozen=True)
+class HalfSums:
+    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, and the pair's speed."""
+
+    q: Array
+    tau: Array
+    speed: float
+
+
+def half_sums(group: list[Trial]) -> list[HalfSums]:
+    """Pair forward with backward trials of one configuration, speed by speed (Eq. 15)."""
+    result = []
+    for level in speed_levels(group):
+        forward_trials = [t for t in level if t.velocity > 0]
+        backward = [t for t in level if t.velocity < 0]
+        for ahead, back in zip(forward_trials, backward, strict=False):
+            low = max(ahead.q.min(), back.q.min())
+            high = min(ahead.q.max(), back.q.max())
+            inside = (ahead.q >= low) & (ahead.q <= high)
+            order = np.argsort(back.q)
+            twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
+            if inside.sum() >= 4:
+                half = (ahead.tau[inside] + twin) / 2
+                result.append(HalfSums(ahead.q[inside], half, level[0].speed))
+    return result

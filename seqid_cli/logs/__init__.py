@@ -1,0 +1,1 @@
+"""Reading of recorded logs: files in, `Recording` out."""

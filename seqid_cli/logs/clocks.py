@@ -1,0 +1,165 @@
+"""Stamps put right: sorted, without duplicates, from one clock.
+
+Stamps are integer nanoseconds, so sums and differences are exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.raw import Array, Stamps, Stream
+
+GAP_INTERVALS = 5.0
+GAP_LEAST_S = 0.02
+BURSTS = 0.05
+# A grid may be this many times longer than the samples before far-off stamps are cut away.
+_STRETCH_LIMIT = 20
+_STRETCH_LEAST = 1_000_000
+_CUT_NS = 60_000_000_000
+_MANY_STEPS = 100  # so many steps back are rows in no order, not clocks that were set
+
+
+@dataclass(frozen=True)
+class Tidy:
+    """A stream in the order of time, and what had to be done for it.
+
+    `non_monotonic` counts the steps back in time, `duplicates` the samples dropped because another
+    one holds the same stamp.
+    """
+
+    stream: Stream
+    non_monotonic: int = 0
+    duplicates: int = 0
+    warnings: tuple[str, ...] = ()
+
+
+def tidy(stream: Stream) -> Tidy:
+    """Sort a stream by stamp and merge samples of equal stamp.
+
+    Samples of equal stamp that hold different joints complement each other; where they hold the
+    same one, the first counts. Where the clock was set back, two passes of it would overlap: only
+    the longest stretch of one pass is kept.
+    """
+    backwards = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
+    warnings: list[str] = []
+    if backwards:
+        stream = _one_pass(stream, warnings)
+        stream = stream.take(np.argsort(stream.stamp_ns, kind="stable"))
+        warnings.append(f"{stream.name}: time steps back {backwards} times; sorted")
+    stream = _far_stamps_cut(stream, warnings)
+    before = len(stream)
+    stream, duplicates, conflicts = _merged(stream)
+    if duplicates:
+        warnings.append(f"{stream.name}: {duplicates} samples repeat a stamp; dropped")
+    if conflicts > 0.01 * before:
+        warnings.append(
+            f"{stream.name}: {conflicts} samples share a stamp with others but hold other values: "
+            "the clock is too coarse; use the times of logging"
+        )
+    return Tidy(stream, backwards, duplicates, tuple(warnings))
+
+
+def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1.0) -> float:
+    """Return the interval from which on samples count as missing, in the unit of `steps`.
+
+    Five median intervals, but at least 20 ms: shorter holes are bridged by the curve itself, which
+    follows an arm over 20 ms. Where samples come in bursts, so that more than one interval in
+    twenty is beyond that, the mean interval stands for the median one.
+
+    Parameters
+    ----------
+    steps : (M,) array
+        Intervals, none negative.
+    second : float
+        One second in the unit of `steps`.
+    """
+    least = GAP_LEAST_S * second
+    limit = max(GAP_INTERVALS * float(np.median(steps)), least)
+    if np.count_nonzero(steps > limit) > BURSTS * len(steps):
+        return max(GAP_INTERVALS * float(np.mean(steps)), least)
+    return limit
+
+
+def _one_pass(stream: Stream, warnings: list[str]) -> Stream:
+    stamps = stream.stamp_ns
+    steps = np.diff(stamps)
+    forward = steps[steps > 0]
+    if not forward.size:
+        return stream
+    median = float(np.median(forward))
+    far = np.flatnonzero(steps < -gap_limit(forward, 1e9))
+    if far.size > _MANY_STEPS:
+        return stream
+    jumps = [i for i in far if _overlaps(stream, int(i), median)]
+    if not jumps:
+        return stream
+    ends = [0, *(int(i) + 1 for i in jumps), len(stamps)]
+    start, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
+    largest = max(float(-steps[i]) for i in jumps) * 1e-9
+    warnings.append(
+        f"{stream.name}: the clock jumps back {len(jumps)} times (by up to {largest:.3g} s) and "
+        f"runs twice over the same time; only the longest stretch is kept, {end - start} of "
+        f"{len(stamps)} samples. Use the times of logging, or split the log at the jump"
+    )
+    return stream.take(slice(start, end))
+
+
+def _overlaps(stream: Stream, step: int, median_ns: float) -> bool:
+    """Tell whether the time behind a step back holds twice the samples that it should."""
+    stamps = stream.stamp_ns
+    low, high = int(stamps[step + 1]), int(stamps[step])
+    region = stream.take((stamps >= low) & (stamps <= high))
+    region = region.take(np.argsort(region.stamp_ns, kind="stable"))
+    repeated = np.concatenate([[False], np.diff(region.stamp_ns) == 0])
+    for values in region.channels.values():
+        same = np.isclose(values[1:], values[:-1], rtol=0.0, atol=0.0, equal_nan=True)
+        repeated[1:] &= same.all(axis=1)
+    return int(np.count_nonzero(~repeated)) > 1.25 * ((high - low) / median_ns + 1.0) + 1.0
+
+
+def _far_stamps_cut(stream: Stream, warnings: list[str]) -> Stream:
+    """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them."""
+    steps = np.diff(stream.stamp_ns)
+    forward = steps[steps > 0]
+    if not forward.size:
+        return stream
+    span = int(stream.stamp_ns[-1]) - int(stream.stamp_ns[0])
+    if span / np.median(forward) < _STRETCH_LIMIT * len(stream) + _STRETCH_LEAST:
+        return stream
+    ends = [0, *(np.flatnonzero(steps > _CUT_NS) + 1).tolist(), len(stream)]
+    start, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
+    warnings.append(
+        f"{stream.name}: the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the "
+        f"longest stretch without a hole of {_CUT_NS // 1_000_000_000} s is kept, {end - start} "
+        "samples. Check the clock, or split the log"
+    )
+    return stream.take(slice(start, end))
+
+
+def _merged(stream: Stream) -> tuple[Stream, int, int]:
+    """Merge rows of equal stamp; returns duplicates and those of them that hold other values."""
+    repeats = np.diff(stream.stamp_ns) == 0
+    if not repeats.any():
+        return stream, 0, 0
+    group = np.concatenate([[0], np.cumsum(~repeats)])
+    stamps: Stamps = stream.stamp_ns[np.concatenate([[True], ~repeats])]
+    channels = {n: _first_of(v, group, len(stamps)) for n, v in stream.channels.items()}
+    lead = next(iter(stream.channels))
+    given = np.isfinite(stream.channels[lead])
+    surplus = given.sum(axis=0) - np.isfinite(channels[lead]).sum(axis=0)
+    other = given & (stream.channels[lead] != channels[lead][group])
+    conflicts = int(np.count_nonzero(other.any(axis=1)))
+    merged = replace(stream, stamp_ns=stamps, channels=channels)
+    return merged, int(surplus.max(initial=0)), conflicts
+
+
+def _first_of(values: Array, group: NDArray[np.intp], count: int) -> Array:
+    merged = np.full(count * values.shape[1], np.nan)
+    rows, columns = np.nonzero(np.isfinite(values))
+    target, first = np.unique(group[rows] * values.shape[1] + columns, return_index=True)
+    merged[target] = values[rows[first], columns[first]]
+    return merged.reshape(count, values.shape[1])

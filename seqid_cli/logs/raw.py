@@ -1,0 +1,75 @@
+"""What a reader hands over: samples as they were logged, each stream with its own stamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Stamps = NDArray[np.int64]
+Rows = NDArray[np.intp]
+TimeSource = Literal["header", "log"]
+
+STAMP_LIMIT_NS = 4_000_000_000_000_000_000  # year 2096; differences stay inside 64 bits
+ACCELEROMETERS = "accelerometers"
+GYRO = "gyro"
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Samples that share stamps.
+
+    `channels[quantity]` is (M, w), NaN where a sample lacks the value. Joint streams hold position
+    [rad], velocity [rad/s], torque [N m], current [A], temperature [degC], one column per joint of
+    the robot; IMU streams hold `accelerometers` [m/s^2] and `gyro` [rad/s].
+    """
+
+    name: str
+    stamp_ns: Stamps  # (M,)
+    channels: dict[str, Array]
+
+    def __len__(self) -> int:
+        """Count the samples."""
+        return len(self.stamp_ns)
+
+    def take(self, rows: Rows | Mask | slice) -> Stream:
+        """Select rows (indices, mask or slice)."""
+        channels = {name: values[rows] for name, values in self.channels.items()}
+        return replace(self, stamp_ns=self.stamp_ns[rows], channels=channels)
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """One log, decoded but not yet on one time base.
+
+    `imus[name]` are the streams that together carry the IMU's channels, in the order of its
+    accelerometers.
+    """
+
+    joints: Stream
+    imus: dict[str, tuple[Stream, ...]] = field(default_factory=dict)
+    partial: str = ""
+    warnings: tuple[str, ...] = ()
+    log_minus_header_s: float | None = None
+    prefer_current: bool = False
+
+
+class Reader(Protocol):
+    """Reads one file format."""
+
+    def __call__(self, path: Path, robot: Robot, time_source: TimeSource) -> RawLog:
+        """Read the channels that the robot file knows.
+
+        Raises
+        ------
+        InputError
+            The file is damaged beyond use or lacks a channel.
+        """
+        ...

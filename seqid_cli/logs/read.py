@@ -1,0 +1,275 @@
+"""From a log file to a `Recording`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.errors import InputError, UsageError
+from seqid_cli.logs import health, mcap, parquet
+from seqid_cli.logs.clocks import Tidy, tidy
+from seqid_cli.logs.open import check_log
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
+from seqid_cli.robot.types import Robot
+
+READERS: dict[str, Reader] = {"parquet": parquet.read, "mcap": mcap.read}
+_ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
+
+
+def read_recordings(
+    paths: Sequence[Path],
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    rate_hz: float | None = None,
+) -> Iterator[Recording]:
+    """Read logs one after the other; see `read_recording`."""
+    for path in paths:
+        yield read_recording(path, robot, time_source=time_source, rate_hz=rate_hz)
+
+
+def read_recording(
+    path: Path,
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    rate_hz: float | None = None,
+) -> Recording:
+    """Read one log on a uniform time base.
+
+    Parameters
+    ----------
+    path : Path
+        A Parquet or MCAP file, told by its first bytes.
+    robot : Robot
+        Names of joints, channels and IMUs; drive data that turn current into torque.
+    time_source : {"header", "log"}
+        MCAP only: the stamps in the messages, or the times of logging.
+    rate_hz : float, optional
+        Rate of the base; by default the log's own.
+
+    Returns
+    -------
+    Recording
+        Joints in the robot's order, SI units. `tau` is the logged torque [N m at the joint], else
+        current times torque constant and gear ratio. `temperature` is NaN for joints that have
+        none; everything else is finite.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, lacks a channel or is too short.
+    UsageError
+        `time_source` or `rate_hz` is not usable.
+    """
+    path = Path(path)
+    kind = check_log(path)
+    if time_source not in ("header", "log"):
+        raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
+    try:
+        raw = READERS[kind](path, robot, time_source)
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error})", where=str(path)) from error
+    return _assemble(path, kind, digest, raw, robot, rate_hz)
+
+
+@dataclass(frozen=True)
+class _Imus:
+    accelerometers: dict[str, Array]
+    gyros: dict[str, Array]
+    valid: Mask
+    warnings: list[str]
+
+
+def _assemble(
+    path: Path, kind: str, digest: str, raw: RawLog, robot: Robot, rate_hz: float | None
+) -> Recording:
+    where = str(path)
+    warnings = list(raw.warnings)
+    joints = _without_absurd(raw.joints, warnings)
+    _require_positions(joints, robot, where)
+    if "current" in joints.channels:
+        warnings += health.current_warnings(robot, joints.channels["current"])
+    joints = _with_torque(joints, robot, raw.prefer_current, where, warnings)
+    clock = tidy(joints)
+    base = make_base(clock.stream, rate_hz, where)
+    q = resample(clock.stream, "position", base)
+    valid, gaps = q.valid, set(q.gaps) | set(base.gaps)
+    tau = None
+    if "tau" in clock.stream.channels:
+        torque = resample(clock.stream, "tau", base)
+        tau, valid = torque.values, valid & torque.valid
+        gaps |= set(torque.gaps)
+    dq = _whole(clock.stream, "velocity", base, warnings)
+    imus = _read_imus(raw, robot, base)
+    warnings += clock.warnings
+    warnings += imus.warnings
+    warnings += health.clock_warnings(1.0 / base.step_s, base.jitter, JITTER_LIMIT)
+    warnings += health.position_warnings(robot, base.t, q.values, dq)
+    return Recording(
+        path=path,
+        sha256=digest,
+        format=kind,
+        t=base.t,
+        q=q.values,
+        valid=valid & imus.valid,
+        health=Health(
+            rate_hz=1.0 / base.step_s,
+            jitter=base.jitter,
+            gaps=tuple(sorted(gaps)),
+            non_monotonic=clock.non_monotonic,
+            duplicates=clock.duplicates,
+            resampled=not base.exact,
+            log_minus_header_s=raw.log_minus_header_s,
+            warnings=tuple(dict.fromkeys(warnings)),
+        ),
+        dq=dq,
+        tau=tau,
+        temperature=_temperature(clock.stream, base),
+        accelerometers=imus.accelerometers,
+        gyros=imus.gyros,
+        partial=raw.partial,
+    )
+
+
+def _without_absurd(stream: Stream, warnings: list[str]) -> Stream:
+    """Treat infinite and absurdly large values as missing."""
+    channels, count = {}, 0
+    for name, values in stream.channels.items():
+        wrong = np.abs(values) > _ABSURD
+        count += int(np.count_nonzero(wrong))
+        channels[name] = np.where(wrong, np.nan, values) if wrong.any() else values
+    if not count:
+        return stream
+    warnings.append(
+        f"{stream.name}: {count} values are infinite or beyond {_ABSURD:g}; taken as missing"
+    )
+    return replace(stream, channels=channels)
+
+
+def _require_positions(joints: Stream, robot: Robot, where: str) -> None:
+    present: Mask = np.asarray(np.isfinite(joints.channels["position"]).any(axis=0))
+    missing = [name for name, there in zip(robot.joint_names, present, strict=True) if not there]
+    if missing:
+        raise InputError(
+            f"no position of joint {', '.join(missing)}: {len(joints)} samples, all without it",
+            hint="Log all joints of the robot file, by the names that it gives them.",
+            where=where,
+        )
+
+
+def _with_torque(
+    joints: Stream, robot: Robot, prefer_current: bool, where: str, warnings: list[str]
+) -> Stream:
+    """Add `tau`: the logged torque, else current times torque constant and gear ratio."""
+    torque = joints.channels.get("torque", np.full((len(joints), robot.n), np.nan))
+    current = joints.channels.get("current", np.full((len(joints), robot.n), np.nan))
+    columns, without_drive = [], []
+    for i, joint in enumerate(robot.joints):
+        choices = [torque[:, i]]
+        if joint.torque_per_ampere is not None:
+            choices.insert(0 if prefer_current else 1, current[:, i] * joint.torque_per_ampere)
+        elif np.isfinite(current[:, i]).any() and not np.isfinite(torque[:, i]).any():
+            without_drive.append(joint.name)
+        given = [values for values in choices if np.isfinite(values).any()]
+        columns.append(given[0] if given else choices[0])
+    if without_drive:
+        warnings.append(
+            f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
+            "torque_constant and gear_ratio in the robot file"
+        )
+        return joints
+    tau = np.column_stack(columns)
+    present = np.isfinite(tau).any(axis=0)
+    if not present.any():
+        return joints
+    if not present.all():
+        lacking = [n for n, there in zip(robot.joint_names, present, strict=True) if not there]
+        raise InputError(
+            f"neither torque nor current of joint {', '.join(lacking)}, but of others",
+            hint="Log it for every joint of the robot file.",
+            where=where,
+        )
+    zero = [n for n, v in zip(robot.joint_names, tau.T, strict=True) if not np.nan_to_num(v).any()]
+    if zero:
+        warnings.append(
+            f"the torque of {', '.join(zero)} is zero throughout: it looks like it is not measured"
+        )
+    return replace(joints, channels={**joints.channels, "tau": tau})
+
+
+def _whole(stream: Stream, quantity: str, base: Base, warnings: list[str]) -> Array | None:
+    """Resample an optional channel; None unless every joint has it."""
+    if quantity not in stream.channels:
+        return None
+    values = resample(stream, quantity, base).values
+    if np.isfinite(values).all():
+        return values
+    if np.isfinite(values).any():
+        warnings.append(f"{quantity} is logged for some joints only; it is left out")
+    return None
+
+
+def _temperature(stream: Stream, base: Base) -> Array | None:
+    if "temperature" not in stream.channels:
+        return None
+    values = resample(stream, "temperature", base).values
+    return values if np.isfinite(values).any() else None
+
+
+def _read_imus(raw: RawLog, robot: Robot, base: Base) -> _Imus:
+    result = _Imus({}, {}, np.ones(base.count, np.bool_), [])
+    valid = result.valid
+    for imu in robot.imus:
+        cleaned = [
+            tidy(_without_absurd(stream, result.warnings)) for stream in raw.imus.get(imu.name, ())
+        ]
+        if not cleaned or not _usable(imu.name, cleaned, base, result.warnings):
+            continue
+        accelerometers: list[Array] = []
+        gyros: list[Array] = []
+        for stream in (each.stream for each in cleaned):
+            for quantity, target in ((ACCELEROMETERS, accelerometers), (GYRO, gyros)):
+                if quantity in stream.channels:
+                    part = resample(stream, quantity, base)
+                    target.append(part.values)
+                    valid &= part.valid
+        result.warnings.extend(warning for each in cleaned for warning in each.warnings)
+        if accelerometers:
+            result.accelerometers[imu.name] = np.hstack(accelerometers)
+            result.warnings.extend(
+                health.accelerometer_warnings(robot, imu, result.accelerometers[imu.name], valid)
+            )
+        if gyros:
+            result.gyros[imu.name] = np.hstack(gyros)
+    return result
+
+
+def _usable(name: str, cleaned: list[Tidy], base: Base, warnings: list[str]) -> bool:
+    """Tell whether an IMU can be used on the base; otherwise it is left out with a warning."""
+    for stream in (each.stream for each in cleaned):
+        covered = overlap(stream, base)
+        empty = [q for q, v in stream.channels.items() if not np.isfinite(v).any(axis=0).all()]
+        if empty:
+            warnings.append(f"IMU {name!r} is left out: {stream.name} has no {empty[0]} values")
+            return False
+        if covered <= 0.0:
+            warnings.append(
+                f"IMU {name!r} is left out: the stamps of {stream.name} do not overlap those of "
+                "the joints; let both use one clock, or use the times of logging"
+            )
+            return False
+        if covered < 0.99:
+            warnings.append(
+                f"{stream.name} covers {100 * covered:.0f} % of the joints' time; samples outside "
+                "it are not valid"
+            )
+    return True

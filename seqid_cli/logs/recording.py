@@ -1,0 +1,54 @@
+"""What a log holds once it is read: uniform in time, SI units, joints in the robot's order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Health:
+    """Clock and channel checks of one log, for `inspect` and for warnings."""
+
+    rate_hz: float
+    jitter: float  # standard deviation of the sample interval over its median
+    gaps: tuple[tuple[float, float], ...] = ()  # (start, end) s since the first sample
+    non_monotonic: int = 0
+    duplicates: int = 0
+    resampled: bool = False
+    log_minus_header_s: float | None = None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One log on one uniform time base.
+
+    Channels that the log lacks are None; `valid` is False where values were bridged over a gap.
+    `accelerometers[name]` is (N, K) m/s^2, one column per accelerometer of the robot file;
+    `gyros[name]` is (N, 3) rad/s.
+    """
+
+    path: Path
+    sha256: str
+    format: str
+    t: Array  # (N,) s from 0
+    q: Array  # (N, n) rad, as the encoder reports it
+    valid: NDArray[np.bool_]  # (N,)
+    health: Health
+    dq: Array | None = None  # (N, n) rad/s
+    tau: Array | None = None  # (N, n) N m at the joint
+    temperature: Array | None = None  # (N, n) degC
+    accelerometers: dict[str, Array] = field(default_factory=dict)
+    gyros: dict[str, Array] = field(default_factory=dict)
+    partial: str = ""  # what was lost, where the log was salvaged
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return self.health.rate_hz

@@ -1,0 +1,289 @@
+"""One uniform time base for all channels.
+
+The base runs from the first to the last sample that has every joint, at the mean rate of the joint
+states. Samples that already lie on it are taken as they are; others are interpolated, each column
+from the samples that have it, by a cubic spline between gaps and by a straight line across them;
+where the base is coarser than the samples, they are averaged over one interval of it. Where samples
+come in bursts a spline would swing, and straight lines are used throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from seqid_cli.errors import InputError, UsageError
+from seqid_cli.logs.clocks import gap_limit
+from seqid_cli.logs.raw import Array, Mask, Stamps, Stream
+
+LEAST_SAMPLES = 20
+LEAST_SECONDS = 0.5
+UNIFORM = 1e-3  # of the interval: so far may a sample lie beside the base and be taken as it is
+JITTER_LIMIT = 0.5
+COARSER = 1.5  # a base so many times coarser than the samples averages them
+_MOST_SAMPLES = 200_000_000
+_NEAR = 0.1  # of the median interval: samples closer than that would make a spline swing
+_BLOCK = 65_536  # samples per spline; the overlap is enough to forget the ends (0.27^32)
+_OVERLAP = 32
+_LEAST_KNOTS = 4
+
+
+@dataclass(frozen=True)
+class Base:
+    """The uniform time base: sample i lies at `start_ns` + i `step_s`.
+
+    `rows` are the joint samples that it is made of; `exact` where these lie on it.
+    """
+
+    start_ns: int
+    step_s: float
+    count: int
+    jitter: float
+    exact: bool
+    rows: NDArray[np.intp]
+    gaps: tuple[tuple[float, float], ...]
+
+    @property
+    def t(self) -> Array:
+        """Seconds since the first sample, (N,)."""
+        return np.arange(self.count, dtype=np.float64) * self.step_s
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """Values (N, w) on the base, where they are measured and not bridged, and the gaps [s]."""
+
+    values: Array
+    valid: Mask
+    gaps: tuple[tuple[float, float], ...] = ()
+
+
+def make_base(joints: Stream, rate_hz: float | None, where: str) -> Base:
+    """Lay the base through the joint samples.
+
+    Parameters
+    ----------
+    joints : Stream
+        In the order of time, with `position` (M, n).
+    rate_hz : float or None
+        The rate wanted; None for the log's own.
+    where : str
+        The file, for messages.
+
+    Raises
+    ------
+    InputError
+        Fewer than 20 samples, or less than 0.5 s.
+    UsageError
+        `rate_hz` is not usable.
+    """
+    rows = _base_rows(joints)
+    stamps = joints.stamp_ns[rows]
+    span = int(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
+    if len(rows) < LEAST_SAMPLES or span < LEAST_SECONDS:
+        raise InputError(
+            f"only {len(rows)} samples over {span:.3g} s hold all joints; at least "
+            f"{LEAST_SAMPLES} over {LEAST_SECONDS} s are needed",
+            hint="Record longer, or leave this log out.",
+            where=where,
+        )
+    own, jitter, gaps = _own_step(stamps)
+    step = own if rate_hz is None else _wanted_step(rate_hz, span)
+    count = int(np.floor(span / step + 1e-6)) + 1
+    if count > _MOST_SAMPLES:
+        raise InputError(
+            f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {_MOST_SAMPLES}",
+            hint="Give a lower rate or split the log.",
+            where=where,
+        )
+    exact = count == len(rows) and _on_base(stamps, step)
+    return Base(int(stamps[0]), step, count, jitter, exact, rows, gaps)
+
+
+def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
+    """Bring one channel of a stream to the base.
+
+    Parameters
+    ----------
+    stream : Stream
+        In the order of time.
+    quantity : str
+        Its channel, (M, w).
+    base : Base
+        The time base.
+
+    Returns
+    -------
+    Resampled
+        Finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False in
+        gaps and outside the column's time, and does not heed columns without any value.
+    """
+    values = stream.channels[quantity]
+    if base.exact and len(stream) >= base.count:
+        taken = _taken(stream, values, base)
+        if taken is not None:
+            return taken
+    seconds: Array = (stream.stamp_ns - base.start_ns).astype(np.float64) * 1e-9
+    out = np.full((base.count, values.shape[1]), np.nan)
+    valid = np.ones(base.count, np.bool_)
+    gaps: set[tuple[float, float]] = set()
+    for columns, present in _alike(values):
+        if not present.any():
+            continue
+        out[:, columns], measured, holes = _interpolate(
+            seconds[present], values[np.ix_(present, columns)], base
+        )
+        valid &= measured
+        gaps.update(holes)
+    return Resampled(out, valid, tuple(sorted(gaps)))
+
+
+def overlap(stream: Stream, base: Base) -> float:
+    """Return the share of the base that a stream's time covers."""
+    if not len(stream):
+        return 0.0
+    start = max(0.0, (int(stream.stamp_ns[0]) - base.start_ns) * 1e-9)
+    length = (base.count - 1) * base.step_s
+    end = min(length, (int(stream.stamp_ns[-1]) - base.start_ns) * 1e-9)
+    return max(0.0, end - start) / length
+
+
+def _base_rows(joints: Stream) -> NDArray[np.intp]:
+    """Return the samples of the joint that has most, from where all joints have begun."""
+    present = np.isfinite(joints.channels["position"])
+    if not present.any(axis=0).all():
+        return np.zeros(0, np.intp)
+    first = present.argmax(axis=0).max()
+    last = len(present) - present[::-1].argmax(axis=0).max()
+    densest = present[:, present.sum(axis=0).argmax()].copy()
+    densest[:first] = False
+    densest[last:] = False
+    rows: NDArray[np.intp] = np.flatnonzero(densest)
+    return rows
+
+
+def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], ...]]:
+    """Return the interval [s], its relative jitter, and the gaps."""
+    steps = np.diff(stamps)
+    median = float(np.median(steps))
+    gap = steps > gap_limit(steps, 1e9)
+    regular = steps[~gap]
+    jitter = float(regular.std() / median)
+    count = regular.size
+    if jitter <= JITTER_LIMIT:  # a dropped sample makes one interval of two; bursts do not
+        count = int(np.maximum(1.0, np.rint(regular / median)).sum())
+    seconds = (stamps - stamps[0]) * 1e-9
+    gaps = tuple((float(seconds[i]), float(seconds[i + 1])) for i in np.flatnonzero(gap))
+    return int(regular.sum()) / count * 1e-9, jitter, gaps
+
+
+def _wanted_step(rate_hz: float, span: float) -> float:
+    if not np.isfinite(rate_hz) or rate_hz <= 0.0 or rate_hz * span < LEAST_SAMPLES:
+        raise UsageError(
+            f"a rate of {rate_hz:g} Hz cannot be used",
+            hint=f"It must be positive and leave at least {LEAST_SAMPLES} samples.",
+        )
+    return 1.0 / rate_hz
+
+
+def _on_base(stamps: Stamps, step: float) -> bool:
+    ideal = np.arange(len(stamps)) * step
+    return bool(np.abs((stamps - stamps[0]) * 1e-9 - ideal).max() <= UNIFORM * step)
+
+
+def _taken(stream: Stream, values: Array, base: Base) -> Resampled | None:
+    """Take samples that lie on the base as they are; None if they do not or some are missing."""
+    start = int(np.searchsorted(stream.stamp_ns, base.start_ns))
+    picked = slice(start, start + base.count)
+    stamps = stream.stamp_ns[picked]
+    if len(stamps) < base.count or stamps[0] != base.start_ns:
+        return None
+    chosen = values[picked]
+    empty = ~np.isfinite(values).any(axis=0)
+    if not _on_base(stamps, base.step_s) or not (np.isfinite(chosen) | empty).all():
+        return None
+    return Resampled(np.array(chosen), np.ones(base.count, np.bool_))
+
+
+def _alike(values: Array) -> Iterator[tuple[NDArray[np.intp], Mask]]:
+    """Group the columns that are present in the same samples."""
+    present = np.isfinite(values)
+    groups: dict[bytes, list[int]] = {}
+    for column in range(values.shape[1]):
+        groups.setdefault(np.packbits(present[:, column]).tobytes(), []).append(column)
+    for columns in groups.values():
+        yield np.array(columns), present[:, columns[0]]
+
+
+def _interpolate(
+    seconds: Array, values: Array, base: Base
+) -> tuple[Array, Mask, list[tuple[float, float]]]:
+    t = base.t
+    tolerance = UNIFORM * base.step_s
+    valid = (t >= seconds[0] - tolerance) & (t <= seconds[-1] + tolerance)
+    if len(seconds) < 2:
+        return np.tile(values[0], (base.count, 1)), valid, []
+    steps = np.diff(seconds)
+    median = float(np.median(steps))
+    gap_at = np.flatnonzero(steps > gap_limit(steps))
+    gaps = [(float(seconds[i]), float(seconds[i + 1])) for i in gap_at]
+    for start, end in gaps:
+        inside = slice(*np.searchsorted(t, (start + tolerance, end - tolerance)))
+        valid[inside] = False
+    if base.step_s > COARSER * median:
+        return _averaged(seconds, values, t, base.step_s), valid, gaps
+    out = np.column_stack([np.interp(t, seconds, column) for column in values.T])
+    kept = np.delete(steps, gap_at)
+    if kept.size and kept.std() <= JITTER_LIMIT * median:
+        ends = [0, *(gap_at + 1).tolist(), len(seconds)]
+        for start_row, end_row in pairwise(ends):
+            piece = slice(start_row, end_row)
+            _spline(seconds[piece], values[piece], t, _NEAR * median, out)
+    return out, valid, gaps
+
+
+def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
+    """Average the straight-line interpolant over `width` around each t, so that nothing aliases.
+
+    The window is symmetric, hence without delay, and shrinks at the ends of the samples.
+    """
+    half = np.clip(np.minimum(t - x[0], x[-1] - t), 1e-9, width / 2)
+    area = np.zeros_like(values)
+    trapezoids = 0.5 * np.diff(x)[:, None] * (values[1:] + values[:-1])
+    area[1:] = np.cumsum(trapezoids, axis=0)
+
+    def integral(at: Array) -> Array:
+        at = np.clip(at, x[0], x[-1])
+        row = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+        ends = np.column_stack([np.interp(at, x, column) for column in values.T])
+        part: Array = area[row] + 0.5 * (at - x[row])[:, None] * (values[row] + ends)
+        return part
+
+    low, high = t - half, t + half
+    out = np.column_stack([np.interp(t, x, column) for column in values.T])
+    wide = half > 1e-6 * width
+    mean = (integral(high[wide]) - integral(low[wide])) / (2.0 * half[wide])[:, None]
+    out[wide] = mean
+    return out
+
+
+def _spline(x: Array, values: Array, t: Array, near: float, out: Array) -> None:
+    """Overwrite `out` by the cubic spline through a piece without gaps, in blocks."""
+    apart = np.concatenate([[True], np.diff(x) > near]) if len(x) else np.zeros(0, np.bool_)
+    x, values = x[apart], values[apart]
+    if len(x) < _LEAST_KNOTS:
+        return
+    for begin in range(0, len(x) - 1, _BLOCK):
+        end = min(begin + _BLOCK, len(x) - 1)
+        low, high = max(0, begin - _OVERLAP), min(len(x), end + _OVERLAP + 1)
+        if high - low < _LEAST_KNOTS:
+            low = max(0, high - _LEAST_KNOTS)
+        targets = slice(
+            int(np.searchsorted(t, x[begin])), int(np.searchsorted(t, x[end], side="right"))
+        )
+        out[targets] = CubicSpline(x[low:high], values[low:high])(t[targets])

@@ -1,0 +1,1 @@
+"""The torque model: friction surface, rigid body, and their sum."""

@@ -1,0 +1,125 @@
+"""The friction surface (Eq. 7-10) on a scaled, orthogonal basis.
+
+With x the position and u the speed |v|, each scaled to [-1, 1] over the identified range and held
+at its ends, the friction torque of one joint is
+
+    tau_f(q, v) = s(v) sum_jr d[j, r] T_j(x) T_r(u),      s(v) = tanh(v / v_s),
+
+T_k being Chebyshev polynomials: raw monomials of orders (10, 11) are not usable in floating point.
+Where friction depends on direction it has two surfaces f_+ and f_-, one per direction, and
+
+    tau_f = s(v) (f_+ + f_-) / 2 + (f_+ - f_-) / 2:
+
+the part that does not flip with the direction, an offset, stays at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+from seqid_cli.params.schema import FrictionJoint
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Position and speed ranges that the basis is scaled to; outside them the surface is held."""
+
+    position: tuple[float, float]  # rad
+    speed: tuple[float, float]  # rad/s
+    logarithmic: bool = False
+
+    def x(self, q: Array) -> Array:
+        """Scaled position, clipped to [-1, 1]."""
+        return _scaled(q, *self.position)
+
+    def u(self, v: Array) -> Array:
+        """Scaled speed, clipped to [-1, 1]."""
+        speed = np.clip(np.abs(v), *self.speed)
+        if self.logarithmic:
+            return _scaled(np.log(speed), np.log(self.speed[0]), np.log(self.speed[1]))
+        return _scaled(speed, *self.speed)
+
+    def outside(self, q: Array, v: Array, *, sign_width: float) -> Mask:
+        """Samples where the surface is held because position or speed left the identified range."""
+        margin = 0.02 * (self.position[1] - self.position[0])
+        far = (q < self.position[0] - margin) | (q > self.position[1] + margin)
+        fast = np.abs(v) > 1.02 * self.speed[1]
+        slow = (np.abs(v) < 0.98 * self.speed[0]) & (np.abs(v) > sign_width)
+        return far | fast | slow
+
+
+def _scaled(value: Array, low: float, high: float) -> Array:
+    if high <= low:
+        return np.zeros_like(value)
+    return np.clip((2 * value - low - high) / (high - low), -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class FrictionSurface:
+    """Friction of one joint, ready to evaluate.
+
+    `positive`, `negative` (m + 1, l + 1) N m for either direction; `covariance` of their entries,
+    row-major, stacked where `directional`.
+    """
+
+    scaling: Scaling
+    sign_width: float
+    positive: Array
+    negative: Array
+    covariance: Array
+    directional: bool
+
+    @classmethod
+    def from_stage(cls, joint: FrictionJoint) -> FrictionSurface:
+        """Build from the parameter file."""
+        low, high = joint.position_range
+        slow, fast = joint.speed_range
+        return cls(
+            scaling=Scaling((low, high), (slow, fast), joint.speed_scale == "log"),
+            sign_width=joint.sign_width,
+            positive=np.array(joint.positive),
+            negative=np.array(joint.negative),
+            covariance=np.array(joint.covariance),
+            directional=joint.directional,
+        )
+
+    def columns(self, q: Array, v: Array) -> Array:
+        """Derivatives (N, k) of the torque by the entries that `covariance` is of."""
+        basis = tensor_basis(
+            self.scaling.x(q), self.scaling.u(v), *(k - 1 for k in self.positive.shape)
+        )
+        sign = np.tanh(v / self.sign_width)[:, None]
+        if not self.directional:
+            return basis * sign
+        return np.hstack([basis * (sign + 1) / 2, basis * (sign - 1) / 2])
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
+        coefficients = self.positive.ravel()
+        if self.directional:
+            coefficients = np.concatenate([coefficients, self.negative.ravel()])
+        return self.columns(q, v) @ coefficients
+
+    def at_rest(self, q: Array) -> tuple[Array, Array]:
+        """Smallest and largest torque (N,) N m that friction can hold at rest."""
+        v = np.full(len(q), max(self.scaling.speed[0], 5 * self.sign_width))
+        low, high = self.torque(q, -v), self.torque(q, v)
+        return np.minimum(low, high), np.maximum(low, high)
+
+    def outside(self, q: Array, v: Array) -> Mask:
+        """Samples (N,) at which the surface is held at the edge of what was identified."""
+        return self.scaling.outside(q, v, sign_width=self.sign_width)
+
+
+def tensor_basis(x: Array, u: Array, position_order: int, velocity_order: int) -> Array:
+    """Products T_j(x) T_r(u) (N, (m + 1) (l + 1)), r fastest."""
+    product = chebvander(x, position_order)[:, :, None] * chebvander(u, velocity_order)[:, None, :]
+    flat: Array = product.reshape(len(x), -1)
+    return flat

@@ -1,0 +1,136 @@
+"""The identified model as a sum of torques: friction, rigid body, rotors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.motion.motion import Motion
+from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.robot.base import STANDARD, gear_ratios, standard_names
+from seqid_cli.robot.regressor import Coupling, inverse_dynamics, rotor_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | None]:
+    """Friction of each joint in the robot's order; None where it has not been identified."""
+    found = stages.friction.joints if stages.friction else {}
+    return [
+        FrictionSurface.from_stage(found[name]) if name in found else None
+        for name in robot.joint_names
+    ]
+
+
+def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:
+    """Friction torque (N, n) N m; zero for a joint whose friction is not known."""
+    columns = [
+        np.zeros(len(q)) if surface is None else surface.torque(q[:, j], dq[:, j])
+        for j, surface in enumerate(surfaces)
+    ]
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class TorqueModel:
+    """Everything identified so far, ready to predict.
+
+    `phi` (n, 10) representative link parameters, `rotor` (n,) kg m^2, both None without a
+    rigid-body stage.
+    """
+
+    robot: Robot
+    surfaces: list[FrictionSurface | None]
+    phi: Array | None
+    rotor: Array | None
+    coupling: Coupling
+
+    @classmethod
+    def from_stages(cls, stages: Stages, robot: Robot) -> TorqueModel:
+        """Use the inertia stage where there is one, else gravity alone, else friction alone."""
+        rigid = stages.inertia or stages.gravity
+        surfaces = friction_surfaces(stages, robot)
+        if rigid is None:
+            return cls(robot, surfaces, None, None, "diagonal")
+        phi, rotor = standard_parameters(rigid, robot.n)
+        coupling: Coupling = "gyroscopic" if rigid.rotor_coupling == "gyroscopic" else "diagonal"
+        return cls(robot, surfaces, phi, rotor, coupling)
+
+    def friction(self, q: Array, dq: Array) -> Array:
+        """Friction torque (N, n) N m."""
+        return friction_torque(self.surfaces, q, dq)
+
+    def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Rigid-body, gravity and rotor torque (N, n) N m."""
+        if self.phi is None or self.rotor is None:
+            return np.zeros_like(q)
+        chain = self.robot.chain
+        torque = inverse_dynamics(chain, self.robot.gravity, self.phi, q, dq, ddq)
+        if self.rotor.any():
+            Y = rotor_regressor(chain, q, dq, ddq, gear_ratios(self.robot), self.coupling)
+            torque = torque + Y @ self.rotor
+        return torque
+
+    def predict(self, motion: Motion) -> Array:
+        """Torque (N, n) N m, filtered like `motion.tau` so that both can be compared."""
+        rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
+        return rigid + motion.filtered(self.friction(motion.q, motion.dq), times=2)
+
+    def predict_set(self, motion: Motion, slides: Mask) -> Array:
+        """Torque (N, n) N m where joints slide; at rest the value nearest to the measured one.
+
+        Coulomb's law at rest is an interval: friction takes whatever value balances, up to what it
+        has at the slowest speed. The residual at rest is the distance to that interval.
+        """
+        assert motion.tau is not None
+        predicted = self.predict(motion)
+        rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
+        for j, surface in enumerate(self.surfaces):
+            if surface is not None:
+                low, high = surface.at_rest(motion.q[:, j])
+                held = rigid[:, j] + np.clip(motion.tau[:, j] - rigid[:, j], low, high)
+                predicted[:, j] = np.where(slides[:, j], predicted[:, j], held)
+        return predicted
+
+    def outside(self, motion: Motion) -> Mask:
+        """Samples (N, n) at which a joint's friction was never identified."""
+        columns = [
+            np.zeros(motion.samples, dtype=bool)
+            if surface is None
+            else surface.outside(motion.q[:, j], motion.dq[:, j])
+            for j, surface in enumerate(self.surfaces)
+        ]
+        return np.stack(columns, axis=1)
+
+
+def standard_parameters(stage: RigidStage, n: int) -> tuple[Array, Array]:
+    """Representative link parameters (n, 10) and rotor inertias (n,) of a stage."""
+    values = np.array([stage.representative.get(name, 0.0) for name in standard_names(n)])
+    links = len(STANDARD) * n
+    return values[:links].reshape(n, len(STANDARD)), values[links:]
+
+
+def known_rotors(robot: Robot) -> Array:
+    """Rotor inertias (n,) kg m^2 of the robot file; zero where they are to be identified."""
+    return np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
+
+
+def sliding(motion: Motion, slowest: Array) -> Mask:
+    """Samples (N, n) at which a joint certainly slides, so that friction opposes its motion.
+
+    At rest friction takes any value up to stiction; such samples, and those that the filter mixes
+    with them, say nothing about the model.
+    """
+    still = ~motion.moving | (np.abs(motion.dq) < slowest)
+    reach = max(1, int(0.25 * motion.rate_hz / motion.lowpass.cutoff_hz))
+    near = still.copy()
+    for shift in range(1, reach + 1):
+        near[shift:] |= still[:-shift]
+        near[:-shift] |= still[shift:]
+    mask: Mask = ~near & motion.usable[:, None]
+    return mask

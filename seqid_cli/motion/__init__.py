@@ -1,0 +1,1 @@
+"""From a recording to joint motion: filtering, differentiation, accelerometers, segmentation."""

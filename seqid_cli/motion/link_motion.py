@@ -1,0 +1,199 @@
+"""Joint accelerations from every calibrated IMU and the encoders together.
+
+An IMU on link m, its readings turned into the link's frame, sees
+
+    dw_m = sum_{i <= m} z_i ddq_i + c_m(q, dq),
+
+z_i the joint axes in that frame and c_m what the velocities alone produce (Eq. 39 for two joints).
+With the differentiated encoder as one more measurement, each weighted by its noise below the
+cut-off, this is a small least squares per sample; Eq. 30 and 42 are its cases of one and two
+moving joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import UsageError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.imu_array import layout, read_angular
+from seqid_cli.motion.motion import Motion
+from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.robot.kinematics import forward, link_angular_motion
+from seqid_cli.robot.types import Imu, Robot
+
+Array = NDArray[np.float64]
+
+SOURCES = ("auto", "encoder", "imu")
+DISAGREEMENT = 0.5  # share of the encoder's acceleration beyond which an IMU is not believed
+AXIS_ERROR = 0.003  # what calibration leaves of scale and alignment
+
+
+@dataclass(frozen=True)
+class LinkReading:
+    """Angular acceleration (N, 3) rad/s^2 in the frame of the link that carries the IMU."""
+
+    imu: Imu
+    dw: Array
+    noise: float
+
+
+def best_motion(
+    recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion, *, source: str
+) -> Motion:
+    """Improve the encoder's accelerations by the IMUs that are calibrated and healthy.
+
+    Parameters
+    ----------
+    recording : Recording
+        The log, with IMU channels where it has them.
+    robot : Robot
+    stage : ImuStage, optional
+        Calibrations.
+    motion : Motion
+        From the encoders, possibly decimated.
+    source : {"auto", "encoder", "imu"}
+        "imu" insists: a log without a usable IMU is an error.
+
+    Returns
+    -------
+    Motion
+        With `ddq` and `source` replaced where IMUs took part.
+
+    Raises
+    ------
+    UsageError
+        If `source` is unknown, or "imu" and no calibrated IMU is in the log.
+    """
+    if source not in SOURCES:
+        raise UsageError(f"motion source {source!r} is not one of {', '.join(SOURCES)}")
+    moving = np.flatnonzero(motion.moving.any(axis=0))
+    readings = [] if source == "encoder" else list(_readings(recording, robot, stage, motion))
+    readings = [r for r in readings if _healthy(r, robot, motion, moving)]
+    if not readings:
+        if source == "imu":
+            raise UsageError(
+                "no calibrated, healthy IMU in this log",
+                hint="run seqid imu-calib and pass its file with -p, or use --motion auto",
+                where=str(recording.path),
+            )
+        return motion
+    ddq = _solve(robot, motion, moving, readings, trust_encoder=source == "auto")
+    names = "+".join(r.imu.name for r in readings)
+    return replace(motion, ddq=ddq, source=f"encoder+{names}" if source == "auto" else names)
+
+
+def _readings(
+    recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion
+) -> Iterator[LinkReading]:
+    calibrations = stage.imus if stage else {}
+    for imu in robot.imus:
+        calibration = calibrations.get(imu.name)
+        values = recording.accelerometers.get(imu.name)
+        if calibration is None or values is None:
+            continue
+        gyro = recording.gyros.get(imu.name)
+        if gyro is None and not layout(imu).acceleration:
+            continue
+        yield link_reading(imu, calibration, values, gyro, recording, motion)
+
+
+def link_reading(
+    imu: Imu,
+    calibration: ImuCalibration,
+    values: Array,
+    gyro: Array | None,
+    recording: Recording,
+    motion: Motion,
+) -> LinkReading:
+    """One IMU's angular acceleration in its link's frame, on the motion's time base."""
+    factor = round(recording.rate_hz / motion.rate_hz)
+    lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
+    reading = read_angular(imu, values, gyro, lowpass, recording.valid)
+    R = np.array(calibration.rotation)
+    dw = (reading.dw @ R.T)[::factor]
+    gain = _gain(calibration)
+    still = ~motion.moving.any(axis=1)
+    # A sensor's bias shows as angular acceleration at rest.
+    if still.sum() > motion.rate_hz * 0.2:
+        dw = dw - dw[still].mean(axis=0)
+    noise = (calibration.noise_density or 0.0) * np.sqrt(lowpass.cutoff_hz)
+    size = float(np.sqrt(np.mean(np.sum(dw**2, axis=1))))
+    return LinkReading(imu, gain * dw, float(np.hypot(noise, AXIS_ERROR * size)))
+
+
+def _gain(calibration: ImuCalibration) -> float:
+    """Scale of the angular acceleration, where the encoders prove that it is not one."""
+    references = list(calibration.references.values())
+    if not references:
+        return 1.0
+    weight = np.array([1 / max(r.gain_std_error, 1e-6) ** 2 for r in references])
+    mean = float(np.sum(weight * [r.gain for r in references]) / weight.sum())
+    return mean if abs(mean - 1.0) > 4 / np.sqrt(weight.sum()) else 1.0
+
+
+def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
+    """Axes (N, link + 1, 3) of joints 0..link in the frame of `link`; zero where prismatic."""
+    frames = forward(robot.chain, q)
+    axes: Array = np.einsum("nji,nkj->nki", frames.R[:, link], frames.z[:, : link + 1])
+    axes[:, robot.chain.prismatic[: link + 1]] = 0.0
+    return axes
+
+
+def _predicted(robot: Robot, motion: Motion, link: int) -> Array:
+    """Angular acceleration (N, 3) of a link from the encoders alone."""
+    return link_angular_motion(robot.chain, motion.q, motion.dq, motion.ddq, link).dw
+
+
+def _healthy(reading: LinkReading, robot: Robot, motion: Motion, moving: NDArray[np.intp]) -> bool:
+    """Whether an IMU agrees with what the encoders say its link does."""
+    link = reading.imu.after_joint
+    own = moving[moving <= link]
+    if not len(own):
+        return False
+    expected = _predicted(robot, motion, link)[motion.usable]
+    off = reading.dw[motion.usable] - expected
+    noise = float(np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)))
+    size = float(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
+    error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    return bool(np.isfinite(error)) and error < DISAGREEMENT * size + 3 * (noise + reading.noise)
+
+
+def _solve(
+    robot: Robot,
+    motion: Motion,
+    moving: NDArray[np.intp],
+    readings: list[LinkReading],
+    *,
+    trust_encoder: bool,
+) -> Array:
+    """Weighted least squares per sample for the accelerations of the moving joints."""
+    count = len(moving)
+    normal = np.zeros((motion.samples, count, count))
+    right = np.zeros((motion.samples, count))
+    still = np.zeros_like(motion.q)
+    for reading in readings:
+        link = reading.imu.after_joint
+        c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link).dw
+        J = np.zeros((motion.samples, 3, count))
+        axes = axes_in_link(robot, motion.q, link)
+        for k, j in enumerate(moving):
+            if j <= link:
+                J[:, :, k] = axes[:, j]
+        weight = 1.0 / max(reading.noise, 1e-9) ** 2
+        normal += weight * np.einsum("nik,nil->nkl", J, J)
+        right += weight * np.einsum("nik,ni->nk", J, reading.dw - c)
+    encoder = 1.0 / np.maximum(motion.cutoff.acceleration_noise[moving], 1e-9) ** 2
+    if not trust_encoder:
+        # Only what no IMU sees is left to the encoder.
+        encoder = 1e-6 * encoder
+    normal[:, range(count), range(count)] += encoder
+    right += encoder * motion.ddq[:, moving]
+    ddq = np.zeros_like(motion.ddq)
+    ddq[:, moving] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    return ddq

@@ -1,0 +1,147 @@
+"""Joint motion and torque of one log, filtered alike and ready for regression."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.cutoff import Cutoff, choose_cutoff
+from seqid_cli.motion.filtering import Lowpass, differentiate, runs, shrink
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.segments import moving_mask, noise_step
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SAMPLES_PER_CUTOFF = 10
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion on a uniform time base.
+
+    `q`, `dq`, `ddq` (N, n) went through the low-pass once, `tau` (N, n) N m twice: terms computed
+    from the motion are to be filtered once more with `lowpass` (see `filtered`), friction twice.
+    `usable` (N,) is False near ends and gaps, where the filter has not settled.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array | None
+    moving: Mask
+    usable: Mask
+    valid: Mask
+    rate_hz: float
+    lowpass: Lowpass
+    cutoff: Cutoff
+    source: str = "encoder"
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.t)
+
+    def filtered(self, values: Array, times: int = 1) -> Array:
+        """Send computed terms (N, ...) through the motion's own low-pass."""
+        for _ in range(times):
+            values = self.lowpass(values, self.valid)
+        return values
+
+
+def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) -> Motion:
+    """Filter and differentiate the encoder positions of one log (Sec. 2.1, parallel filtering).
+
+    Parameters
+    ----------
+    recording : Recording
+        One log.
+    robot : Robot
+        The robot it is of; encoder resolutions are used where the file gives them.
+    options : MotionOptions
+        The cut-off, where the user sets it.
+
+    Returns
+    -------
+    Motion
+        At the log's own rate.
+
+    Raises
+    ------
+    InputError
+        If no stretch of the log is long enough to filter.
+    """
+    rate = recording.rate_hz
+    resolution = encoder_resolution(robot)
+    step = noise_step(recording.q, resolution)
+    moving = moving_mask(recording.q, rate, step)
+    cutoff = _cutoff(recording, np.any(moving, axis=0), resolution, options)
+    lowpass = Lowpass(cutoff.hz, rate)
+    q = lowpass(recording.q, recording.valid)
+    dq, ddq = differentiate(q, rate, recording.valid)
+    tau = None
+    if recording.tau is not None:
+        tau = lowpass(lowpass(recording.tau, recording.valid), recording.valid)
+    usable = shrink(recording.valid, 2 * lowpass.settling)
+    if not usable.any():
+        raise InputError(
+            f"no stretch without a gap is long enough for a low-pass of {cutoff.hz:.3g} Hz",
+            hint="record longer, mend the gaps, or give a higher --cutoff",
+            where=str(recording.path),
+        )
+    return Motion(
+        recording.t, q, dq, ddq, tau, moving, usable, recording.valid, rate, lowpass, cutoff
+    )
+
+
+def _cutoff(
+    recording: Recording, moving: Mask, resolution: Array, options: MotionOptions
+) -> Cutoff:
+    chosen = choose_cutoff(recording.q, recording.rate_hz, moving=moving, resolution=resolution)
+    if options.cutoff_hz is None:
+        return chosen
+    return replace(chosen, hz=options.cutoff_hz, chosen=False)
+
+
+def encoder_resolution(robot: Robot) -> Array:
+    """Encoder step of each joint (n,) rad; zero where the robot file does not give one."""
+    return np.array([joint.encoder_resolution or 0.0 for joint in robot.joints])
+
+
+def decimated(motion: Motion) -> Motion:
+    """Keep every k-th sample, at least ten per period of the cut-off.
+
+    Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
+    """
+    factor = int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz))
+    if factor < 2 or not motion.lowpass.active:
+        return motion
+    rate = motion.rate_hz / factor
+    valid = _all_valid(motion.valid, factor)
+    return replace(
+        motion,
+        t=motion.t[::factor],
+        q=motion.q[::factor],
+        dq=motion.dq[::factor],
+        ddq=motion.ddq[::factor],
+        tau=None if motion.tau is None else motion.tau[::factor],
+        moving=motion.moving[::factor],
+        usable=motion.usable[::factor],
+        valid=valid,
+        rate_hz=rate,
+        lowpass=Lowpass(motion.lowpass.cutoff_hz, rate),
+    )
+
+
+def _all_valid(valid: Mask, factor: int) -> Mask:
+    """A kept sample is valid if all samples up to the next kept one are."""
+    result = valid[::factor].copy()
+    for start, stop in runs(~valid, len(valid)):
+        result[start // factor : -(-stop // factor)] = False
+    return result

@@ -1,0 +1,219 @@
+"""Which joints move when, and where one of them runs at constant velocity, from positions alone.
+
+A coarse encoder shows a slow joint as rare single counts, so motion is looked for on several time
+scales: a joint moves where its position changes by more than two counts within the window of a
+scale. A stretch of constant velocity is one where the windowed velocity neither drifts nor steps
+by more than the encoder's own uncertainty plus a few percent; the ramps at its ends fall away with
+the window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, uniform_filter1d
+
+from seqid_cli.motion.cutoff import encoder_step
+from seqid_cli.motion.filtering import runs, shrink
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SCALES_S = (0.1, 0.3, 1.0)
+SMALLEST_STEP = 2e-5  # rad; below this a position change is not motion
+VELOCITY_TOLERANCE = 0.02
+SHORTEST_S = 0.12
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One joint at constant velocity, all others standing still."""
+
+    joint: int
+    start: int
+    stop: int
+    velocity: float  # rad/s, signed
+    configuration: tuple[float, ...]  # mean position of every joint, rad
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.stop - self.start
+
+
+def noise_step(q: Array, resolution: Array | None = None) -> Array:
+    """Smallest position change of each joint (n,) rad that counts as more than encoder noise."""
+    step = encoder_step(q)
+    if resolution is not None:
+        step = np.maximum(step, resolution)
+    # Fourth differences keep the noise (times sqrt 70) and drop the motion.
+    noise = np.median(np.abs(np.diff(q, 4, axis=0)), axis=0) / 0.6745 / np.sqrt(70.0)
+    return np.maximum(np.maximum(step, SMALLEST_STEP), np.where(step > 0, 0.0, 3 * noise))
+
+
+def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
+    """Where each joint moves.
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Encoder positions [rad].
+    rate_hz : float
+        Samples per second.
+    step : (n,) array
+        Encoder noise [rad], see `noise_step`.
+
+    Returns
+    -------
+    (N, n) bool array
+        True where a joint moves on any of the time scales.
+    """
+    moving = np.zeros(q.shape, dtype=bool)
+    for scale in SCALES_S:
+        half = max(1, round(scale * rate_hz / 2))
+        if 2 * half >= len(q):
+            continue
+        change = np.abs(q[2 * half :] - q[: -2 * half]) > 2.5 * step
+        # A change within the window moves its middle; the window's halves are grown back by a
+        # third.
+        grown = np.zeros_like(moving)
+        grown[half:-half] = change
+        moving |= binary_dilation(grown, np.ones((2 * (half // 3) + 1, 1), dtype=bool))
+    return moving
+
+
+def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
+    """Velocity (N,) rad/s of one joint: difference of two half-window means over their distance."""
+    means = uniform_filter1d(q, 2 * half + 1, mode="nearest")
+    velocity = np.zeros_like(q)
+    velocity[half:-half] = (means[2 * half :] - means[: -2 * half]) * rate_hz / (2 * half)
+    return velocity
+
+
+def constant_velocity(q: Array, rate_hz: float, *, step: Array, valid: Mask) -> list[Stretch]:
+    """Every stretch in which exactly one joint moves, at constant velocity.
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Encoder positions [rad].
+    rate_hz : float
+        Samples per second.
+    step : (n,) array
+        Encoder noise [rad].
+    valid : (N,) bool array
+        False inside gaps of the log.
+
+    Returns
+    -------
+    list of Stretch
+        In time order.
+    """
+    moving = moving_mask(q, rate_hz, step)
+    alone = valid & (moving.sum(axis=1) == 1)
+    found: list[Stretch] = []
+    for j in range(q.shape[1]):
+        for start, stop in runs(alone & moving[:, j], len(q)):
+            found += _stretches(q, rate_hz, j, start, stop, step[j])
+    return sorted(found, key=lambda stretch: stretch.start)
+
+
+def _stretches(
+    q: Array, rate_hz: float, joint: int, start: int, stop: int, step: float
+) -> list[Stretch]:
+    """Split one move of one joint at its reversals and keep what runs at constant velocity."""
+    position = q[start:stop, joint]
+    result: list[Stretch] = []
+    for a, b in _directions(position, rate_hz, step):
+        for c, d in _plateaus(position[a:b], rate_hz, step):
+            low, high = start + a + c, start + a + d
+            stretch = _stretch(q, rate_hz, joint, low, high)
+            if abs(stretch.velocity) > 0:
+                result.append(stretch)
+    return result
+
+
+def _stretch(q: Array, rate_hz: float, joint: int, start: int, stop: int) -> Stretch:
+    time = np.arange(stop - start) / rate_hz
+    time -= time.mean()
+    slope = float(time @ q[start:stop, joint] / (time @ time))
+    where = tuple(float(x) for x in q[start:stop].mean(axis=0))
+    return Stretch(joint, start, stop, slope, where)
+
+
+def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int, int]]:
+    """Index ranges between reversals; a reversal is a turn back by more than three counts."""
+    turns, extreme, direction = [0], 0, 0
+    for i in _steps(position, step):
+        change = position[i] - position[extreme]
+        if direction == 0 and abs(change) > 3 * step:
+            direction = int(np.sign(change))
+            extreme = i
+        elif direction * change > 0:
+            extreme = i
+        elif direction != 0 and abs(change) > 3 * step:
+            turns.append(extreme)
+            direction, extreme = -direction, i
+    turns.append(len(position))
+    return [(a, b) for a, b in pairwise(turns) if b - a > 8]
+
+
+def _steps(position: Array, step: float) -> NDArray[np.intp]:
+    """Indices at which the position has changed by a count or more: all that a turn can need."""
+    counts = np.round(position / step).astype(np.int64)
+    return np.flatnonzero(np.diff(counts)) + 1
+
+
+def _plateaus(position: Array, rate_hz: float, step: float) -> list[tuple[int, int]]:
+    """Ranges of one-directional motion in which the velocity is constant."""
+    travel = abs(position[-1] - position[0])
+    if travel < 8 * step:
+        return []
+    half = _half_window(position, rate_hz, step)
+    if 4 * half + 3 > len(position):
+        return []
+    velocity = windowed_velocity(position, rate_hz, half)
+    inner = velocity[half:-half]
+    drift = np.abs(inner[2 * half :] - inner[: -2 * half]) if len(inner) > 4 * half else None
+    if drift is None:
+        return []
+    middle = inner[half:-half]
+    # Two windowed velocities of a quantised position differ by up to two counts per window.
+    allowed = VELOCITY_TOLERANCE * np.abs(middle) + 1.2 * step * rate_hz / (2 * half)
+    steady = drift < allowed
+    result = []
+    for a, b in runs(steady, len(steady)):
+        result += _trimmed(position, a + 2 * half, b + 2 * half, half, rate_hz, step)
+    return result
+
+
+def _half_window(position: Array, rate_hz: float, step: float) -> int:
+    """Half a window that holds about sixty counts, between 20 ms and a twelfth of the move."""
+    speed = np.quantile(np.abs(np.diff(position[:: max(1, len(position) // 50)])), 0.7)
+    speed *= rate_hz / max(1, len(position) // 50)
+    wanted = 30 * step * rate_hz / max(float(speed), 1e-9)
+    return int(np.clip(wanted, max(2, 0.02 * rate_hz), max(2, len(position) / 12)))
+
+
+def _trimmed(
+    position: Array, start: int, stop: int, half: int, rate_hz: float, step: float
+) -> list[tuple[int, int]]:
+    """Trim a steady range at its ends and keep it if a straight line fits it."""
+    start, stop = start + half // 2, stop - half // 2
+    if stop - start < max(8, SHORTEST_S * rate_hz):
+        return []
+    time = np.arange(stop - start, dtype=float)
+    slope, offset = np.polyfit(time, position[start:stop], 1)
+    off = np.abs(position[start:stop] - offset - slope * time)
+    travel = abs(slope) * (stop - start)
+    if travel < 8 * step or np.quantile(off, 0.95) > step + 0.01 * travel:
+        return []
+    return [(start, stop)]
+
+
+def standing(moving: Mask, rate_hz: float, margin_s: float = 0.05) -> Mask:
+    """Where each joint (N, n) certainly stands still: not moving, with a margin around motion."""
+    return np.stack([shrink(~column, round(margin_s * rate_hz)) for column in moving.T], axis=1)

@@ -1,0 +1,73 @@
+"""Motion of one or two moving joints from IMUs, as the paper writes it (Eq. 29-31, 39-42).
+
+Frames: link m carries IMU a, link l > m IMU b; joints before m and between m and l are locked.
+Vectors are in the frame that their name ends with. The general case, any joints and IMUs, is
+`link_motion`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def axis_direction(dw: Array) -> Array:
+    """Eq. 29 and 32: unit axis (3,) of angular accelerations (N, 3), strong ones first."""
+    _, _, Vt = np.linalg.svd(dw, full_matrices=False)
+    axis: Array = Vt[0]
+    return axis
+
+
+def joint_acceleration(dw: Array, dw_reference: Array, reference: float) -> Array:
+    """Eq. 30: joint acceleration (N,) rad/s^2 by comparison with a reference motion.
+
+    The paper averages the ratios of the three components; here they are weighted by the square of
+    the reference's component, since a component across the axis is noise over zero.
+
+    Parameters
+    ----------
+    dw : (N, 3) array
+        Angular acceleration of the IMU [rad/s^2].
+    dw_reference : (3,) array
+        The same while the joint accelerates with `reference` [rad/s^2].
+    reference : float
+        Joint acceleration of the reference motion [rad/s^2].
+    """
+    ratio: Array = dw @ dw_reference / (dw_reference @ dw_reference)
+    return reference * ratio
+
+
+def joint_speed(products: Array, w_reference: Array, reference: float) -> Array:
+    """Eq. 31 without its sign: joint speed (N,) rad/s from the products (N, 3, 3) of w."""
+    axis = w_reference / np.linalg.norm(w_reference)
+    along = np.sqrt(np.maximum(np.einsum("nij,i,j->n", products, axis, axis), 0.0))
+    speed: Array = abs(reference) * along / np.linalg.norm(w_reference)
+    return speed
+
+
+def second_joint_velocity(R_lm: Array, w_m: Array, w_l: Array, axis: Array) -> Array:
+    """Eq. 41: velocity (N,) rad/s of joint l.
+
+    Parameters
+    ----------
+    R_lm : (N, 3, 3) array
+        Rotates from link m's to link l's frame.
+    w_m, w_l : (N, 3) arrays
+        Angular velocity of link m in its frame and of link l in its own [rad/s].
+    axis : (3,) array
+        Axis of joint l in link l's frame.
+    """
+    velocity: Array = (w_l - np.einsum("nij,nj->ni", R_lm, w_m)) @ axis
+    return velocity
+
+
+def second_joint_acceleration(
+    R_lm: Array, w_m: Array, dw_m: Array, dw_l: Array, velocity: Array, axis: Array
+) -> Array:
+    """Eq. 42: acceleration (N,) rad/s^2 of joint l, `velocity` (N,) being Eq. 41's result."""
+    carried = np.einsum("nij,nj->ni", R_lm, dw_m)
+    turning = np.cross(np.einsum("nij,nj->ni", R_lm, w_m), velocity[:, None] * axis)
+    acceleration: Array = (dw_l - carried - turning) @ axis
+    return acceleration

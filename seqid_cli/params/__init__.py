@@ -1,0 +1,1 @@
+"""The JSON documents: schema, reading, writing, migration. Nothing here needs numpy."""

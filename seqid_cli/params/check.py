@@ -1,0 +1,106 @@
+"""What the types of a parameter file cannot say: shapes, ranges, names that refer to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.schema import (
+    EffectOfJoint,
+    FrictionJoint,
+    ImuCalibration,
+    Matrix,
+    Parameter,
+    ParameterFile,
+    RigidStage,
+)
+
+_Problem = tuple[str, str]  # key, what is wrong
+
+
+def check_consistency(file: ParameterFile, where: str) -> None:
+    """Check a decoded parameter file.
+
+    Raises
+    ------
+    ConfigError
+        Two parts of the file contradict each other; the message names the key.
+    """
+    for key, what in _problems(file):
+        hint = "The file was edited or damaged: run the stage again that wrote it."
+        raise ConfigError(f"{key}: {what}", where=where, hint=hint)
+
+
+def _problems(file: ParameterFile) -> Iterable[_Problem]:
+    joints, stages = file.robot.joints, file.stages
+    if not joints or len(set(joints)) != len(joints):
+        yield "$.robot.joints", "must name each joint of the robot once"
+    if stages.friction is not None:
+        for name, joint in stages.friction.joints.items():
+            key = f"$.stages.friction.joints.{name}"
+            yield from _known(key, name, joints)
+            yield from _friction(key, joint)
+    for stage, key in ((stages.gravity, "gravity"), (stages.inertia, "inertia")):
+        if stage is not None:
+            yield from _rigid(f"$.stages.{key}", stage, joints)
+    if stages.imu is not None:
+        for name, imu in stages.imu.imus.items():
+            yield from _imu(f"$.stages.imu.imus.{name}", imu)
+    for index, effect in enumerate(stages.effects or []):
+        yield from _effect(f"$.stages.effects[{index}]", effect, joints)
+
+
+def _friction(key: str, joint: FrictionJoint) -> Iterable[_Problem]:
+    rows, columns = joint.position_order + 1, joint.velocity_order + 1
+    for name, surface in (("positive", joint.positive), ("negative", joint.negative)):
+        if not _has_shape(surface, rows, columns):
+            yield f"{key}.{name}", f"must have {rows} rows of {columns} coefficients"
+    ranges = (("position_range", joint.position_range), ("speed_range", joint.speed_range))
+    for name, limits in ranges:
+        if len(limits) != 2 or limits[0] > limits[1]:
+            yield f"{key}.{name}", "must be two numbers, the smaller one first"
+    if not joint.sign_width > 0.0:
+        yield f"{key}.sign_width", f"must be positive, is {joint.sign_width}"
+    sizes = (rows * columns, 2 * rows * columns)
+    if joint.covariance and not any(_has_shape(joint.covariance, n, n) for n in sizes):
+        yield f"{key}.covariance", f"must be square with {sizes[0]} or {sizes[1]} rows"
+
+
+def _rigid(key: str, stage: RigidStage, joints: Sequence[str]) -> Iterable[_Problem]:
+    count = len(stage.parameters)
+    yield from _parameters(key, stage.parameters)
+    for parameter in stage.parameters:
+        yield from _known(f"{key}.parameters", parameter.joint, joints)
+    if stage.covariance and not _has_shape(stage.covariance, count, count):
+        yield f"{key}.covariance", f"must be square with {count} rows, one per parameter"
+
+
+def _imu(key: str, imu: ImuCalibration) -> Iterable[_Problem]:
+    if not _has_shape(imu.rotation, 3, 3):
+        yield f"{key}.rotation", "must have 3 rows of 3 numbers"
+        return
+    rows = imu.rotation
+    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        product = sum(a * b for a, b in zip(rows[i], rows[j], strict=True))
+        if abs(product - (i == j)) > 1e-6:
+            yield f"{key}.rotation", f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}"
+
+
+def _effect(key: str, effect: EffectOfJoint, joints: Sequence[str]) -> Iterable[_Problem]:
+    yield from _known(f"{key}.joint", effect.joint or "", joints)
+    yield from _parameters(key, effect.parameters)
+
+
+def _parameters(key: str, parameters: Sequence[Parameter]) -> Iterable[_Problem]:
+    for index, parameter in enumerate(parameters):
+        if parameter.std_error < 0.0:
+            yield f"{key}.parameters[{index}].std_error", "must not be negative"
+
+
+def _known(key: str, name: str, joints: Sequence[str]) -> Iterable[_Problem]:
+    if name and name not in joints:
+        yield key, f"joint {name!r} is none of the robot's: {', '.join(joints)}"
+
+
+def _has_shape(matrix: Matrix, rows: int, columns: int) -> bool:
+    return len(matrix) == rows and all(len(row) == columns for row in matrix)

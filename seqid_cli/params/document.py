@@ -1,0 +1,152 @@
+"""Parameter files grow by a stage at a time: building, extending and joining them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from seqid_cli import __version__
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.schema import (
+    SCHEMA,
+    EffectOfJoint,
+    FrictionStage,
+    ImuStage,
+    InputLog,
+    ParameterFile,
+    RigidStage,
+    RobotId,
+    Stages,
+    Tool,
+)
+
+if TYPE_CHECKING:
+    from seqid_cli.robot.types import Robot
+
+STAGE_NAMES = ("friction", "gravity", "imu", "inertia", "effects")
+# What was identified with the help of each stage, and is stale once that stage is done again.
+_DEPENDENTS: Mapping[str, tuple[str, ...]] = {
+    "friction": ("gravity", "inertia", "effects"),
+    "gravity": ("inertia", "effects"),
+    "imu": ("inertia", "effects"),
+    "inertia": ("effects",),
+}
+
+
+def now() -> str:
+    """Return the time in UTC as documents carry it."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+
+
+def tool() -> Tool:
+    """Return the identity of this program as documents carry it."""
+    return Tool(version=__version__)
+
+
+def robot_id(robot: Robot) -> RobotId:
+    """Return the identity of a robot as documents carry it."""
+    return RobotId(name=robot.name, joints=list(robot.joint_names), sha256=robot.sha256)
+
+
+def present(stages: Stages) -> dict[str, object]:
+    """Return the stages that are there, by name, in their order."""
+    found = {name: getattr(stages, name) for name in STAGE_NAMES}
+    return {name: stage for name, stage in found.items() if stage is not None}
+
+
+def stale_stages(previous: ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the earlier results that lose their ground when the stages `names` are done again."""
+    if previous is None:
+        return ()
+    there = present(previous.stages)
+    lost = {late for name in names if name in there for late in _DEPENDENTS.get(name, ())}
+    return tuple(name for name in STAGE_NAMES if name in lost & there.keys() - set(names))
+
+
+def with_stage(
+    previous: ParameterFile | None,
+    robot: RobotId,
+    inputs: Sequence[InputLog],
+    *,
+    friction: FrictionStage | None = None,
+    gravity: RigidStage | None = None,
+    imu: ImuStage | None = None,
+    inertia: RigidStage | None = None,
+    effects: list[EffectOfJoint] | None = None,
+    created: str | None = None,
+) -> ParameterFile:
+    """Return a new document: `previous` and the given stages.
+
+    Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
+    what had been identified from the old one (`stale_stages`) is dropped.
+    """
+    new = present(
+        Stages(friction=friction, gravity=gravity, imu=imu, inertia=inertia, effects=effects)
+    )
+    gone = {*new, *stale_stages(previous, tuple(new))}
+    old = present(previous.stages) if previous else {}
+    kept = {name: stage for name, stage in old.items() if name not in gone}
+    earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
+    return ParameterFile(
+        schema=SCHEMA,
+        created=created or now(),
+        tool=tool(),
+        robot=robot,
+        inputs=_unique([*earlier, *inputs]),
+        stages=_stages({**kept, **new}),
+    )
+
+
+def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
+    """Join parameter files of one robot, given with the names to use in messages.
+
+    Raises
+    ------
+    ConfigError
+        There are none, they are about different robots, or they disagree on a stage.
+    """
+    if not files:
+        raise ConfigError("no parameter file given", hint="Name one with -p.")
+    first_name, first = files[0]
+    stages: dict[str, object] = {}
+    source: dict[str, str] = {}
+    for name, file in files:
+        _same_robot(first_name, first, name, file)
+        for stage, content in present(file.stages).items():
+            if stage in stages and stages[stage] != content:
+                message = f"its {stage} stage differs from that of {source[stage]}"
+                hint = "Give files of one branch, or redo one from the other's result."
+                raise ConfigError(message, where=name, hint=hint)
+            stages.setdefault(stage, content)
+            source.setdefault(stage, name)
+    return ParameterFile(
+        schema=first.schema,
+        created=max(file.created for _, file in files),
+        tool=first.tool,
+        robot=first.robot,
+        inputs=_unique([log for _, file in files for log in file.inputs]),
+        stages=_stages(stages),
+        closed_loop=next((file.closed_loop for _, file in files if file.closed_loop), None),
+    )
+
+
+def _same_robot(first_name: str, first: ParameterFile, name: str, file: ParameterFile) -> None:
+    mine, theirs = file.robot, first.robot
+    if (mine.name, mine.joints) != (theirs.name, theirs.joints):
+        message = (
+            f"is about robot {mine.name!r} ({', '.join(mine.joints)}), "
+            f"but {first_name} about {theirs.name!r} ({', '.join(theirs.joints)})"
+        )
+        raise ConfigError(message, where=name, hint="Join files of one robot only.")
+
+
+def _unique(logs: Sequence[InputLog]) -> list[InputLog]:
+    return list({(log.stage, log.sha256, log.path): log for log in logs}.values())
+
+
+def _stages(content: Mapping[str, object]) -> Stages:
+    stages = Stages()
+    for name, stage in content.items():
+        setattr(stages, name, stage)
+    return stages

@@ -1,0 +1,71 @@
+"""From structures to JSON text that a person can read and compare.
+
+Objects are indented, lists of numbers stay on one line, floats carry 12 significant digits: enough
+for every result, few enough that the last bits of another BLAS do not show.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
+_DIGITS = 12
+_SCALARS = (str, int, float, bool, type(None))
+
+
+def encode(document: object) -> str:
+    """Render a structure as JSON text, ending in a newline.
+
+    Raises
+    ------
+    ValueError
+        A number is NaN or infinite: a bug of whoever computed it. The message names the key.
+    TypeError
+        A value has no JSON form; the message names the key.
+    """
+    return _render(plain(document), "") + "\n"
+
+
+def plain(value: object, path: str = "$") -> Json:
+    """Turn structures into dictionaries, lists and rounded numbers."""
+    if isinstance(value, bool | str | None):
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            message = f"{path} is {value}: every number of a result must be finite"
+            raise ValueError(message)
+        return float(f"{value:.{_DIGITS}g}")
+    if isinstance(value, int):
+        return value
+    if isinstance(value, msgspec.Raw):
+        return plain(msgspec.json.decode(value), path)
+    if isinstance(value, msgspec.Struct):
+        return {key: plain(item, f"{path}.{key}") for key, item in _fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, f"{path}.{key}") for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, bytes):
+        return [plain(item, f"{path}[{index}]") for index, item in enumerate(value)]
+    message = f"{path} is a {type(value).__name__}, which has no JSON form"
+    raise TypeError(message)
+
+
+def _fields(struct: msgspec.Struct) -> list[tuple[str, object]]:
+    values = [(name, getattr(struct, name)) for name in struct.__struct_fields__]
+    if struct.__struct_config__.omit_defaults:
+        return [(name, value) for name, value in values if value is not None]
+    return values
+
+
+def _render(value: Json, margin: str) -> str:
+    inner = margin + "  "
+    if isinstance(value, dict) and value:
+        items = [f"{inner}{json.dumps(key)}: {_render(item, inner)}" for key, item in value.items()]
+        return "{\n" + ",\n".join(items) + f"\n{margin}}}"
+    if isinstance(value, list) and not all(isinstance(item, _SCALARS) for item in value):
+        items = [inner + _render(item, inner) for item in value]
+        return "[\n" + ",\n".join(items) + f"\n{margin}]"
+    return json.dumps(value, allow_nan=False)

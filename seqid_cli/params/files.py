@@ -1,0 +1,106 @@
+"""Replacing a file in one step: whoever looks sees the old content or the new, never a part."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from seqid_cli.errors import UsageError
+
+
+def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
+    """Find out before any work whether `path` can be written.
+
+    Raises
+    ------
+    UsageError
+        The folder is missing or not writable, `path` is a folder, or it is one of `inputs`.
+    """
+    folder = path.parent
+    if str(path) == "-":
+        raise UsageError("an output must be a file", hint="Use --json to print the result.")
+    if not folder.is_dir():
+        hint = f"Make it: mkdir -p {folder}"
+        raise UsageError("its folder does not exist", where=str(path), hint=hint)
+    if path.is_dir():
+        raise UsageError("is a folder, not a file", where=str(path), hint="Name a file in it.")
+    if not os.access(path if _is_special(path) else folder, os.W_OK):
+        message = f"the folder {folder} is not writable"
+        raise UsageError(message, where=str(path), hint="Choose another output with -o.")
+    for source in inputs:
+        if _same(path, source):
+            hint = "Choose another output, the input is never overwritten."
+            raise UsageError("is an input of this command", where=str(path), hint=hint)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what the file system says against writing `path` into a message.
+
+    Raises
+    ------
+    UsageError
+        The block met a full or read-only disk, or missing rights.
+    """
+    try:
+        yield
+    except OSError as error:
+        message = f"cannot be written: {error.strerror or error}"
+        hint = "Check space and rights there."
+        raise UsageError(message, where=str(path), hint=hint) from error
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path` that takes its place when the block ends well.
+
+    When the block raises, or the process dies in it, `path` stays as it was. A device such as
+    /dev/null is written directly. Only the replacement itself is turned into a message here; the
+    block wraps its own writing in `writing`.
+
+    Raises
+    ------
+    UsageError
+        The file system refused the replacement.
+    """
+    if _is_special(path):
+        yield path
+        return
+    target = path.resolve()
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        with writing(path):
+            _sync(temporary)
+            temporary.replace(target)
+            _sync(target.parent)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_text_atomic(path: Path, text: str, *, inputs: Iterable[Path] = ()) -> None:
+    """Write UTF-8 text to `path` in one step; see `check_output` and `writing` for errors."""
+    check_output(path, inputs)
+    with replacing(path) as temporary, writing(path):
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _is_special(path: Path) -> bool:
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def _same(path: Path, other: Path) -> bool:
+    if path.exists() and other.exists():
+        return path.samefile(other)
+    return path.resolve() == other.resolve()
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,209 @@
+"""Reading and writing parameter files. Whatever is wrong with one is said with its place in it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.check import check_consistency
+from seqid_cli.params.document import join
+from seqid_cli.params.encode import encode
+from seqid_cli.params.files import write_text_atomic
+from seqid_cli.params.migrate import (
+    PARAMS_MIGRATIONS,
+    PARAMS_VERSION,
+    Document,
+    Migration,
+    migrate,
+)
+from seqid_cli.params.schema import ParameterFile
+
+if TYPE_CHECKING:
+    from seqid_cli.robot.types import Robot
+
+_MAX_BYTES = 256 * 1024 * 1024
+_NAME = re.compile(r"seqid/(?P<kind>[a-z_]+)@(?P<version>[1-9][0-9]{0,5})")
+_BYTE = re.compile(r"\(byte (\d+)\)")
+_PLACE = re.compile(r"^(?P<what>.*) - at `(?P<key>.*)`$")
+
+
+def read_parameters(
+    path: Path,
+    *,
+    version: int = PARAMS_VERSION,
+    migrations: Mapping[int, Migration] = PARAMS_MIGRATIONS,
+) -> ParameterFile:
+    """Read one parameter file strictly.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, is no JSON, is another kind of document, is newer than `version`, or
+        does not follow the schema. The message names the line or the key.
+    """
+    where = str(path)
+    data = read_bytes(path)
+    document = parse_document(data, where)
+    found = _version(document, where, version)
+    try:
+        if found < version:
+            data = _migrated(document, found, where, version, migrations)
+        file = msgspec.json.decode(data, type=ParameterFile)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise _schema_error(error, where) from error
+    check_consistency(file, where)
+    return file
+
+
+def read_joined(paths: Sequence[Path]) -> ParameterFile:
+    """Read several parameter files of one robot and join their stages.
+
+    Raises
+    ------
+    ConfigError
+        One cannot be read, they are about different robots, or they disagree on a stage.
+    """
+    return join([(str(path), read_parameters(path)) for path in paths])
+
+
+def check_robot(file: ParameterFile, robot: Robot, *, where: str = "") -> tuple[str, ...]:
+    """Compare the robot of a parameter file with the robot file in use; returns warnings.
+
+    Raises
+    ------
+    ConfigError
+        The joints differ: these are parameters of another robot.
+    """
+    mine, theirs = list(robot.joint_names), file.robot.joints
+    if mine != theirs:
+        message = (
+            f"is about robot {file.robot.name!r} with joints {', '.join(theirs)}, "
+            f"but {robot.source} is {robot.name!r} with joints {', '.join(mine)}"
+        )
+        raise ConfigError(message, where=where, hint="Give the robot file it was made with (-r).")
+    if file.robot.sha256 != robot.sha256:
+        return (f"{where}: the robot file {robot.source} has changed since this was identified",)
+    return ()
+
+
+def write_json_atomic(path: Path, document: object, *, inputs: Iterable[Path] = ()) -> None:
+    """Write a document as JSON in one step, with 12 significant digits.
+
+    Raises
+    ------
+    UsageError
+        `path` cannot be written or is one of `inputs`.
+    ValueError
+        A number is not finite (a bug); nothing is written.
+    """
+    write_text_atomic(path, encode(document), inputs=inputs)
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a small file's content."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a JSON file whole.
+
+    Raises
+    ------
+    ConfigError
+        It is missing, no regular file, unreadable, or far too large to be one of ours.
+    """
+    where = str(path)
+    try:
+        if not path.is_file():
+            what = "is not a file" if path.exists() else "does not exist"
+            raise ConfigError(what, where=where, hint="Check the path given with -p.")
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
+            message = f"has {size} bytes, the limit is {_MAX_BYTES}"
+            raise ConfigError(message, where=where, hint="-p takes a parameter file, not a log.")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        message = f"cannot be read: {reason}"
+        raise ConfigError(message, where=where, hint="Check the path and the rights.") from error
+
+
+def parse_document(data: bytes, where: str) -> Document:
+    """Read the content of the file `where` as one JSON object.
+
+    Raises
+    ------
+    ConfigError
+        It is not a JSON object; the message gives line and column.
+    """
+    hint = "-p takes a JSON file that seqid wrote."
+    try:
+        document = msgspec.json.decode(data, type=dict[str, object])
+    except msgspec.ValidationError as error:
+        raise ConfigError(_without_key(error), where=where, hint=hint) from error
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        message = f"is not valid JSON: {_syntax(error, data)}"
+        raise ConfigError(message, where=where, hint=hint) from error
+    return document
+
+
+def _syntax(error: Exception, data: bytes) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not UTF-8 text"
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    text = str(error).removeprefix("JSON is malformed: ")
+    match = _BYTE.search(text)
+    end = int(match.group(1)) if match else len(data)
+    line = data.count(b"\n", 0, end) + 1
+    column = end - (data.rfind(b"\n", 0, end) + 1) + 1
+    return f"{_BYTE.sub('', text).strip()} at line {line}, column {column}"
+
+
+def _without_key(error: Exception) -> str:
+    match = _PLACE.match(str(error))
+    return match.group("what") if match else str(error)
+
+
+def _schema_error(error: Exception, where: str) -> ConfigError:
+    hint = "A parameter file is not made to be edited: run the stage again that wrote it."
+    if isinstance(error, RecursionError):
+        return ConfigError("is nested too deeply", where=where, hint=hint)
+    match = _PLACE.match(str(error))
+    if match is None:
+        return ConfigError(str(error), where=where, hint=hint)
+    return ConfigError(f"{match.group('key')}: {match.group('what')}", where=where, hint=hint)
+
+
+def _version(document: Document, where: str, newest: int) -> int:
+    name = document.get("schema")
+    match = _NAME.fullmatch(name) if isinstance(name, str) else None
+    if match is None:
+        message = "is not a parameter file: `schema` is " + (
+            "missing" if name is None else repr(name)[:60]
+        )
+        raise ConfigError(message, where=where, hint="-p takes a file that a stage wrote with -o.")
+    kind, version = match.group("kind"), int(match.group("version"))
+    if kind != "params":
+        message = f"is a {kind} file ({name}), not a parameter file"
+        raise ConfigError(message, where=where, hint=f"Give the parameters that the {kind} used.")
+    if version > newest:
+        message = f"is of the newer version {name}; this seqid reads up to seqid/params@{newest}"
+        raise ConfigError(message, where=where, hint="Upgrade seqid: pip install --upgrade seqid.")
+    return version
+
+
+def _migrated(
+    document: Document, found: int, where: str, version: int, steps: Mapping[int, Migration]
+) -> bytes:
+    try:
+        return msgspec.json.encode(migrate(document, found, target=version, steps=steps))
+    except (LookupError, TypeError, ValueError) as error:
+        message = f"is of the old version seqid/params@{found} and cannot be brought up to date"
+        raise ConfigError(message, where=where, hint="Identify again from the logs.") from error

@@ -1,0 +1,54 @@
+"""The prediction file, `seqid/prediction@1`: how well a model predicts the torque of some logs."""
+
+from __future__ import annotations
+
+from seqid_cli.params.schema import InputLog, RobotId, Struct, Tool, Verdict
+
+PREDICTION_SCHEMA = "seqid/prediction@1"
+
+
+class FileId(Struct, kw_only=True):
+    """One parameter file that the prediction was made with."""
+
+    path: str
+    sha256: str
+
+
+class JointError(Struct, kw_only=True):
+    """Error of the predicted torque of one joint, N m.
+
+    `relative_rmse` is `rmse` over the RMS of the measured torque on the same samples. Numbers are
+    null where there is nothing to compute them from (no sample counted, no torque measured).
+    """
+
+    rmse: float | None
+    relative_rmse: float | None
+    max_abs: float | None
+    samples: int
+
+
+class LogPredictionError(Struct, kw_only=True):
+    """The errors on one log."""
+
+    path: str
+    sha256: str
+    samples: int
+    cutoff_hz: float
+    joints: dict[str, JointError]
+    notes: list[str] = []
+
+
+class PredictionFile(Struct, kw_only=True):
+    """The whole document; `joints` is over all logs together."""
+
+    schema: str
+    created: str
+    tool: Tool
+    robot: RobotId
+    inputs: list[InputLog]
+    parameters: list[FileId]
+    stages: list[str]  # names of the stages that took part
+    joints: dict[str, JointError]
+    logs: list[LogPredictionError]
+    verdicts: list[Verdict] = []
+    notes: list[str] = []

@@ -1,0 +1,215 @@
+"""The parameter file, `seqid/params@1`, as typed data.
+
+Keys of the contract keep their names; what stands beside them is what the next command needs.
+Every number is finite: what the logs do not determine is listed by name, never written as a value.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+SCHEMA = "seqid/params@1"
+
+Matrix = list[list[float]]
+
+
+class Struct(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, omit_defaults=False):
+    """Base of all file structures: an unknown key is an error that names its path."""
+
+
+class Tool(Struct, kw_only=True):
+    """Which program wrote the file."""
+
+    name: str = "seqid"
+    version: str
+
+
+class RobotId(Struct, kw_only=True):
+    """Which robot the file is about."""
+
+    name: str
+    joints: list[str]
+    sha256: str
+
+
+class InputLog(Struct, kw_only=True):
+    """One log that a stage read."""
+
+    path: str
+    sha256: str
+    samples: int
+    stage: str = ""
+
+
+class Verdict(Struct, kw_only=True):
+    """Whether a joint's result (or a whole stage's, joint empty) can be trusted, and why not."""
+
+    joint: str = ""
+    good: bool
+    reason: str = ""
+
+
+class Parameter(Struct, kw_only=True):
+    """One identified parameter.
+
+    `terms` is the expression as factors of standard link parameters, `expression` the same to read.
+    """
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+    joint: str = ""
+    expression: str = ""
+    terms: dict[str, float] = {}
+
+
+class SpeedLevel(Struct, kw_only=True):
+    """Constant-velocity data of one joint at one speed (rad/s)."""
+
+    speed: float
+    forward: int
+    backward: int
+    rmse: float
+
+
+class GravityOfTrial(Struct, kw_only=True):
+    """Eq. 12-14: p_xi of one locked configuration (kg m), used only to remove gravity."""
+
+    configuration: list[float]
+    p_xi: list[float]
+    std_error: list[float]
+
+
+class FrictionJoint(Struct, kw_only=True):
+    """The friction surface of one joint (Eq. 7-10).
+
+    tau_f = s(v) sum_jr d[j][r] T_j(x) T_r(u): T Chebyshev polynomials, x the position scaled from
+    `position_range` and u the speed |v| scaled from `speed_range` to [-1, 1], both held at the
+    ends; s(v) = tanh(v / sign_width). `negative` differs from `positive` where friction depends on
+    direction.
+    """
+
+    position_order: int
+    velocity_order: int
+    max_error: float
+    rmse: float
+    position_range: list[float]
+    speed_range: list[float]
+    speed_scale: str = "linear"  # what u is scaled from: |v| ("linear") or its logarithm ("log")
+    sign_width: float
+    directional: bool
+    positive: Matrix
+    negative: Matrix
+    covariance: Matrix  # of [positive, negative] (or of positive alone), row-major
+    held_out_rmse: float | None = None
+    max_abs_error: float | None = None
+    beta: float | None = None
+    criterion_met: bool | None = None
+    asymmetry: float | None = None  # share of friction that depends on direction
+    gravity: list[GravityOfTrial] = []
+    speeds: list[SpeedLevel] = []
+    parameters: list[Parameter] = []  # Coulomb, viscous, offset of a simultaneous fit
+    unit: str = "N m"
+
+
+class FrictionStage(Struct, kw_only=True):
+    """Sec. 2.2.1-2.2.2."""
+
+    joints: dict[str, FrictionJoint]
+    method: str = "surface"
+    cutoff_hz: float | None = None
+    verdicts: list[Verdict] = []
+    notes: list[str] = []
+
+
+class RigidStage(Struct, kw_only=True):
+    """Base parameters of gravity (Sec. 2.2.3) or inertia (Sec. 2.2.4).
+
+    `representative` are standard parameters (most of them zero) that give the torque of this
+    stage's model; for inertia, of the whole rigid body, gravity included. They are not physical by
+    themselves.
+    """
+
+    parameters: list[Parameter]
+    condition: float
+    rank: int
+    structural_rank: int = 0
+    representative: dict[str, float] = {}
+    covariance: Matrix = []
+    not_excited: list[str] = []
+    rmse: dict[str, float] = {}
+    method: str = "sequential"
+    rotor_coupling: str = "diagonal"
+    motion: dict[str, str] = {}
+    missing_pairs: list[list[str]] = []
+    cutoff_hz: float | None = None
+    verdicts: list[Verdict] = []
+    notes: list[str] = []
+
+
+class AxisReference(Struct, kw_only=True):
+    """Eq. 29-31: one joint's rotation as the IMU sees it while the joints before it are locked."""
+
+    axis: list[float]
+    acceleration: float  # rad/s^2 of the joint
+    angular_acceleration: list[float]  # rad/s^2 of the IMU
+    velocity: float  # rad/s of the joint
+    angular_velocity: list[float]  # rad/s of the IMU
+    gain: float  # joint acceleration per angular acceleration along the axis
+    gain_std_error: float
+
+
+class ImuCalibration(Struct, kw_only=True):
+    """Eq. 29-38: `rotation` turns IMU coordinates into those of the link that carries it."""
+
+    rotation: Matrix
+    std_error_deg: float
+    std_errors_deg: list[float] = []  # about the link's x, y, z
+    configurations: int = 0
+    condition: float = 0.0
+    references: dict[str, AxisReference] = {}
+    not_determined: list[str] = []
+    axis_rmse_deg: float | None = None
+    noise_density: float | None = None  # rad/s^2/sqrt(Hz), of the angular acceleration
+    time_offset_s: float = 0.0
+
+
+class ImuStage(Struct, kw_only=True):
+    """Sec. 3."""
+
+    imus: dict[str, ImuCalibration]
+    cutoff_hz: float | None = None
+    verdicts: list[Verdict] = []
+    notes: list[str] = []
+
+
+class EffectOfJoint(Struct, kw_only=True):
+    """A physical effect that was added to the model."""
+
+    effect: str
+    joint: str | None = None
+    parameters: list[Parameter] = []
+    settings: dict[str, str | float | int | bool] = {}
+
+
+class Stages(Struct, kw_only=True, omit_defaults=True):
+    """What has been identified so far."""
+
+    friction: FrictionStage | None = None
+    gravity: RigidStage | None = None
+    imu: ImuStage | None = None
+    inertia: RigidStage | None = None
+    effects: list[EffectOfJoint] | None = None
+
+
+class ParameterFile(Struct, kw_only=True, omit_defaults=True):
+    """The whole document."""
+
+    schema: str
+    created: str
+    tool: Tool
+    robot: RobotId
+    inputs: list[InputLog]
+    stages: Stages
+    closed_loop: dict[str, msgspec.Raw] | None = None

@@ -1,0 +1,1 @@
+"""The robot: its file, geometry, kinematics, torque regressor and base parameters."""

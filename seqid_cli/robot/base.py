@@ -1,0 +1,277 @@
+"""Base parameters: the combinations of standard parameters that the joint torque depends on.
+
+Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia per joint; `pi` (b,)
+base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state. Y is the regressor of
+Eq. 3, H = Y P that of Eq. 4.
+
+Columns of Y are taken one by one in an order made for reading (first link first, a link's mass
+last, rotors after all links); a column that depends on those before it is dropped and its parameter
+regrouped into theirs. The order reproduces the usual regrouping towards the base (Khalil and
+Dombre, Modeling, Identification and Control of Robots, ch. 9). Columns of the gravity torque come
+first, and the coordinates are then changed so that the gravity parameters are exactly those of the
+gravity torque alone (Eq. 17-18): the remaining columns of H vanish at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .regressor import PER_LINK, Coupling, gravity_regressor, rotor_regressor, torque_regressor
+from .types import Array, Chain, Robot
+
+STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+ROTOR = "Ia"
+
+# A column is dependent where its part outside the span of the others is below this share of it.
+# Geometry finer than 1e-5 rad or 1e-6 m is tidied away on reading, so the gap is wide.
+_DEPENDENT = 1e-8
+_ZERO_COLUMN = 1e-10
+_SNAP = 1e-9
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Base parameters of one robot.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The standard parameter that stands for each base parameter.
+    expression : (b, p) array
+        E: base parameters from standard ones, p = 11 n.
+    representative : (p, b) array
+        P: standard parameters, most of them zero, that give the same torque.
+    gravity : (b,) bool array
+        True for the parameters of the gravity torque; these come first.
+    coupling : {"diagonal", "gyroscopic"}
+        How rotors are coupled to the links that carry them.
+    """
+
+    names: tuple[str, ...]
+    expression: Array
+    representative: Array
+    gravity: NDArray[np.bool_]
+    coupling: Coupling = "diagonal"
+
+    @property
+    def size(self) -> int:
+        """Number of base parameters."""
+        return len(self.names)
+
+    @property
+    def columns(self) -> NDArray[np.intp]:
+        """Indices of the standard parameters that the representative set uses, ascending."""
+        return np.flatnonzero(self.representative.any(axis=1))
+
+    def terms(self, k: int) -> dict[str, float]:
+        """Return base parameter `k` as factors of standard ones, the one that names it first."""
+        names = standard_names(self.expression.shape[1] // (PER_LINK + 1))
+        row = self.expression[k]
+        found = {names[c]: float(row[c]) for c in np.flatnonzero(np.abs(row) > _SNAP)}
+        return {self.names[k]: found.pop(self.names[k]), **found}
+
+    def expression_text(self, k: int) -> str:
+        """Write base parameter `k` to read, for example ``Izz_1 + 0.16*m_2 + 36*Ia_1``."""
+        text = ""
+        for name, factor in self.terms(k).items():
+            sign = "-" if factor < 0 else "+"
+            size = abs(factor)
+            part = name if abs(size - 1.0) < _SNAP else f"{size:.6g}*{name}"
+            text = f"{text} {sign} {part}" if text else f"{'-' * (factor < 0)}{part}"
+        return text
+
+    def unit(self, k: int) -> str:
+        """Return the SI unit of base parameter `k`."""
+        return parameter_unit(self.names[k])
+
+    def joint_index(self, k: int) -> int:
+        """Return the joint (0-based) whose link or rotor base parameter `k` is named after."""
+        return int(self.names[k].rpartition("_")[2]) - 1
+
+
+def parameter_unit(name: str) -> str:
+    """Return the SI unit of the standard parameter `name`, for example kg m of "mx_2"."""
+    kind = name.rpartition("_")[0]
+    if kind == "m":
+        return "kg"
+    return "kg m" if kind in {"mx", "my", "mz"} else "kg m^2"
+
+
+def standard_names(n: int) -> tuple[str, ...]:
+    """Name the 11 n standard parameters: link-major, then rotor inertias.
+
+    A rotor inertia is meant on the motor side.
+    """
+    links = tuple(f"{kind}_{i}" for i in range(1, n + 1) for kind in STANDARD)
+    return links + tuple(f"{ROTOR}_{i}" for i in range(1, n + 1))
+
+
+def gear_ratios(robot: Robot) -> Array:
+    """Return each joint's gear ratio (n,), 1 where the robot file gives none."""
+    return np.array([joint.gear_ratio or 1.0 for joint in robot.joints])
+
+
+def standard_regressor(
+    robot: Robot,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    coupling: Coupling,
+) -> Array:
+    """Compute the regressor of the standard parameters, rotor inertias last (Eq. 3).
+
+    Parameters
+    ----------
+    robot : Robot
+    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    coupling : {"diagonal", "gyroscopic"}
+
+    Returns
+    -------
+    (N, n, 11 n) array
+    """
+    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    rotors = rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
+    return np.concatenate((Y, rotors), axis=2)
+
+
+def base_regressor(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array) -> Array:
+    """Compute the regressor H = Y P of the base parameters (Eq. 4).
+
+    Parameters
+    ----------
+    robot : Robot
+    basis : Basis
+    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
+
+    Returns
+    -------
+    (N, n, b) array
+        Each column contiguous in memory.
+    """
+    P, first_rotor = basis.representative, PER_LINK * robot.n
+    links = [int(c) for c in basis.columns if c < first_rotor]
+    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq, columns=links)
+    H = np.zeros((robot.n, basis.size, len(q)))
+    for stored, c in zip(Y.transpose(2, 1, 0), links, strict=True):
+        loaded = c // PER_LINK + 1  # joints that feel this link
+        for k in np.flatnonzero(P[c]):
+            H[:loaded, k] += stored[:loaded] * P[c, k]
+    if P[first_rotor:].any():
+        ratio = gear_ratios(robot)
+        rotors = rotor_regressor(robot.chain, q, dq, ddq, ratio, basis.coupling).transpose(2, 1, 0)
+        for i, k in zip(*np.nonzero(P[first_rotor:]), strict=True):
+            H[:, k] += rotors[i] * P[first_rotor + i, k]
+    return H.transpose(2, 0, 1)
+
+
+def base_parameters(
+    robot: Robot, *, rotor: Sequence[int], coupling: Coupling = "diagonal"
+) -> Basis:
+    """Find the base parameters of the rigid body and of the rotors to identify.
+
+    Parameters
+    ----------
+    robot : Robot
+    rotor : sequence of int
+        Joints (0-based) whose rotor inertia is a parameter; the others' are known and left out.
+    coupling : {"diagonal", "gyroscopic"}
+
+    Returns
+    -------
+    Basis
+        The same one every time for the same robot; gravity parameters first.
+    """
+    W_gravity, W = _random_regressors(robot, coupling)
+    order = _reading_order(robot.chain)
+    used = order + [PER_LINK * robot.n + i for i in sorted(set(rotor))]
+    floor = _ZERO_COLUMN * float(np.linalg.norm(W[:, : PER_LINK * robot.n], axis=0).max())
+    gravity = _independent(W_gravity, order, floor=floor)
+    rest = [c for c in used if c not in gravity]
+    every = _independent(W, gravity + rest, floor=floor, given=len(gravity))
+    others = sorted(set(every) - set(gravity))
+    E_gravity = _regrouping(W_gravity, gravity, order, floor=floor)
+    E_full = _regrouping(W, gravity + others, used, floor=floor)
+    expression = np.vstack((E_gravity, E_full[len(gravity) :]))
+    representative = np.zeros(expression.T.shape)
+    for k, column in enumerate(gravity + others):
+        representative[column, k] = 1.0
+    representative[gravity, len(gravity) :] = -E_gravity[:, others]
+    names = standard_names(robot.n)
+    return Basis(
+        names=tuple(names[c] for c in gravity + others),
+        expression=expression,
+        representative=representative + 0.0,
+        gravity=np.arange(len(expression)) < len(gravity),
+        coupling=coupling,
+    )
+
+
+def _reading_order(chain: Chain) -> list[int]:
+    """Order link columns for keeping; a link's own axis decides among its inertias."""
+    order = []
+    for i in range(chain.n):
+        along = int(np.argmax(np.abs(chain.axis[i])))
+        first, last = [k for k in range(3) if k != along]
+        axes = ("x", "y", "z")
+        diagonal = [f"I{axes[k]}{axes[k]}" for k in (first, along, last)]
+        kinds = ["mx", "my", "mz", diagonal[0], "Ixy", "Ixz", "Iyz", *diagonal[1:], "m"]
+        order += [PER_LINK * i + STANDARD.index(kind) for kind in kinds]
+    return order
+
+
+def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
+    """Stack gravity and full regressors (rows, 11 n) over random states.
+
+    Joint limits play no part: the torque is analytic in the state, so what depends linearly in one
+    range does so in all, and a wide range shows it with the widest gap.
+    """
+    rng = np.random.default_rng(0)
+    n = robot.n
+    q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
+    q = q * np.where(robot.chain.prismatic, 1.0, np.pi)
+    Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling=coupling)
+    Y_gravity = np.zeros_like(Y)
+    Y_gravity[:, :, : PER_LINK * n] = gravity_regressor(robot.chain, robot.gravity, q)
+    return Y_gravity.reshape(-1, Y.shape[2]), Y.reshape(-1, Y.shape[2])
+
+
+def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0) -> list[int]:
+    """Choose columns of W, in `order`, independent of those before; the first `given` are.
+
+    Columns whose norm is below `floor` are rounding, not torque.
+    """
+    size = np.linalg.norm(W, axis=0)
+    Q = np.empty((len(W), 0))
+    kept: list[int] = []
+    for place, column in enumerate(order):
+        if size[column] <= floor:
+            continue
+        v = W[:, column] / size[column]
+        for _ in range(2):  # once more: the first pass leaves rounding of the large parts
+            v = v - Q @ (Q.T @ v)
+        left = float(np.linalg.norm(v))
+        if place < given or left > _DEPENDENT:
+            kept.append(column)
+            Q = np.column_stack((Q, v / left))
+    return kept
+
+
+def _regrouping(W: Array, kept: Sequence[int], used: Sequence[int], *, floor: float) -> Array:
+    """Solve W[:, kept] E = W for E (len(kept), p), on the `used` columns."""
+    E = np.zeros((len(kept), W.shape[1]))
+    if not len(kept):
+        return E
+    size = np.linalg.norm(W, axis=0)
+    basis = W[:, kept]
+    Q, R = np.linalg.qr(basis / size[kept])
+    E[:, used] = np.linalg.solve(R, Q.T @ W[:, used]) / size[kept][:, None]
+    E[:, kept] = np.eye(len(kept))
+    snapped = np.where(np.abs(E - np.round(E)) < _SNAP, np.round(E), E)
+    worse = np.linalg.norm(basis @ snapped - W, axis=0) > _DEPENDENT * np.maximum(size, floor)
+    return np.where(worse, E, snapped) + 0.0

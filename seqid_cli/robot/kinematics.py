@@ -1,0 +1,183 @@
+"""Kinematics of a serial chain, batched over samples.
+
+Symbols: R_AB rotates from B to A; `R`, `p`, `z` of `forward` are seen from the base. `w` and `dw`
+are a link's angular velocity and acceleration, `a` the linear acceleration of its frame's origin
+minus gravity, all three in the link's own frame. A link is called by the joint that moves it, from
+0; the base is -1. Inside, samples are the last axis (contiguous); at the boundary the first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .placement import skew
+from .types import Array, Chain
+
+BASE = -1
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Link frames: `R` (N, n, 3, 3) base from link, origins `p` (N, n, 3) m, axes `z` (N, n, 3)."""
+
+    R: Array
+    p: Array
+    z: Array
+
+
+@dataclass(frozen=True)
+class AngularMotion:
+    """`w` (N, 3) rad/s and `dw` (N, 3) rad/s^2 of a link, in the link's own frame."""
+
+    w: Array
+    dw: Array
+
+
+@dataclass(frozen=True)
+class LinkMotion:
+    """All links' motion, samples last: the forward pass of Newton-Euler.
+
+    `R` (n, 3, 3, N) parent from link, `p` (n, 3, N) m origin in the parent, and in the link's own
+    frame `w` (n, 3, N) rad/s, `dw` (n, 3, N) rad/s^2, `a` (n, 3, N) m/s^2 (origin minus gravity)
+    and `H` (n, 3, 3, N) = skew(dw) + skew(w) skew(w): a point at r has acceleration a + H r.
+    """
+
+    R: Array
+    p: Array
+    w: Array
+    dw: Array
+    a: Array
+    H: Array
+
+
+def cross(u: Array, v: Array) -> Array:
+    """Take the cross product along the first axis (3, ...), with broadcasting."""
+    return np.stack(
+        (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+    )
+
+
+def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
+    """Place each joint's frame in its parent's: R (n, 3, 3, N) and p (n, 3, N) [m], Eq. 27.
+
+    Parameters
+    ----------
+    chain : Chain
+    q : (n, N) array [rad; m where prismatic]
+    """
+    turning = np.where(chain.prismatic, 0.0, 1.0)[:, None, None]
+    along = chain.axis[:, :, None] * chain.axis[:, None, :]
+    still = chain.rotation @ (turning * along + (1.0 - turning) * np.eye(3))
+    cosine = chain.rotation @ (turning * (np.eye(3) - along))
+    sine = chain.rotation @ (turning * np.stack([skew(axis) for axis in chain.axis]))
+    parts = np.stack((still, cosine, sine), axis=-1).reshape(chain.n, 9, 3)
+    R = (parts @ np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)).reshape(
+        chain.n, 3, 3, -1
+    )
+    slide = (1.0 - turning[:, 0]) * np.einsum("nab,nb->na", chain.rotation, chain.axis)
+    p = chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
+    return R, p
+
+
+def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> LinkMotion:
+    """Propagate velocities and accelerations to all links, base at rest.
+
+    Parameters
+    ----------
+    chain : Chain
+    gravity : (3,) array [m/s^2], base frame
+    q, dq, ddq : (n, N) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    """
+    R, p = joint_transforms(chain, q)
+    w, dw, a = (np.empty_like(p) for _ in range(3))
+    H = np.empty(R.shape)
+    for i in range(chain.n):
+        parent = np.zeros((3, *p[i].shape))  # w, dw, a of the base, then of the link before
+        if i:
+            parent[0], parent[1] = w[i - 1], dw[i - 1]
+            np.einsum("abn,bn->an", H[i - 1], p[i], out=parent[2])
+            parent[2] += a[i - 1]
+        else:
+            parent[2] -= gravity[:, None]
+        w[i], dw[i], a[i] = np.einsum("abn,san->sbn", R[i], parent)
+        axis = chain.axis[i][:, None]
+        turned = (-skew(chain.axis[i]) @ w[i]) * dq[i]  # w x axis dq
+        if chain.prismatic[i]:
+            a[i] += axis * ddq[i] + 2.0 * turned
+        else:
+            dw[i] += axis * ddq[i] + turned
+            w[i] += axis * dq[i]
+        _fill_motion_matrix(H[i], w[i], dw[i])
+    return LinkMotion(R=R, p=p, w=w, dw=dw, a=a, H=H)
+
+
+def _fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
+    """Fill H (3, 3, N) with skew(dw) + skew(w) skew(w)."""
+    xx, yy, zz = w * w
+    H[0, 0], H[1, 1], H[2, 2] = -(yy + zz), -(xx + zz), -(xx + yy)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        product = w[i] * w[j]
+        np.subtract(product, dw[k], out=H[i, j])
+        np.add(product, dw[k], out=H[j, i])
+
+
+def forward(chain: Chain, q: Array) -> Frames:
+    """Compute the frames of all links seen from the base.
+
+    Parameters
+    ----------
+    chain : Chain
+    q : (N, n) array [rad; m where prismatic]
+
+    Returns
+    -------
+    Frames
+        `R` (N, n, 3, 3) base from link, `p` (N, n, 3) origins [m], `z` (N, n, 3) unit joint axes.
+    """
+    R_local, p_local = (np.moveaxis(x, -1, 0) for x in joint_transforms(chain, q.T))
+    R, p = np.empty(R_local.shape), np.empty(p_local.shape)
+    R[:, 0], p[:, 0] = R_local[:, 0], p_local[:, 0]
+    for i in range(1, chain.n):
+        R[:, i] = R[:, i - 1] @ R_local[:, i]
+        p[:, i] = p[:, i - 1] + np.einsum("nab,nb->na", R[:, i - 1], p_local[:, i])
+    return Frames(R=R, p=p, z=np.einsum("niab,ib->nia", R, chain.axis))
+
+
+def link_rotation(chain: Chain, q: Array, link: int) -> Array:
+    """Return the rotation (N, 3, 3), base from `link` (0-based; -1 is the base), at q (N, n)."""
+    return rotation_between(chain, q, BASE, link)
+
+
+def rotation_between(chain: Chain, q: Array, i: int, j: int) -> Array:
+    """Return the rotation (N, 3, 3) from frame `j` to frame `i`, paper Eq. 27-28.
+
+    Parameters
+    ----------
+    chain : Chain
+    q : (N, n) array [rad; m where prismatic]
+    i, j : int
+        Links, 0-based; -1 is the base. In either order.
+    """
+    if i > j:
+        return rotation_between(chain, q, j, i).transpose(0, 2, 1)
+    R_local, _ = joint_transforms(chain, q.T)
+    Q = np.broadcast_to(np.eye(3), (len(q), 3, 3))
+    for k in range(i + 1, j + 1):
+        Q = Q @ np.moveaxis(R_local[k], -1, 0)
+    return Q
+
+
+def link_angular_motion(chain: Chain, q: Array, dq: Array, ddq: Array, link: int) -> AngularMotion:
+    """Compute angular velocity and acceleration of `link` in its own frame (Eq. 39, any joints).
+
+    Parameters
+    ----------
+    chain : Chain
+    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    link : int
+        The joint that moves the link, 0-based.
+    """
+    motion = link_motion(chain, np.zeros(3), q.T, dq.T, ddq.T)
+    return AngularMotion(w=motion.w[link].T.copy(), dw=motion.dw[link].T.copy())

@@ -1,0 +1,112 @@
+"""The robot as every other layer sees it: frozen data, no file formats, no Pinocchio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One actuated joint of the chain (rad and N m; m and N where prismatic).
+
+    `torque_constant` [N m/A] and `rotor_inertia` [kg m^2] are on the motor side.
+    """
+
+    name: str
+    prismatic: bool = False
+    torque_constant: float | None = None
+    gear_ratio: float | None = None
+    rotor_inertia: float | None = None
+    encoder_resolution: float | None = None
+    position_limits: tuple[float, float] | None = None
+    velocity_limit: float | None = None
+
+    @property
+    def torque_per_ampere(self) -> float | None:
+        """Joint torque per motor current, N m/A."""
+        if self.torque_constant is None:
+            return None
+        return self.torque_constant * (self.gear_ratio or 1.0)
+
+
+@dataclass(frozen=True)
+class Imu:
+    """An accelerometer array, or an ordinary IMU, riding on the link after a joint.
+
+    `positions` (K, 3) m and `axes` (K, 3) unit vectors are in the IMU's own frame. An ordinary IMU
+    (triad, with or without gyro) has three orthogonal axes at its origin.
+    """
+
+    name: str
+    after_joint: int
+    positions: Array
+    axes: Array
+    gyro: bool = False
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Names that a log uses instead of the default ones; None means the default."""
+
+    time: str | None = None
+    position: str | None = None
+    velocity: str | None = None
+    current: str | None = None
+    torque: str | None = None
+    temperature: str | None = None
+    effort: str = "torque"  # what `effort` of a JointState is: "torque" or "current"
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Kinematic constants of a serial chain of n joints.
+
+    At q = 0 joint i's frame is `rotation[i]` (3, 3), `position[i]` (3,) m in the frame of joint i-1
+    (of the base for i = 0). `axis[i]` (3,) is the unit axis in joint i's own frame.
+    """
+
+    rotation: Array  # (n, 3, 3)
+    position: Array  # (n, 3)
+    axis: Array  # (n, 3)
+    prismatic: NDArray[np.bool_]  # (n,)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.prismatic)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot file, read and checked.
+
+    `gravity` (3,) m/s^2 in the base frame. `nominal` (n, 10) are the standard inertial parameters
+    of the URDF, if it has any, in Pinocchio's order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz),
+    inertia about the joint frame's origin.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    chain: Chain
+    gravity: Array
+    sha256: str
+    source: Path
+    imus: tuple[Imu, ...] = ()
+    channels: Channels = field(default_factory=Channels)
+    nominal: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names in chain order."""
+        return tuple(joint.name for joint in self.joints)

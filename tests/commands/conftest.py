@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from seqid_cli.__main__ import main
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.schema import ParameterFile
+from seqid_cli.robot.types import Robot
+from tests.params.documents import JOINTS
+
+ROBOT_TOML = (
+    'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n'
+    + "".join(
+        f'[[joint]]\nname = "{name}"\ndh = {{ alpha = 0.0, a = 0.3, d = 0.0, theta0 = 0.0 }}\n'
+        for name in JOINTS
+    )
+    + '[[imu]]\nname = "imu_a"\nafter_joint = "elbow"\ngyro = true\n'
+)
+SAMPLES = 5
+
+
+@dataclass(frozen=True)
+class Done:
+    """Exit code and texts of one command line."""
+
+    code: int
+    out: str
+    err: str
+
+
+@dataclass
+class Rig:
+    """A folder with a robot file and two logs, and a way to run commands in it."""
+
+    folder: Path
+    run: Callable[..., Done]
+    logs: list[str] = field(default_factory=lambda: ["a.parquet", "b.parquet"])
+
+    def params(self, name: str, file: ParameterFile) -> str:
+        """Write a parameter file that this rig's robot file fits to."""
+        from seqid_cli.robot.file import load_robot
+
+        file.robot.sha256 = load_robot(self.folder / "robot.toml").sha256
+        write_json_atomic(self.folder / name, file)
+        return name
+
+
+@pytest.fixture
+def rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Rig:
+    """Return a rig in an empty folder that is the working directory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.toml").write_text(ROBOT_TOML)
+    for name in ("a.parquet", "b.parquet"):
+        (tmp_path / name).write_bytes(b"PAR1" + b"\0" * 16 + b"PAR1")
+
+    def run(*arguments: str) -> Done:
+        code = main(arguments)
+        captured = capsys.readouterr()
+        return Done(code, captured.out, captured.err)
+
+    return Rig(tmp_path, run)
+
+
+@dataclass
+class Reader:
+    """Stands in for the log reader: short recordings of zeros."""
+
+    warnings: tuple[str, ...] = ()
+    partial: str = ""
+    time_source: str = ""
+
+    def read_recordings(
+        self, paths: Iterable[Path], robot: Robot, *, time_source: str
+    ) -> Iterator[Recording]:
+        """Yield one recording per path."""
+        self.time_source = time_source
+        for path in paths:
+            yield Recording(
+                path=Path(path),
+                sha256=Path(path).name.ljust(64, "0"),
+                format="parquet",
+                t=np.arange(SAMPLES) * 0.01,
+                q=np.zeros((SAMPLES, robot.n)),
+                valid=np.ones(SAMPLES, dtype=bool),
+                health=Health(rate_hz=100.0, jitter=0.0, warnings=self.warnings),
+                tau=np.ones((SAMPLES, robot.n)),
+                partial=self.partial,
+            )
+
+
+@pytest.fixture
+def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
+    """Replace the log reader."""
+    fake = Reader()
+    module = ModuleType("seqid_cli.logs.read")
+    module.read_recordings = fake.read_recordings  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "seqid_cli.logs.read", module)
+    return fake
+
+
+@pytest.fixture
+def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], list[object]]:
+    """Replace one identification function by one that reads all logs and returns a result.
+
+    An exception as the result is raised. Returns the list that the calls' arguments end up in.
+    """
+
+    def replace(module_name: str, function: str, result: object) -> list[object]:
+        calls: list[object] = []
+
+        def fake(recordings: Iterable[Recording], *arguments: object, options: object) -> object:
+            calls.extend([len(list(recordings)), *arguments, options])
+            if isinstance(result, BaseException):
+                raise result
+            return result
+
+        module = ModuleType(f"seqid_cli.identify.{module_name}")
+        setattr(module, function, fake)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        return calls
+
+    return replace

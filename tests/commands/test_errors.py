@@ -1,0 +1,170 @@
+"""Exit codes and messages of whatever can go wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.errors import ConfigError, QualityError, SeqidError
+from tests.commands.conftest import Reader, Rig
+from tests.params.documents import friction_file, friction_stage, gravity_file
+
+Replace = Callable[[str, str, object], list[object]]
+FRICTION = ["friction", "a.parquet", "-r", "robot.toml", "-o", "out.json"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "hint"),
+    [
+        (["frictoin"], "seqid: error: no such command: frictoin", "Did you mean friction?"),
+        (["friction"], "seqid friction: error: Missing argument 'LOG...'", "--help"),
+        (
+            ["friction", "a.parquet"],
+            "seqid friction: error: Missing option '-r' / '--robot'",
+            "--help",
+        ),
+        (["friction", "a", "-r", "r", "--cutof", "3"], "No such option: --cutof", "--help"),
+        ([*FRICTION, "--cutoff", "0"], "0.0 is not a positive number", "--help"),
+        ([*FRICTION, "--cutoff", "nan"], "nan is not a positive number", "--help"),
+        ([*FRICTION, "--time", "noon"], "'noon' is not one of 'header', 'log'", "--help"),
+        (["friction", "no", "-r", "robot.toml"], "friction: error: no: does not exist", "Check"),
+        (["friction", "a.parquet", "-r", "no.toml"], "no.toml: ", ""),
+        ([*FRICTION[:-1], "no/x.json"], "no/x.json: its folder does not exist", "mkdir -p no"),
+        ([*FRICTION[:-1], "a.parquet"], "a.parquet: is an input of this command", "another"),
+        ([*FRICTION[:-1], "robot.toml"], "robot.toml: is an input of this command", "another"),
+        (
+            ["gravity", "a.parquet", "-r", "robot.toml", "-p", "no.json"],
+            "no.json: does not exist",
+            "-p",
+        ),
+        (
+            ["inertia", "a.parquet", "-r", "robot.toml", "-p", "f.json"],
+            "f.json: there is no gravity stage",
+            "Run seqid gravity first",
+        ),
+        (
+            ["inertia", "a.parquet", "-r", "robot.toml", "-p", "g.json", "--motion", "imu"],
+            "g.json: there is no imu stage",
+            "Run seqid imu-calib first",
+        ),
+        (
+            ["gravity", "a.parquet", "-r", "robot.toml", "-p", "g.json", "-p", "other.json"],
+            "other.json: is about robot 'leg'",
+            "one robot",
+        ),
+        (
+            ["gravity", "a.parquet", "-r", "robot.toml", "-p", "swapped.json"],
+            "swapped.json: is about robot 'arm' with joints elbow, shoulder, but robot.toml",
+            "robot file",
+        ),
+    ],
+)
+def test_what_cannot_run(rig: Rig, arguments: list[str], message: str, hint: str) -> None:
+    rig.params("f.json", friction_file())
+    rig.params("g.json", gravity_file())
+    other = friction_file()
+    other.robot.name = "leg"
+    rig.params("other.json", other)
+    swapped = friction_file()
+    swapped.robot.joints = swapped.robot.joints[::-1]
+    rig.params("swapped.json", swapped)
+
+    done = rig.run(*arguments)
+    assert (done.code, done.out) == (2, "")
+    error, advice = done.err.splitlines()
+    assert message in error
+    assert advice.startswith("  hint: ")
+    assert hint in advice
+    assert "Traceback" not in done.err
+    assert not (rig.folder / "out.json").exists()
+
+    told = rig.run(*arguments, "--json")
+    assert told.code == 2
+    assert json.loads(told.out)["error"]["code"] == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (QualityError("joint elbow never moves alone", hint="Record it."), 1),
+        (ConfigError("no", hint="x"), 2),
+    ],
+)
+def test_a_stage_that_gives_up_writes_nothing(
+    rig: Rig, reader: Reader, identified: Replace, error: SeqidError, code: int
+) -> None:
+    (rig.folder / "out.json").write_text("old")
+    identified("friction", "identify_friction", error)
+    done = rig.run(*FRICTION, "--json")
+    assert done.code == code
+    assert json.loads(done.out) == {
+        "error": {"code": code, "message": error.message, "hint": error.hint, "where": ""}
+    }
+    assert done.err == f"seqid friction: error: {error}\n  hint: {error.hint}\n"
+    assert (rig.folder / "out.json").read_text() == "old"
+
+
+def test_a_bug_says_so_and_shows_its_traceback_only_on_demand(
+    rig: Rig, reader: Reader, identified: Replace
+) -> None:
+    identified("friction", "identify_friction", ZeroDivisionError("ouch"))
+    done = rig.run(*FRICTION)
+    assert done.code == 70
+    assert "this is a bug in seqid: ZeroDivisionError: ouch" in done.err
+    assert "Traceback" not in done.err
+    assert "Traceback" in rig.run(*FRICTION, "--debug").err
+    assert json.loads(rig.run(*FRICTION, "--json").out)["error"]["code"] == 70
+
+
+def test_a_number_that_is_not_finite_is_a_bug_and_not_a_result(
+    rig: Rig, reader: Reader, identified: Replace
+) -> None:
+    stage = friction_stage()
+    stage.joints["elbow"].rmse = float("inf")
+    identified("friction", "identify_friction", stage)
+    done = rig.run(*FRICTION)
+    assert done.code == 70
+    assert "$.stages.friction.joints.elbow.rmse is inf" in done.err
+    assert not (rig.folder / "out.json").exists()
+
+
+def test_an_interruption(rig: Rig, reader: Reader, identified: Replace) -> None:
+    identified("friction", "identify_friction", KeyboardInterrupt())
+    done = rig.run(*FRICTION)
+    assert (done.code, done.err) == (130, "seqid friction: interrupted\n")
+    assert not (rig.folder / "out.json").exists()
+
+
+def test_a_known_error_shows_its_traceback_with_debug(rig: Rig) -> None:
+    assert "Traceback" in rig.run("friction", "no", "-r", "robot.toml", "--debug").err
+
+
+def test_a_real_interrupt_exits_with_130(tmp_path: Path) -> None:
+    program = (
+        "import os, signal, sys\n"
+        "import seqid_cli.commands.completion as completion\n"
+        "completion.all_words = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        "from seqid_cli.__main__ import main\n"
+        "sys.exit(main(['completion', 'bash']))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+    assert done.returncode == 130
+    assert signal.SIGINT.name.encode() not in done.stderr
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "seqid_cli", "completion", "bash"]
+    with os.fdopen(write, "wb") as closed:
+        done = subprocess.run(
+            command, stdout=closed, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,0 +1,106 @@
+"""Help texts, their examples, and the completion scripts made from the same options."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.commands.app import COMMANDS, load_command
+from seqid_cli.commands.completion import all_words, bash_script, fish_script, zsh_script
+from tests.commands.conftest import Rig
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
+EXAMPLES = [
+    (name, example)
+    for name, entry in COMMANDS.items()
+    for example in importlib.import_module(f"seqid_cli.commands.{entry.module}").EXAMPLES
+]
+
+
+def test_the_overview_lists_every_command(rig: Rig) -> None:
+    done = rig.run("--help")
+    assert done.code == 0
+    for name, entry in COMMANDS.items():
+        assert re.search(rf"^  {name} +{re.escape(entry.help)}$", done.out, re.MULTILINE)
+    assert rig.run("-h").out == done.out
+    nothing = rig.run()
+    assert (nothing.code, nothing.out) == (2, "")
+    assert "Commands:" in nothing.err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_two_examples_and_the_common_flags(rig: Rig, name: str) -> None:
+    text = rig.run(name, "--help").out
+    examples = [example for owner, example in EXAMPLES if owner == name]
+    assert len(examples) >= 2
+    for example in examples:
+        assert f"  {example}\n" in text
+    for flag in ("-q, --quiet", "-v, --verbose", "--json", "--no-color", "--debug"):
+        assert flag in text
+
+
+@pytest.mark.parametrize(("name", "example"), EXAMPLES)
+def test_examples_parse_and_name_sample_logs_that_exist(name: str, example: str) -> None:
+    words = shlex.split(example.partition(" > ")[0])
+    assert words[:2] == ["seqid", name]
+    with load_command(name).make_context(name, words[2:]) as context:
+        assert context.params
+    named = [word for word in words if word.startswith("sample_logs/")]
+    for word in named:
+        assert list(SAMPLES.parent.glob(word)), word
+    assert named or name == "completion"
+
+
+def complete(*words: str) -> list[str]:
+    """Ask bash what it offers for the last of the words."""
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not installed")
+    program = (
+        bash_script(all_words())
+        + f"COMP_WORDS=({' '.join(shlex.quote(word) for word in words)})\n"
+        + f"COMP_CWORD={len(words) - 1}\n_seqid\n"
+        + 'printf "%s\\n" "${COMPREPLY[@]}"\n'
+    )
+    done = subprocess.run(
+        ["bash", "--norc", "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
+    return done.stdout.split()
+
+
+def test_bash_completes() -> None:
+    assert complete("seqid", "gra") == ["gravity"]
+    assert set(COMMANDS) <= set(complete("seqid", ""))
+    assert complete("seqid", "predict", "--tor") == ["--torques"]
+    assert complete("seqid", "friction", "a.mcap", "--time", "") == ["header", "log"]
+    assert complete("seqid", "completion", "z") == ["zsh"]
+    assert complete("seqid", "friction", "") == []  # files
+    assert complete("seqid", "friction", "a", "-o", "-") == []
+
+
+@pytest.mark.parametrize(
+    ("shell", "script"),
+    [("bash", bash_script), ("zsh", zsh_script), ("fish", fish_script)],
+)
+def test_scripts_are_valid_and_name_every_command(shell: str, script: object) -> None:
+    assert callable(script)
+    text = script(all_words())
+    for name in COMMANDS:
+        assert name in text
+    assert "torques" in text
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
+    subprocess.run([shell, "-n"], input=text, text=True, check=True)
+
+
+def test_the_module_runs() -> None:
+    command = [sys.executable, "-m", "seqid_cli", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("seqid ")

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+
+import jsonschema
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from seqid_cli.identify.predict import LogPrediction
+from seqid_cli.logs.recording import Recording
+from seqid_cli.params.generate import json_schema
+from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
+from seqid_cli.robot.types import Robot
+from tests.commands.conftest import SAMPLES, Reader, Rig
+from tests.params.documents import friction_file, full_file
+
+BASE = ["predict", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
+BOTH = [*BASE, "-o", "out.json", "--torques", "t.parquet"]
+
+
+@dataclass
+class Model:
+    """Predicts torque with errors of `scale` times a standard normal; the seed is fixed."""
+
+    scale: float = 0.1
+    fail_after: int = 99
+    slides: bool = True
+    made: list[LogPrediction] = field(default_factory=list)
+
+    def predict(
+        self, recordings: Iterable[Recording], robot: Robot, stages: object, *, options: object
+    ) -> Iterator[LogPrediction]:
+        """Yield one prediction per recording."""
+        rng = np.random.default_rng(0)
+        for index, recording in enumerate(recordings):
+            if index >= self.fail_after:
+                raise ZeroDivisionError
+            tau = rng.normal(size=(SAMPLES, robot.n))
+            used = np.ones(SAMPLES, dtype=bool)
+            used[0] = False
+            sliding = np.full(tau.shape, self.slides)
+            sliding[1, 1] = False
+            log = LogPrediction(
+                path=recording.path,
+                sha256=recording.sha256,
+                samples=SAMPLES,
+                cutoff_hz=20.0,
+                t=recording.t,
+                tau=tau,
+                predicted=tau + self.scale * rng.normal(size=tau.shape),
+                used=used,
+                sliding=sliding,
+                notes=("a remark",),
+            )
+            self.made.append(log)
+            yield log
+
+
+@pytest.fixture
+def model(monkeypatch: pytest.MonkeyPatch) -> Model:
+    fake = Model()
+    module = ModuleType("seqid_cli.identify.predict")
+    module.predict = fake.predict  # type: ignore[attr-defined]
+    module.LogPrediction = LogPrediction  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    return fake
+
+
+def stacked(model: Model, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    used = np.concatenate([log.used & log.sliding[:, joint] for log in model.made])
+    tau = np.concatenate([log.tau[:, joint] for log in model.made])[used]
+    predicted = np.concatenate([log.predicted[:, joint] for log in model.made])[used]
+    return tau, tau - predicted
+
+
+def test_errors_over_all_logs_and_per_log(rig: Rig, reader: Reader, model: Model) -> None:
+    rig.params("p.json", full_file())
+    done = rig.run(*BOTH)
+    assert done.code == 0
+    document = json.loads((rig.folder / "out.json").read_text())
+    jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
+    for joint, name in enumerate(("shoulder", "elbow")):
+        tau, error = stacked(model, joint)
+        found = document["joints"][name]
+        assert found["samples"] == 2 * (SAMPLES - 1 - joint)
+        assert found["rmse"] == pytest.approx(np.sqrt(np.mean(error**2)))
+        assert found["relative_rmse"] == pytest.approx(
+            np.sqrt(np.mean(error**2)) / np.sqrt(np.mean(tau**2))
+        )
+        assert found["max_abs"] == pytest.approx(np.max(np.abs(error)))
+    assert [log["path"] for log in document["logs"]] == ["a.parquet", "b.parquet"]
+    assert document["logs"][0]["joints"]["elbow"]["samples"] == SAMPLES - 2
+    assert document["parameters"][0]["path"] == "p.json"
+    assert document["stages"] == ["friction", "gravity", "imu", "inertia", "effects"]
+    assert "a.parquet: a remark" in done.err
+
+
+def test_the_torques_themselves(rig: Rig, reader: Reader, model: Model) -> None:
+    rig.params("p.json", full_file())
+    assert rig.run(*BOTH).code == 0
+    table = pq.read_table(rig.folder / "t.parquet")
+    kinds = ("torque", "predicted", "residual")
+    assert table.column_names == [
+        "t",
+        "log",
+        *(f"{name}.{kind}" for name in ("shoulder", "elbow") for kind in kinds),
+    ]
+    assert table["log"].to_pylist() == ["a.parquet"] * SAMPLES + ["b.parquet"] * SAMPLES
+    columns = {name: table[name].to_numpy() for name in table.column_names if name != "log"}
+    measured = np.concatenate([log.tau[:, 1] for log in model.made])
+    np.testing.assert_array_equal(columns["elbow.torque"], measured)
+    np.testing.assert_allclose(
+        columns["elbow.residual"], columns["elbow.torque"] - columns["elbow.predicted"]
+    )
+
+
+def test_a_failure_between_logs_leaves_the_old_files(
+    rig: Rig, reader: Reader, model: Model
+) -> None:
+    rig.params("p.json", full_file())
+    (rig.folder / "t.parquet").write_text("old")
+    before = sorted(path.name for path in rig.folder.iterdir())
+    model.fail_after = 1
+    assert rig.run(*BOTH).code == 70
+    assert (rig.folder / "t.parquet").read_text() == "old"
+    assert sorted(path.name for path in rig.folder.iterdir()) == before
+
+
+def test_a_large_error_is_poor(rig: Rig, reader: Reader, model: Model) -> None:
+    rig.params("p.json", full_file())
+    model.scale = 3.0
+    done = rig.run(*BASE, "--strict")
+    assert done.code == 1
+    assert "of the torque's RMS, above 30.0 %" in done.out
+    assert rig.run(*BASE).code == 0
+
+
+def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model: Model) -> None:
+    rig.params("p.json", full_file())
+    model.slides = False
+    done = rig.run(*BASE, "--json")
+    document = json.loads(done.out)
+    jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
+    assert document["joints"]["elbow"] == {
+        "rmse": None,
+        "relative_rmse": None,
+        "max_abs": None,
+        "samples": 0,
+    }
+    assert document["verdicts"] == []
+    assert "never slides in these logs and is not judged: shoulder, elbow" in done.err
+
+
+def test_friction_alone_is_used_and_said(rig: Rig, reader: Reader, model: Model) -> None:
+    rig.params("p.json", friction_file())
+    done = rig.run(*BASE)
+    assert done.code == 0
+    assert "note: the parameters hold no inertia stage" in done.err
+
+
+def test_outputs_must_not_be_inputs(rig: Rig, reader: Reader, model: Model) -> None:
+    rig.params("p.json", full_file())
+    before = Path("a.parquet").read_bytes()
+    assert rig.run(*BASE, "--torques", "a.parquet").code == 2
+    assert Path("a.parquet").read_bytes() == before
+
+
+def test_the_two_outputs_must_differ(rig: Rig) -> None:
+    rig.params("p.json", full_file())
+    done = rig.run(*BASE, "-o", "x", "--torques", "./x")
+    assert done.code == 2
+    assert "x: -o and --torques name the same file" in done.err

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from seqid_cli.commands.progress import ProgressLine
+from seqid_cli.commands.render import number, percent, plain_table, rich_table
+from seqid_cli.commands.show import verdict_text
+from seqid_cli.params.schema import Verdict
+
+COLUMNS = ("joint", "error", "verdict")
+ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
+
+
+def test_a_plain_table_is_aligned() -> None:
+    assert plain_table(COLUMNS, ROWS) == (
+        "joint    error  verdict\n"
+        "elbow    0.125  good\n"
+        "wrist_1     12  poor: noisy [a]\n"
+        "w            -  -\n"
+    )
+
+
+def test_a_coloured_table_says_the_same() -> None:
+    text = rich_table(COLUMNS, ROWS)
+    assert "\x1b[" in text
+    for row in ROWS:
+        assert all(cell in text for cell in row)
+
+
+def test_numbers() -> None:
+    assert [number(None), number(0.12345), number(1234.5, 5)] == ["-", "0.123", "1234.5"]
+    assert [percent(None), percent(0.125)] == ["-", "12.5 %"]
+
+
+def test_a_verdict_names_every_reason() -> None:
+    verdicts = [
+        Verdict(joint="a", good=True),
+        Verdict(joint="b", good=False, reason="x"),
+        Verdict(joint="b", good=False, reason="y"),
+    ]
+    texts = [verdict_text(verdicts, name) for name in "abc"]
+    assert texts == ["good", "poor: x; y", "-"]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_progress_shows_after_a_second_and_vanishes() -> None:
+    stream, clock = Terminal(), Clock()
+    line = ProgressLine(4, stream, enabled=True, clock=clock)
+    line.show(1, "a.mcap")
+    line.clear()
+    assert stream.getvalue() == ""
+    clock.now = 1.5
+    line.show(2, "b.mcap")
+    assert "[##########..........] 2/4 b.mcap" in stream.getvalue()
+    line.clear()
+    assert stream.getvalue().endswith("\x1b[2K")
+
+
+@pytest.mark.parametrize(("stream", "enabled"), [(Terminal(), False), (io.StringIO(), True)])
+def test_progress_is_silent_where_nobody_watches(stream: io.StringIO, enabled: bool) -> None:
+    clock = Clock()
+    line = ProgressLine(4, stream, enabled=enabled, clock=clock)
+    clock.now = 5.0
+    line.show(2, "b.mcap")
+    line.clear()
+    assert stream.getvalue() == ""

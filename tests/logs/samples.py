@@ -1,0 +1,82 @@
+"""Robots and motions for the tests of the readers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.robot.types import Chain, Channels, Imu, Joint, Robot
+
+Array = NDArray[np.float64]
+JOINTS = ("shoulder", "elbow", "wrist")
+ARRAY = Imu("array", 1, np.zeros((6, 3)), np.tile(np.eye(3), (2, 1)))
+GYRO = Imu("hand", 2, np.zeros((3, 3)), np.eye(3), gyro=True)
+
+
+def make_robot(
+    names: Sequence[str] = JOINTS,
+    *,
+    imus: Sequence[Imu] = (),
+    constants: Sequence[float | None] | float | None = None,
+    gear_ratio: float | None = None,
+    limits: tuple[float, float] | None = None,
+    channels: Channels | None = None,
+) -> Robot:
+    """Build a robot whose kinematics do not matter."""
+    n = len(names)
+    each = constants if isinstance(constants, Sequence) else [constants] * n
+    joints = tuple(
+        Joint(name, torque_constant=constant, gear_ratio=gear_ratio, position_limits=limits)
+        for name, constant in zip(names, each, strict=True)
+    )
+    chain = Chain(
+        np.tile(np.eye(3), (n, 1, 1)),
+        np.zeros((n, 3)),
+        np.tile([0.0, 0.0, 1.0], (n, 1)),
+        np.zeros(n, np.bool_),
+    )
+    gravity = np.array([0.0, 0.0, -9.81])
+    source = Path("robot.toml")
+    return Robot(
+        "arm", joints, chain, gravity, "0" * 64, source, tuple(imus), channels or Channels()
+    )
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a log shall hold: t (N,) s, the rest (N, n), (N, K) or (N, 3)."""
+
+    t: Array
+    q: Array
+    dq: Array
+    tau: Array
+    accelerometers: dict[str, Array] = field(default_factory=dict)
+    gyros: dict[str, Array] = field(default_factory=dict)
+
+
+def curve(t: Array, width: int, shift: float = 0.0) -> Array:
+    """Give smooth columns, all different."""
+    k = np.arange(width)
+    return np.sin((1.0 + 0.3 * k) * t[:, None] + 0.7 * k + shift)
+
+
+def make_motion(t: Array, n: int = 3) -> Motion:
+    """Evaluate the motion at given times."""
+    gravity = np.array([0.0, 0.0, 9.81] * 2)
+    return Motion(
+        t=t,
+        q=curve(t, n),
+        dq=curve(t, n, 0.5) * 1.3,
+        tau=curve(t, n, 1.0) * 20.0,
+        accelerometers={"array": curve(t, 6) + gravity, "hand": curve(t, 3, 2.0) + gravity[:3]},
+        gyros={"hand": curve(t, 3, 3.0)},
+    )
+
+
+def grid(count: int = 200, rate_hz: float = 100.0) -> Array:
+    """Give uniform times from 0."""
+    return np.arange(count) / rate_hz

@@ -1,0 +1,295 @@
+"""Log files written by the real libraries, from plain arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from mcap.reader import NonSeekingReader
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as RawWriter
+from mcap_ros2.writer import Writer as Ros2Writer
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Message = tuple[str, int, SimpleNamespace]  # topic, log time in ns, content
+JOINT_STATE = "sensor_msgs/msg/JointState"
+IMU = "sensor_msgs/msg/Imu"
+
+_LINE = "=" * 80
+_TIME = f"{_LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+_HEADER = f"{_LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+DEFINITIONS = {
+    JOINT_STATE: (
+        "std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+        f"float64[] effort\n{_HEADER}{_TIME}"
+    ),
+    IMU: (
+        "std_msgs/Header header\n\n"
+        "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\n"
+        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\n"
+        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
+        f"{_LINE}\nMSG: geometry_msgs/Quaternion\n"
+        "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
+        f"{_LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}{_TIME}"
+    ),
+}
+COMPRESSIONS = {
+    "none": CompressionType.NONE,
+    "lz4": CompressionType.LZ4,
+    "zstd": CompressionType.ZSTD,
+}
+
+
+def write_parquet(
+    path: Path,
+    t: Array,
+    joints: Sequence[str],
+    q: Array,
+    *,
+    dq: Array | None = None,
+    current: Array | None = None,
+    torque: Array | None = None,
+    temperature: Array | None = None,
+    accelerometers: dict[str, Array] | None = None,
+    gyros: dict[str, Array] | None = None,
+) -> Path:
+    """Write the default columns: `t` s, `<joint>.position` ..., `<imu>.a1` ..., `<imu>.gx` ...
+
+    Arrays are (N, n) per joint, (N, K) per accelerometer array and (N, 3) per gyro. An IMU that has
+    a gyro and three accelerometers is written as a triad (`ax`, `ay`, `az`).
+    """
+    columns: dict[str, Array] = {"t": np.asarray(t)}
+    per_joint = {
+        "position": q,
+        "velocity": dq,
+        "current": current,
+        "torque": torque,
+        "temperature": temperature,
+    }
+    for quantity, values in per_joint.items():
+        if values is not None:
+            for i, joint in enumerate(joints):
+                columns[f"{joint}.{quantity}"] = np.asarray(values)[:, i]
+    for imu, values in (accelerometers or {}).items():
+        triad = values.shape[1] == 3 and imu in (gyros or {})
+        names = ["ax", "ay", "az"] if triad else [f"a{k + 1}" for k in range(values.shape[1])]
+        columns |= {f"{imu}.{name}": values[:, k] for k, name in enumerate(names)}
+    for imu, values in (gyros or {}).items():
+        columns |= {f"{imu}.{name}": values[:, k] for k, name in enumerate(("gx", "gy", "gz"))}
+    pq.write_table(pa.table(columns), path)
+    return path
+
+
+def write_mcap(
+    path: Path,
+    t: Array,
+    joints: Sequence[str],
+    q: Array,
+    *,
+    encoding: Literal["cdr", "json"],
+    dq: Array | None = None,
+    effort: Array | None = None,
+    accelerometers: dict[str, Array] | None = None,
+    gyros: dict[str, Array] | None = None,
+    t0_ns: int = 1_700_000_000_000_000_000,
+    compression: str = "zstd",
+    chunk_size: int = 1024 * 1024,
+    log_offset_ns: int = 0,
+    zero_stamps: bool = False,
+) -> Path:
+    """Write `/joint_states` and the IMU topics with the stamps t0_ns + t.
+
+    An accelerometer array (N, K), K a multiple of 3, becomes `/<imu>/accel_1` ...; an IMU that is
+    in `gyros` becomes `/<imu>/data` with its three accelerometers and its gyro.
+    """
+    stamps = t0_ns + np.rint(np.asarray(t) * 1e9).astype(np.int64)
+    streams = [joint_messages(stamps, joints, q, dq=dq, effort=effort)]
+    for imu, values in (accelerometers or {}).items():
+        if imu not in (gyros or {}):
+            for k in range(values.shape[1] // 3):
+                triad = values[:, 3 * k : 3 * k + 3]
+                streams.append(imu_messages(stamps, f"/{imu}/accel_{k + 1}", triad))
+    for imu, rates in (gyros or {}).items():
+        triad = (accelerometers or {}).get(imu, np.zeros_like(rates))
+        streams.append(imu_messages(stamps, f"/{imu}/data", triad, rates))
+    messages: list[Message] = [message for row in zip(*streams, strict=True) for message in row]
+    messages = [(topic, stamp + log_offset_ns, content) for topic, stamp, content in messages]
+    if zero_stamps:
+        for _, _, content in messages:
+            content.header.stamp = SimpleNamespace(sec=0, nanosec=0)
+    return write_messages(
+        path, messages, encoding=encoding, compression=compression, chunk_size=chunk_size
+    )
+
+
+def write_messages(
+    path: Path,
+    messages: Sequence[Message],
+    *,
+    encoding: Literal["cdr", "json"],
+    compression: str = "zstd",
+    chunk_size: int = 1024 * 1024,
+) -> Path:
+    """Write messages in the given order; the type of each is told from its fields."""
+    write = _write_cdr if encoding == "cdr" else _write_json
+    write(path, messages, COMPRESSIONS[compression], chunk_size)
+    return path
+
+
+def joint_messages(
+    stamps_ns: NDArray[np.int64],
+    joints: Sequence[str],
+    q: Array,
+    *,
+    dq: Array | None = None,
+    effort: Array | None = None,
+    topic: str = "/joint_states",
+) -> list[Message]:
+    """JointState messages, one per row."""
+
+    def row(values: Array | None, i: int) -> list[float]:
+        return [] if values is None else [float(v) for v in values[i]]
+
+    return [
+        (
+            topic,
+            int(stamp),
+            SimpleNamespace(
+                header=header(int(stamp)),
+                name=list(joints),
+                position=row(q, i),
+                velocity=row(dq, i),
+                effort=row(effort, i),
+            ),
+        )
+        for i, stamp in enumerate(stamps_ns)
+    ]
+
+
+def imu_messages(
+    stamps_ns: NDArray[np.int64], topic: str, accelerations: Array, rates: Array | None = None
+) -> list[Message]:
+    """Imu messages, one per row of (N, 3) m/s^2 and (N, 3) rad/s."""
+    rates = np.zeros_like(accelerations) if rates is None else rates
+    return [
+        (
+            topic,
+            int(stamp),
+            SimpleNamespace(
+                header=header(int(stamp), "imu_link"),
+                orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+                orientation_covariance=[-1.0] + [0.0] * 8,
+                angular_velocity=_vector(rates[i]),
+                angular_velocity_covariance=[0.0] * 9,
+                linear_acceleration=_vector(accelerations[i]),
+                linear_acceleration_covariance=[0.0] * 9,
+            ),
+        )
+        for i, stamp in enumerate(stamps_ns)
+    ]
+
+
+def header(stamp_ns: int, frame: str = "base_link") -> SimpleNamespace:
+    """Make a std_msgs/Header."""
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame)
+
+
+def rewrite(
+    source: Path,
+    target: Path,
+    *,
+    compression: str = "zstd",
+    chunking: bool = True,
+    index: bool = True,
+    crc: bool = True,
+    summary: bool = True,
+    chunk_size: int = 1024 * 1024,
+    keep: Callable[[str], bool] = lambda topic: True,
+) -> Path:
+    """Copy an MCAP file message by message with other settings of the writer."""
+    with source.open("rb") as file, target.open("wb") as out:
+        writer = RawWriter(
+            out,
+            chunk_size=chunk_size,
+            compression=COMPRESSIONS[compression],
+            index_types=IndexType.ALL if index else IndexType.NONE,
+            use_chunking=chunking,
+            enable_crcs=crc,
+            enable_data_crcs=crc,
+            use_statistics=summary,
+            use_summary_offsets=summary,
+            repeat_channels=summary,
+            repeat_schemas=summary,
+        )
+        writer.start(profile="ros2")
+        channels: dict[int, int] = {}
+        for schema, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+            if not keep(channel.topic):
+                continue
+            if channel.id not in channels:
+                schema_id = 0
+                if schema is not None:
+                    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schema_id
+                )
+            writer.add_message(
+                channels[channel.id],
+                message.log_time,
+                message.data,
+                message.publish_time,
+                message.sequence,
+            )
+        writer.finish()
+    return target
+
+
+def _vector(values: Array) -> SimpleNamespace:
+    return SimpleNamespace(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+
+
+def _kind(content: SimpleNamespace) -> str:
+    return JOINT_STATE if hasattr(content, "position") else IMU
+
+
+def _write_cdr(
+    path: Path, messages: Sequence[Message], compression: CompressionType, chunk_size: int
+) -> None:
+    with path.open("wb") as out:
+        writer = Ros2Writer(out, chunk_size=chunk_size, compression=compression)
+        kinds = dict.fromkeys(_kind(content) for _, _, content in messages)
+        schemas = {kind: writer.register_msgdef(kind, DEFINITIONS[kind]) for kind in kinds}
+        for topic, log_ns, content in messages:
+            writer.write_message(topic, schemas[_kind(content)], content, log_ns, log_ns)
+        writer.finish()
+
+
+def _write_json(
+    path: Path, messages: Sequence[Message], compression: CompressionType, chunk_size: int
+) -> None:
+    with path.open("wb") as out:
+        writer = RawWriter(out, chunk_size=chunk_size, compression=compression)
+        writer.start()
+        channels: dict[str, int] = {}
+        for topic, log_ns, content in messages:
+            if topic not in channels:
+                schema = writer.register_schema(_kind(content), "jsonschema", b'{"type":"object"}')
+                channels[topic] = writer.register_channel(topic, "json", schema)
+            writer.add_message(channels[topic], log_ns, _json(content), log_ns)
+        writer.finish()
+
+
+def _json(content: SimpleNamespace) -> bytes:
+    return "".join(_tokens(content)).encode()
+
+
+def _tokens(content: SimpleNamespace) -> Iterator[str]:
+    yield from json.JSONEncoder(default=vars).iterencode(content)

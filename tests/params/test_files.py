@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.errors import UsageError
+from seqid_cli.params.files import check_output, replacing, write_text_atomic
+
+
+def test_a_new_file_has_the_usual_rights(tmp_path: Path) -> None:
+    plain = tmp_path / "plain"
+    plain.write_text("x")
+    write_text_atomic(tmp_path / "out.json", "new")
+    assert (tmp_path / "out.json").read_text() == "new"
+    assert (tmp_path / "out.json").stat().st_mode == plain.stat().st_mode
+
+
+def fail_half_way(path: Path) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text("half")
+        assert path.read_text() == "old"
+        raise RuntimeError
+
+
+def test_a_failure_keeps_the_old_file_and_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "out.json"
+    path.write_text("old")
+    with pytest.raises(RuntimeError):
+        fail_half_way(path)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_process_that_dies_in_the_middle_keeps_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "out.json"
+    path.write_text("old")
+    program = (
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from seqid_cli.params.files import replacing\n"
+        "with replacing(Path(sys.argv[1])) as temporary:\n"
+        "    temporary.write_text('half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(path)], check=False)
+    assert done.returncode == -9
+    assert path.read_text() == "old"
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real.json").write_text("old")
+    (tmp_path / "link.json").symlink_to(tmp_path / "real.json")
+    write_text_atomic(tmp_path / "link.json", "new")
+    assert (tmp_path / "link.json").is_symlink()
+    assert (tmp_path / "real.json").read_text() == "new"
+
+
+def test_a_device_is_written_and_not_replaced() -> None:
+    write_text_atomic(Path(os.devnull), "x")
+    assert not Path(os.devnull).is_file()
+
+
+def test_an_input_is_never_overwritten(tmp_path: Path) -> None:
+    source = tmp_path / "in.json"
+    source.write_text("precious")
+    (tmp_path / "same.json").hardlink_to(source)
+    for path in (source, tmp_path / "." / "in.json", tmp_path / "same.json"):
+        with pytest.raises(UsageError, match="is an input"):
+            write_text_atomic(path, "x", inputs=[source])
+    assert source.read_text() == "precious"
+
+
+def test_outputs_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="folder does not exist") as missing:
+        check_output(tmp_path / "no" / "out.json")
+    assert missing.value.hint == f"Make it: mkdir -p {tmp_path / 'no'}"
+    with pytest.raises(UsageError, match="is a folder"):
+        check_output(tmp_path)
+    with pytest.raises(UsageError, match="must be a file"):
+        check_output(Path("-"))
+
+
+def test_a_full_disk_is_a_message() -> None:
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("no /dev/full on this system")
+    with pytest.raises(UsageError, match="No space left"):
+        write_text_atomic(full, "x")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_rights(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(UsageError, match="not writable"):
+        check_output(tmp_path / "out.json")

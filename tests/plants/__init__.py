@@ -1,0 +1,1 @@
+"""Simulated robots, written apart from the package that identifies them."""

@@ -1,0 +1,71 @@
+"""The robot's own position controller: an observer on the encoder, PD, and a feedforward.
+
+It knows a nominal model only, so that the arm follows as a real one does: not perfectly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.plants.rigid import Rigid
+from tests.plants.trajectories import Reference
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Per joint, (n,): stiffness N m/rad, damping N m s/rad, observer bandwidth rad/s."""
+
+    stiffness: Array
+    damping: Array
+    observer: Array
+
+
+def gains_for(inertia: Array, *, bandwidth: float, observer: float) -> Gains:
+    """Critically damped PD of `bandwidth` rad/s on the given inertias (n,) kg m^2."""
+    return Gains(
+        stiffness=inertia * bandwidth**2,
+        damping=2.0 * inertia * bandwidth,
+        observer=np.full_like(inertia, observer),
+    )
+
+
+def feedforward(nominal: Rigid, reference: Reference, coulomb: Array, every: int = 1) -> Array:
+    """Nominal torque of the reference, (N, n) N m; computed at every `every`-th sample and held."""
+    rows = [
+        nominal.inverse(q, dq, ddq)
+        for q, dq, ddq in zip(
+            reference.q[::every], reference.dq[::every], reference.ddq[::every], strict=True
+        )
+    ]
+    rigid = np.repeat(np.array(rows), every, axis=0)[: len(reference.q)]
+    return np.asarray(rigid + coulomb * np.sign(reference.dq))
+
+
+class Controller:
+    """Torque command from the encoder, one call per control period."""
+
+    def __init__(self, gains: Gains, dt: float) -> None:
+        self._gains = gains
+        self._dt = dt
+        self._error = np.zeros_like(gains.stiffness)
+        self._rate = np.zeros_like(gains.stiffness)
+
+    def torque(self, encoder: Array, wanted: Array, ahead: Array) -> Array:
+        """Return the command (n,) N m.
+
+        Parameters
+        ----------
+        encoder : (n,) rad, quantised position
+        wanted : (n,) rad, reference position
+        ahead : (n,) N m, feedforward
+        """
+        gains = self._gains
+        surprise = encoder - wanted - self._error
+        self._error = self._error + self._dt * (self._rate + 2.0 * gains.observer * surprise)
+        self._rate = self._rate + self._dt * gains.observer**2 * surprise
+        return ahead - gains.stiffness * self._error - gains.damping * self._rate

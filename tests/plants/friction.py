@@ -1,0 +1,134 @@
+"""Joint friction as physics: a set-valued dry part and a smooth part.
+
+A law says how much dry friction there is to overcome in each direction and what smooth torque
+opposes the motion. Whether a joint sticks or slips is decided by `stick_slip`, exactly, at every
+step, so that a held joint rests and a reversal passes through stiction without a regularised sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Friction(NamedTuple):
+    """Friction of n joints, N m: dry level for dq > 0 and for dq < 0 (both >= 0), smooth torque."""
+
+    forward: Array
+    backward: Array
+    smooth: Array
+
+
+Law = Callable[[float, Array, Array, Array], Friction]  # (t [s], q, dq, load [N m]) -> Friction
+
+
+class FrictionModel(Protocol):
+    """Makes a law with fresh internal state for one run."""
+
+    def begin(self) -> Law:
+        """Return the law of one run."""
+        ...
+
+
+@dataclass(frozen=True)
+class SurfaceFriction:
+    """Dry friction that depends on position, with a Stribeck hump, and viscous friction.
+
+    level = coulomb [1 + sum_k amplitude_k sin(k q + phase_k)] + stribeck exp(-(dq/v_s)^2)
+    smooth = viscous dq, v_s = stribeck_speed. All (n,), harmonics (n, K); N m, rad/s, N m s/rad.
+    """
+
+    coulomb: Array
+    viscous: Array
+    stribeck: Array
+    stribeck_speed: Array
+    amplitude: Array
+    phase: Array
+
+    def __call__(self, t: float, q: Array, dq: Array, load: Array) -> Friction:
+        """Evaluate at one instant; q and dq are (..., n)."""
+        orders = np.arange(1, self.amplitude.shape[1] + 1)
+        waves = self.amplitude * np.sin(q[..., None] * orders + self.phase)
+        level = self.coulomb * (1.0 + waves.sum(axis=-1))
+        level = level + self.stribeck * np.exp(-((dq / self.stribeck_speed) ** 2))
+        return Friction(level, level, self.viscous * dq)
+
+    def begin(self) -> Law:
+        """Return the law itself: it has no internal state."""
+        return self.__call__
+
+
+@dataclass(frozen=True)
+class LoadDependent:
+    """Adds `gain` (n,) times the magnitude of the torque passed to the link to the dry level."""
+
+    base: FrictionModel
+    gain: Array
+
+    def begin(self) -> Law:
+        """Return the law of one run."""
+        base = self.base.begin()
+
+        def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
+            forward, backward, smooth = base(t, q, dq, load)
+            more = self.gain * np.abs(load)
+            return Friction(forward + more, backward + more, smooth)
+
+        return law
+
+
+@dataclass(frozen=True)
+class Frictionless:
+    """No friction at all, for checks of the mechanics."""
+
+    def begin(self) -> Law:
+        """Return the law of one run."""
+
+        def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
+            zero = np.zeros_like(q)
+            return Friction(zero, zero, zero)
+
+        return law
+
+
+def stick_slip(
+    mass: Array, force: Array, velocity: Array, dt: float, dry: Friction, sign: Array
+) -> tuple[Array, Array, Array]:
+    """Acceleration and dry friction of one step, with joints at rest held where friction can.
+
+    Parameters
+    ----------
+    mass : (n, n) kg m^2
+    force : (n,) N m, everything but dry friction
+    velocity : (n,) rad/s before the step
+    dt : float, s
+    dry : Friction, its levels
+    sign : (n,) first guess of the direction of slip after the step, 0 where stuck
+
+    Returns
+    -------
+    ddq (n,) rad/s^2, dry friction torque (n,) N m, sign (n,)
+    """
+    stop = -velocity / dt
+    for _ in range(12):
+        friction = np.where(sign > 0, dry.forward, np.where(sign < 0, -dry.backward, 0.0))
+        stuck = sign == 0
+        matrix, right = mass, force - friction
+        if stuck.any():
+            matrix = np.where(stuck[:, None], np.eye(len(sign)), mass)
+            right = np.where(stuck, stop, right)
+        ddq = np.linalg.solve(matrix, right)
+        friction = np.where(stuck, force - mass @ ddq, friction)
+        after = velocity + dt * ddq
+        halted = ~stuck & (after * sign < 0)
+        freed = stuck & ((friction > dry.forward) | (friction < -dry.backward))
+        if not (halted.any() or freed.any()):
+            break
+        sign = np.where(halted, 0.0, np.where(freed, np.sign(friction), sign))
+    return np.asarray(ddq), np.asarray(friction), sign

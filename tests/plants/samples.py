@@ -1,0 +1,248 @@
+"""Make the sample logs: `python -m tests.plants.samples OUTDIR [one_joint two_joint six_joint]`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tests.logs.writers import write_mcap, write_parquet
+from tests.plants.experiments import (
+    Trial,
+    friction_trials,
+    gravity_trials,
+    imu_trials,
+    inertia_trials,
+    validation_trials,
+)
+from tests.plants.rigid import PHI_NAMES
+from tests.plants.rigs import one_joint, six_joint, two_joint
+from tests.plants.robotfile import robot_toml, urdf_text
+from tests.plants.simulate import Log, Plant, simulate
+
+Array = NDArray[np.float64]
+Encoding = Literal["cdr", "json"]
+SEED = 20260101
+T0_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What one robot's samples consist of.
+
+    `every` control periods per row; `formats` says which stages, or "stage/trial", are MCAP and in
+    which encoding; the others are Parquet.
+    """
+
+    plant: Plant
+    trials: Sequence[Trial]
+    every: int
+    formats: Mapping[str, Encoding]
+    urdf: str | None = None
+    base: Mapping[str, float] | None = None
+
+
+def one_joint_recipe() -> Recipe:
+    """Sec. 4.1 at 1 kHz, all Parquet."""
+    plant, rng, home = one_joint(), np.random.default_rng(SEED), [np.zeros(1)]
+    trials = [
+        *friction_trials(plant, home),
+        *gravity_trials(plant, home, speeds=(0.1, 0.2)),
+        *imu_trials(plant, home),
+        *inertia_trials(plant, home, rng, seconds=12.0),
+        *validation_trials(plant, rng, runs=1, seconds=12.0),
+    ]
+    base = {"mx_1": float(plant.arm.phi[0, 1]), "my_1": 0.0, "Izz_1": float(plant.arm.phi[0, 9])}
+    return Recipe(plant, trials, 1, {}, base=base)
+
+
+def two_joint_recipe() -> Recipe:
+    """Sec. 4.2 at 250 Hz; the IMU rotations as JSON MCAP."""
+    plant, rng = two_joint(), np.random.default_rng(SEED + 1)
+    postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
+    trials = [
+        *friction_trials(plant, postures[:1]),
+        *imu_trials(plant, postures, turns=1),
+        *inertia_trials(plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0),
+        *validation_trials(plant, rng, runs=1, seconds=12.0, points=6),
+    ]
+    phi, length = plant.arm.phi, float(plant.arm.dh[1, 1])
+    pi_1 = phi[0, 9] + plant.arm.reflected[0] + phi[1, 0] * length**2
+    base = {
+        "pi_1": float(pi_1),
+        "pi_2": float(phi[1, 9]),
+        "pi_3": float(plant.arm.reflected[1]),
+        "pi_4": float(phi[1, 1]),
+        "pi_5": float(phi[1, 2]),
+    }
+    return Recipe(plant, trials, 4, {"imu": "json"}, base=base)
+
+
+SIX_POSTURES = np.array(
+    [
+        [0.0, -1.2, 0.9, -0.6, 0.7, 0.0],
+        [0.4, -0.7, 1.6, 0.9, -1.2, 1.1],
+        [-0.5, -1.7, -1.1, 1.7, 1.5, -1.4],
+        [0.9, -0.3, -0.6, -1.8, 0.3, 2.1],
+        [-1.0, -2.1, 1.9, 0.2, -0.5, -2.2],
+        [0.2, -1.5, 0.2, 2.3, 2.0, 0.6],
+    ]
+)
+
+
+def six_joint_recipe() -> Recipe:
+    """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP."""
+    plant, rng, postures = six_joint(), np.random.default_rng(SEED + 2), list(SIX_POSTURES)
+    trials = [
+        *friction_trials(plant, postures[:1], lowest=0.08),
+        *gravity_trials(plant, postures[:5], speeds=(0.3,)),
+        *imu_trials(plant, postures, turns=2),
+        *inertia_trials(plant, postures, rng, seconds=5.0),
+        *validation_trials(plant, rng, runs=1, seconds=15.0, points=6),
+    ]
+    shoulder = [f"inertia/{trial.name}" for trial in trials if trial.stage == "inertia"][:3]
+    return Recipe(plant, trials, 4, dict.fromkeys(shoulder, "cdr"), urdf="six_joint.urdf")
+
+
+RECIPES: Mapping[str, Callable[[], Recipe]] = {
+    "one_joint": one_joint_recipe,
+    "two_joint": two_joint_recipe,
+    "six_joint": six_joint_recipe,
+}
+
+
+def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
+    """Everything that the plant has and its logs do not say."""
+    plant, arm = recipe.plant, recipe.plant.arm
+    standard = {
+        f"{symbol}_{link + 1}": float(arm.phi[link, k])
+        for link in range(arm.n)
+        for k, symbol in enumerate(PHI_NAMES)
+    }
+    rotors = {f"Ia_{i + 1}": float(arm.rotor_inertia[i]) for i in range(arm.n)}
+    amperes = np.sqrt(plant.current_noise**2 + np.asarray(plant.current_step) ** 2 / 12.0)
+    torque_noise = amperes * plant.torque_per_ampere
+    return {
+        "robot": name,
+        "joints": list(arm.names),
+        "parameters": standard,
+        "rotor_inertia": rotors,
+        "base_parameters": dict(recipe.base or {}),
+        "rotor_coupling": "full" if arm.rotor_coupling else "diagonal",
+        "torque_noise_std": dict(zip(arm.names, torque_noise.tolist(), strict=True)),
+        "friction": {joint: friction_table(plant, i) for i, joint in enumerate(arm.names)},
+        "imus": {
+            imu.name: {
+                "after_joint": arm.names[imu.after],
+                "R_link_from_imu": imu.rotation.tolist(),
+                "lever": imu.lever.tolist(),
+                "noise_std": imu.noise,
+                "bias_std": imu.bias,
+            }
+            for imu in plant.imus
+        },
+    }
+
+
+def friction_table(plant: Plant, joint: int) -> dict[str, object]:
+    """Friction torque of one joint on a grid: rows are positions, columns velocities, N m."""
+    n, (low, high) = plant.arm.n, plant.position_limits[joint]
+    top = float(plant.velocity_limits[joint])
+    law = plant.friction.begin()
+    positions = np.linspace(low, high, 25)
+    speeds = np.geomspace(0.02 * top, top, 12)
+    velocities = np.concatenate([-speeds[::-1], speeds])
+    table = np.empty((len(positions), len(velocities)))
+    for row, position in enumerate(positions):
+        for column, velocity in enumerate(velocities):
+            level = law(0.0, np.full(n, position), np.full(n, velocity), np.zeros(n))
+            dry = level.forward if velocity > 0 else -level.backward
+            table[row, column] = dry[joint] + level.smooth[joint]
+    return {
+        "position": positions.tolist(),
+        "velocity": velocities.tolist(),
+        "torque": np.round(table, 9).tolist(),
+    }
+
+
+def save(folder: Path, recipe: Recipe, trial: Trial, log: Log) -> None:
+    """Write one log in the format of its stage."""
+    joints = recipe.plant.arm.names
+    target = folder / trial.stage / trial.name
+    target.parent.mkdir(parents=True, exist_ok=True)
+    arrays = log.accelerometers or None
+    encoding = recipe.formats.get(trial.stage)
+    encoding = recipe.formats.get(f"{trial.stage}/{trial.name}", encoding)
+    if encoding is None:
+        write_parquet(
+            target.with_suffix(".parquet"),
+            log.t,
+            joints,
+            log.q,
+            current=log.current,
+            accelerometers=arrays,
+        )
+        pack(target.with_suffix(".parquet"))
+        return
+    write_mcap(
+        target.with_suffix(".mcap"),
+        log.t,
+        joints,
+        log.q,
+        encoding=encoding,
+        effort=log.current,
+        accelerometers=arrays,
+        t0_ns=T0_NS,
+    )
+
+
+def pack(path: Path) -> None:
+    """Write a Parquet file again, smaller: many values as byte streams, few in a dictionary."""
+    table = pq.read_table(path)
+    columns = zip(table.column_names, table.columns, strict=True)
+    many = [name for name, column in columns if len(column.unique()) > len(column) / 8]
+    pq.write_table(
+        table,
+        path,
+        compression="zstd",
+        compression_level=9,
+        use_dictionary=[name for name in table.column_names if name not in many],
+        column_encoding=dict.fromkeys(many, "BYTE_STREAM_SPLIT"),
+    )
+
+
+def make(outdir: Path, name: str) -> None:
+    """Write the samples of one robot: robot file, truth, logs."""
+    recipe, folder = RECIPES[name](), outdir / name
+    folder.mkdir(parents=True, exist_ok=True)
+    text = robot_toml(name, recipe.plant, urdf=recipe.urdf)
+    (folder / "robot.toml").write_text(text, encoding="ascii")
+    if recipe.urdf is not None:
+        (folder / recipe.urdf).write_text(urdf_text(name, recipe.plant), encoding="ascii")
+    document = json.dumps(truth_document(name, recipe), indent=None) + "\n"
+    (folder / "truth.json").write_text(document, encoding="ascii")
+    for number, trial in enumerate(recipe.trials):
+        seed = SEED + 1000 + number
+        log = simulate(recipe.plant, trial.reference, seed, every=recipe.every, imus=trial.imus)
+        save(folder, recipe, trial, log)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Make the robots named after the folder, or all of them."""
+    if not arguments or not set(arguments[1:]) <= set(RECIPES):
+        sys.stderr.write(f"usage: python -m tests.plants.samples OUTDIR {list(RECIPES)}\n")
+        return 2
+    for name in arguments[1:] or RECIPES:
+        make(Path(arguments[0]), name)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

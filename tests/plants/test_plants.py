@@ -1,0 +1,345 @@
+"""The simulated robots obey mechanics, and their instruments read what they should."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from tests.plants.experiments import (
+    friction_trials,
+    gravity_trials,
+    imu_trials,
+    inertia_trials,
+    validation_trials,
+)
+from tests.plants.friction import Friction, Frictionless, LoadDependent, stick_slip
+from tests.plants.rigid import Arm, Rigid, build_model, link_motion
+from tests.plants.rigs import (
+    COUNTS,
+    GEAR,
+    LINK_INERTIA,
+    MOMENT,
+    PI_1,
+    TILT,
+    UPPER_LENGTH,
+    one_joint,
+    six_joint,
+    two_joint,
+)
+from tests.plants.robotfile import central_inertia, robot_toml, urdf_text
+from tests.plants.simulate import Plant, simulate
+from tests.plants.trajectories import Reference, hold, trapezoid
+
+Array = NDArray[np.float64]
+PLANTS = {"one_joint": one_joint, "two_joint": two_joint, "six_joint": six_joint}
+
+
+@pytest.fixture(params=sorted(PLANTS))
+def plant(request: pytest.FixtureRequest) -> Plant:
+    """Each of the robots."""
+    return PLANTS[str(request.param)]()
+
+
+def busy(plant: Plant, seconds: float = 2.0, rate_hz: float = 1000.0) -> Reference:
+    """All joints move."""
+    rng = np.random.default_rng(3)
+    trials = validation_trials(plant, rng, runs=1, seconds=seconds, points=1, rate_hz=rate_hz)
+    return trials[0].reference
+
+
+def released(plant: Plant) -> Plant:
+    """Return the same arm without friction and without control."""
+    zero = np.zeros(plant.arm.n)
+    gains = replace(plant.gains, stiffness=zero, damping=zero)
+    return replace(plant, friction=Frictionless(), gains=gains, coulomb_guess=zero)
+
+
+def fall(plant: Plant, seconds: float, rate_hz: float) -> tuple[Array, Array]:
+    """Let go of the arm in some posture: q and dq (N, n)."""
+    arm = plant.arm
+    weightless = replace(arm, phi=np.zeros_like(arm.phi) + 1e-12, rotor_inertia=np.zeros(arm.n))
+    start = np.linspace(0.5, 1.0, arm.n)
+    loose = replace(released(plant), nominal=weightless)
+    log = simulate(loose, hold(start, seconds, rate_hz), 0, imus=False)
+    return log.truth.q, log.truth.dq
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize("name", ["one_joint", "six_joint"])
+def test_energy_is_conserved_without_friction_and_control(name: str, coupled: bool) -> None:
+    """Kinetic plus potential energy stays while the arm falls and turns potential into kinetic."""
+    rig = PLANTS[name]()
+    arm = replace(rig.arm, rotor_coupling=coupled)
+    q, dq = fall(replace(rig, arm=arm), 0.8, 2000.0)
+    rigid = Rigid(arm)
+    total = np.array([rigid.energy(a, b) for a, b in zip(q[::50], dq[::50], strict=True)])
+    still = np.zeros(arm.n)
+    moved = abs(rigid.energy(q[-1], still) - rigid.energy(q[0], still))
+    assert moved > 0.002
+    assert np.abs(total - total[0]).max() < 2e-4 * moved
+
+
+def test_step_size_error_is_second_order() -> None:
+    """Halving the step divides the error by four."""
+    rig = six_joint()
+    ends = [fall(rig, 0.4, rate)[0][:: int(rate // 500)][-1] for rate in (500.0, 1000.0, 8000.0)]
+    coarse, fine = (np.abs(end - ends[2]).max() for end in ends[:2])
+    assert coarse / fine == pytest.approx(4.0, rel=0.15)
+
+
+def test_rest_stays_at_rest(plant: Plant) -> None:
+    """A held arm does not move by an encoder count, though its drives hold it against gravity."""
+    start = np.linspace(0.4, 0.9, plant.arm.n)
+    log = simulate(plant, hold(start, 1.0, 1000.0), 5, imus=False)
+    assert np.ptp(log.truth.q, axis=0).max() < plant.encoder_step.min()
+    assert np.ptp(log.q[100:], axis=0).max() <= 0.0
+
+
+def test_locked_joints_hold_while_another_moves() -> None:
+    """Stiction and the controller keep the others within a few encoder counts."""
+    rig = six_joint()
+    trial = imu_trials(rig, [np.linspace(0.2, 0.8, 6)], turns=1)[0]
+    log = simulate(rig, trial.reference, 1, imus=False)
+    assert np.ptp(log.truth.q[:, 0]) > 1.0
+    assert np.ptp(log.truth.q[:, 1:], axis=0).max() < 5 * rig.encoder_step.max()
+
+
+def test_accelerometers_at_rest_read_gravity(plant: Plant) -> None:
+    """Each triad reads 9.81 m/s^2, upwards in the base frame."""
+    q = np.linspace(0.3, 1.1, plant.arm.n)[None]
+    still = np.zeros_like(q)
+    for imu in plant.imus:
+        motion = link_motion(plant.arm, imu.after, q, still, still)
+        triads = imu.ideal(motion)[0].reshape(-1, 3)
+        upwards = motion.rotation[0] @ imu.rotation @ triads.T
+        np.testing.assert_allclose(upwards.T, np.tile([0.0, 0.0, 9.81], (4, 1)), atol=1e-12)
+
+
+def test_accelerometers_match_differentiated_positions(plant: Plant) -> None:
+    """Specific force is the second derivative of the sensor's place, minus gravity."""
+    step, t0 = 1e-4, 0.7
+    t = t0 + step * np.arange(-2, 3)
+    swing = np.linspace(0.4, 0.9, plant.arm.n)
+    pace = np.linspace(2.0, 3.5, plant.arm.n)
+    q = swing * np.sin(np.outer(t, pace))
+    dq, ddq = swing * pace * np.cos(pace * t0), -swing * pace**2 * np.sin(pace * t0)
+    model = build_model(plant.arm)
+    data = model.createData()
+    for imu in plant.imus:
+        points = imu.lever + imu.positions @ imu.rotation.T
+        places = []
+        for row in q:
+            pin.forwardKinematics(model, data, row)
+            places.append([data.oMi[imu.after + 1].act(p) for p in points])
+            if len(places) == 3:
+                turn = data.oMi[imu.after + 1].rotation.copy()
+        x = np.array(places)
+        second = (-x[0] + 16 * x[1] - 30 * x[2] + 16 * x[3] - x[4]) / (12 * step**2)
+        wanted = np.einsum(
+            "kj,kj->k", second - plant.arm.gravity, imu.axes @ (turn @ imu.rotation).T
+        )
+        motion = link_motion(plant.arm, imu.after, q[2][None], dq[None], ddq[None])
+        np.testing.assert_allclose(imu.ideal(motion)[0], wanted, atol=2e-5)
+
+
+def test_torque_balance_is_rnea_on_the_true_motion(plant: Plant) -> None:
+    """Actuator torque minus friction is Pinocchio's inverse dynamics plus the rotors."""
+    log = simulate(plant, busy(plant), 1, imus=False)
+    truth, rigid = log.truth, Rigid(plant.arm)
+    rows = range(0, len(log.t), 7)
+    tau = np.array([rigid.inverse(truth.q[k], truth.dq[k], truth.ddq[k]) for k in rows])
+    left = (truth.tau - truth.friction)[::7] - tau
+    scale = np.sqrt(np.mean(truth.tau**2, axis=0))
+    assert (np.sqrt(np.mean(left**2, axis=0)) < 2e-3 * scale).all()
+
+
+def test_true_rates_are_the_derivatives_of_the_true_position(plant: Plant) -> None:
+    """Central differences of q give dq; the position of a row is neither early nor late."""
+    log = simulate(plant, busy(plant), 1, imus=False)
+    slope = (log.truth.q[2:] - log.truth.q[:-2]) / (log.t[2:] - log.t[:-2])[:, None]
+    np.testing.assert_allclose(slope, log.truth.dq[1:-1], atol=1e-9)
+
+
+def test_arm_follows_its_reference(plant: Plant) -> None:
+    """The controller keeps the arm near the wanted motion and the motion is a wide one."""
+    reference = busy(plant, 6.0)
+    log = simulate(plant, reference, 1, imus=False)
+    span = np.ptp(plant.position_limits, axis=1)
+    assert (np.abs(log.truth.q - reference.q).max(axis=0) < 0.05 * span).all()
+    assert (np.ptp(log.truth.q, axis=0) > 0.2 * span).all()
+
+
+def test_one_joint_constants_are_the_papers() -> None:
+    """Sec. 4.1: axis, gear, encoder and CAD values."""
+    rig = one_joint()
+    axis = link_motion(rig.arm, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))).rotation
+    up = -rig.arm.gravity / np.linalg.norm(rig.arm.gravity)
+    assert np.rad2deg(np.arccos(axis[0, :, 2] @ up)) == pytest.approx(30.0)
+    assert rig.arm.gear[0] == 6.0
+    assert 2 * np.pi / rig.encoder_step[0] == pytest.approx(600.0)
+    assert 2 * np.pi / one_joint(quadrature_factor=4).encoder_step[0] == pytest.approx(2400.0)
+    assert (COUNTS, GEAR, MOMENT, LINK_INERTIA) == (100, 6.0, 0.0087, 0.0019)
+    gravity = [
+        abs(Rigid(rig.arm).gravity_torque(np.array([q]))[0]) for q in np.linspace(-3, 3, 601)
+    ]
+    assert max(gravity) == pytest.approx(9.81 * np.sin(TILT) * MOMENT, rel=1e-4)
+
+
+def test_two_joint_torque_is_eq_43_times_eq_44() -> None:
+    """H of Eq. 43 times pi of Eq. 44, written out, equals the plant's inverse dynamics."""
+    arm, length = two_joint().arm, UPPER_LENGTH
+    pi_base = np.array([PI_1, 0.0019, GEAR**2 * 2.5e-6, 0.0087, 0.0])
+    rng = np.random.default_rng(0)
+    for q, dq, ddq in rng.uniform(-3, 3, (20, 3, 2)):
+        c, s = np.cos(q[1]), np.sin(q[1])
+        whirl, both = 2 * dq[0] * dq[1] + dq[1] ** 2, 2 * ddq[0] + ddq[1]
+        a_21, a_22 = length * (both * c - whirl * s), -length * (whirl * c + both * s)
+        a_23, a_24 = dq[0] ** 2 * s + ddq[0] * c, dq[0] ** 2 * c - ddq[0] * s
+        first = [ddq[0], ddq.sum(), 0.0, a_21, a_22]
+        second = [0.0, ddq.sum(), ddq[1], length * a_23, length * a_24]
+        h = np.array([first, second])
+        np.testing.assert_allclose(Rigid(arm).inverse(q, dq, ddq), h @ pi_base, atol=1e-12)
+
+
+def test_bodies_are_physical(plant: Plant) -> None:
+    """Positive masses, inertias about the centre of mass obey the triangle inequality."""
+    for phi in np.vstack([plant.arm.phi, plant.nominal.phi]):
+        mass, _, inertia = central_inertia(phi)
+        moments = np.linalg.eigvalsh(inertia)
+        assert mass > 0
+        assert moments[0] > 0
+        assert moments[0] + moments[1] >= moments[2]
+
+
+def test_rotor_coupling_is_lagranges() -> None:
+    """The coupled mass matrix has kinetic energy 1/2 I_m [(N dq_i + z_i w)^2 - (z_i w)^2]."""
+    arm: Arm = replace(six_joint().arm, rotor_coupling=True)
+    plain = Rigid(replace(arm, rotor_coupling=False, rotor_inertia=np.zeros(6)))
+    rng = np.random.default_rng(4)
+    q, dq = rng.uniform(-2, 2, (2, 6))
+    extra = Rigid(arm).energy(q, dq) - plain.energy(q, dq)
+    still = np.zeros((1, 6))
+    wanted = 0.5 * arm.rotor_inertia[0] * (arm.gear[0] * dq[0]) ** 2
+    for i in range(1, 6):
+        motion = link_motion(arm, i, q[None], dq[None], still)
+        spin = motion.omega[0, 2] - dq[i]
+        wanted += 0.5 * arm.rotor_inertia[i] * ((arm.gear[i] * dq[i] + spin) ** 2 - spin**2)
+    assert extra == pytest.approx(wanted, rel=1e-9)
+
+
+def test_same_seed_same_log_other_seed_other_noise(plant: Plant) -> None:
+    """The seed decides the noise and nothing else."""
+    reference = busy(plant, 1.0)
+    first, again, other = (simulate(plant, reference, seed) for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first.current, again.current)
+    for name, readings in first.accelerometers.items():
+        np.testing.assert_array_equal(readings, again.accelerometers[name])
+    np.testing.assert_array_equal(first.truth.q, other.truth.q)
+    assert (first.current != other.current).any()
+
+
+def test_current_noise_has_the_stated_deviation(plant: Plant) -> None:
+    """Current minus true torque over the drive constant: its deviation, without bias."""
+    log = simulate(plant, busy(plant, 4.0), 2, imus=False)
+    error = log.current - log.truth.tau / plant.torque_per_ampere
+    np.testing.assert_allclose(error.std(axis=0), plant.current_noise, rtol=0.12)
+
+
+def test_encoder_reads_whole_counts(plant: Plant) -> None:
+    """Positions are multiples of the encoder's step, half a step from the truth at most."""
+    log = simulate(plant, busy(plant, 1.0), 2, imus=False)
+    counts = log.q / plant.encoder_step
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+    assert (np.abs(log.q - log.truth.q) <= 0.5001 * plant.encoder_step).all()
+
+
+def test_stick_slip_holds_below_the_level_and_slips_above() -> None:
+    """A block of 1 kg m^2 with 2 N m of stiction."""
+    dry = Friction(np.array([2.0]), np.array([2.0]), np.zeros(1))
+    one, rest = np.eye(1), np.zeros(1)
+    for push, ddq, rub in ((1.9, 0.0, 1.9), (-2.0, 0.0, -2.0), (3.0, 1.0, 2.0), (-5.0, -3.0, -2.0)):
+        got, friction, _ = stick_slip(one, np.array([push]), rest, 1e-3, dry, np.zeros(1))
+        assert got[0] == pytest.approx(ddq)
+        assert friction[0] == pytest.approx(rub)
+
+
+def test_load_dependence_adds_friction_with_gravity_load() -> None:
+    """The same move, with friction that grows with the load, needs more torque both ways."""
+    rig = one_joint()
+    loaded = replace(rig, friction=LoadDependent(rig.friction, np.array([0.3])))
+    trial = friction_trials(rig, [np.zeros(1)], speeds=1, lowest=0.5)[0]
+    plain, heavy = (simulate(x, trial.reference, 0, imus=False).truth for x in (rig, loaded))
+    mid = np.abs(plain.dq[:, 0]) > 3.0
+    assert (np.abs(heavy.friction[mid]).mean() - np.abs(plain.friction[mid]).mean()) > 0.002
+
+
+def test_friction_trials_hold_long_stretches_of_constant_speed(plant: Plant) -> None:
+    """Every joint, twelve speeds, both directions, over most of its range."""
+    trials = friction_trials(plant, [np.zeros(plant.arm.n)])
+    assert len(trials) == plant.arm.n
+    for joint, trial in enumerate(trials):
+        motion = trial.reference
+        steady = (motion.ddq[:, joint] == 0) & (motion.dq[:, joint] != 0)
+        speeds = np.unique(motion.dq[steady, joint].round(9))
+        assert len(speeds) == 24
+        top = speeds.max()
+        stretch = motion.q[steady & np.isclose(motion.dq[:, joint], top), joint]
+        assert np.ptp(stretch) > 0.5 * np.ptp(plant.position_limits[joint])
+        assert not np.delete(motion.dq, joint, axis=1).any()
+
+
+def test_inertia_trials_move_every_pair_near_its_limits() -> None:
+    """Fifteen pairs of six joints, two joints each."""
+    rig = six_joint()
+    trials = inertia_trials(rig, [np.zeros(6)], np.random.default_rng(0), seconds=2.0)
+    assert len(trials) == 15
+    for trial in trials:
+        moving = trial.reference.dq.any(axis=0)
+        assert moving.sum() == 2
+        peak = np.abs(trial.reference.ddq).max(axis=0)
+        assert (peak[moving] > 0.5 * rig.acceleration_limits[moving]).all()
+
+
+def test_references_do_not_jump(plant: Plant) -> None:
+    """Every trial is a motion that a robot could follow: no step in position."""
+    rng, n = np.random.default_rng(0), plant.arm.n
+    postures = [x * np.ones(n) for x in (-0.9, -0.3, 0.15)]
+    trials = [
+        *friction_trials(plant, postures[:1]),
+        *gravity_trials(plant, postures),
+        *imu_trials(plant, postures),
+        *inertia_trials(plant, postures, rng, seconds=2.0),
+        *validation_trials(plant, rng, seconds=4.0, points=2),
+    ]
+    for trial in trials:
+        motion = trial.reference
+        step = np.abs(np.diff(motion.q, axis=0)).max(axis=0) * motion.rate_hz
+        assert (step <= 1.001 * plant.velocity_limits).all(), trial.name
+        assert (motion.q >= plant.position_limits[:, 0]).all()
+        assert (motion.q <= plant.position_limits[:, 1]).all()
+
+
+def test_trapezoid_ends_where_it_should() -> None:
+    """Rest to rest, inside its limits, derivatives consistent."""
+    q, dq, ddq = trapezoid(1.0, -2.0, 1.5, 6.0, 1000.0)
+    assert q[-1] == pytest.approx(-2.0)
+    assert dq[-1] == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(dq).max() <= 1.5 + 1e-12
+    assert np.abs(ddq).max() <= 6.0
+    np.testing.assert_allclose(np.diff(q) * 1000.0, 0.5 * (dq[1:] + dq[:-1]), atol=2e-3)
+
+
+def test_urdf_is_the_nominal_arm() -> None:
+    """Pinocchio reads the URDF back as the geometry of the DH table and the nominal bodies."""
+    rig = six_joint()
+    model = pin.buildModelFromXML(urdf_text("six_joint", rig))
+    own = build_model(rig.nominal)
+    assert list(model.names)[1:] == list(rig.arm.names)
+    q, dq, ddq = np.random.default_rng(1).uniform(-1, 1, (3, 6))
+    read = pin.rnea(model, model.createData(), q, dq, ddq)
+    np.testing.assert_allclose(read, pin.rnea(own, own.createData(), q, dq, ddq), rtol=1e-6)
+    assert 'after_joint = "elbow"' in robot_toml("six_joint", rig, urdf="six_joint.urdf")

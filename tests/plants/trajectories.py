@@ -1,0 +1,207 @@
+"""Reference motions at the control rate: trapezoids, joint pairs, Fourier series, postures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Wanted motion: q, dq, ddq (N, n) in rad and s, one row every 1/rate_hz s."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    rate_hz: float
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return len(self.q) / self.rate_hz
+
+
+Profile = tuple[Array, Array, Array]  # position, velocity, acceleration of one joint, (N,) each
+
+
+def join(parts: Sequence[Reference]) -> Reference:
+    """Put references one after the other."""
+    return Reference(
+        np.concatenate([p.q for p in parts]),
+        np.concatenate([p.dq for p in parts]),
+        np.concatenate([p.ddq for p in parts]),
+        parts[0].rate_hz,
+    )
+
+
+def hold(q: Array, seconds: float, rate_hz: float) -> Reference:
+    """Stay at q (n,)."""
+    count = round(seconds * rate_hz)
+    zero = np.zeros((count, len(q)))
+    return Reference(np.tile(q, (count, 1)), zero, zero.copy(), rate_hz)
+
+
+def trapezoid(start: float, end: float, speed: float, accel: float, rate_hz: float) -> Profile:
+    """Trapezoidal velocity from rest to rest; a triangle where the way is too short for `speed`."""
+    way = abs(end - start)
+    top = min(speed, np.sqrt(way * accel))
+    if way == 0.0:
+        return np.full(1, start), np.zeros(1), np.zeros(1)
+    ramp, total = top / accel, way / top + top / accel
+    t = np.arange(1, int(np.ceil(total * rate_hz)) + 1) / rate_hz
+    t = np.minimum(t, total)
+    up = np.minimum(t, ramp)
+    down = np.maximum(t - (total - ramp), 0.0)
+    flat = t - up - down
+    sign = np.sign(end - start)
+    speed_now = accel * (up - down)
+    moved = 0.5 * accel * up**2 + top * flat + top * down - 0.5 * accel * down**2
+    push = np.where(t < ramp, accel, np.where(t > total - ramp, -accel, 0.0))
+    speed_now[-1] = push[-1] = 0.0
+    moved[-1] = way
+    return start + sign * moved, sign * speed_now, sign * push
+
+
+def single(home: Array, joint: int, profile: Profile, rate_hz: float) -> Reference:
+    """One joint follows `profile`; the others stay at `home` (n,)."""
+    count = len(profile[0])
+    q = np.tile(home, (count, 1))
+    dq, ddq = np.zeros_like(q), np.zeros_like(q)
+    q[:, joint], dq[:, joint], ddq[:, joint] = profile
+    return Reference(q, dq, ddq, rate_hz)
+
+
+def sweeps(
+    home: Array,
+    joint: int,
+    span: tuple[float, float],
+    speeds: Sequence[float],
+    accel: float,
+    *,
+    rate_hz: float,
+    dwell: float = 0.25,
+) -> Reference:
+    """Forward and backward over `span` rad at each of `speeds` rad/s, `dwell` s of rest between."""
+    low, high = span
+    start, end = home.copy(), home.copy()
+    start[joint], end[joint] = low, high
+    parts = [hold(start, 2 * dwell, rate_hz)]
+    for speed in speeds:
+        for begin, finish, rest in ((low, high, end), (high, low, start)):
+            profile = trapezoid(begin, finish, speed, accel, rate_hz)
+            parts += [single(home, joint, profile, rate_hz), hold(rest, dwell, rate_hz)]
+    return join(parts)
+
+
+def zigzag(
+    rng: np.random.Generator,
+    span: tuple[float, float],
+    speed: float,
+    accel: float,
+    seconds: float,
+    rate_hz: float,
+) -> Profile:
+    """Trapezoids of varied length, speed and acceleration between points drawn from `span`."""
+    low, high = span
+    here = 0.5 * (low + high)
+    parts: list[Profile] = []
+    count = 0
+    while count < seconds * rate_hz:
+        side = low if here > 0.5 * (low + high) else high
+        there = float(side + (here - side) * 0.6 * rng.random())
+        pace, push = speed * rng.uniform(0.5, 1.0), accel * rng.uniform(0.5, 1.0)
+        parts.append(trapezoid(here, there, pace, push, rate_hz))
+        count += len(parts[-1][0])
+        here = there
+    q, dq, ddq = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    return q, dq, ddq
+
+
+def together(home: Array, moving: dict[int, Profile], rate_hz: float) -> Reference:
+    """Several joints at once, each by its own profile; the others stay at `home` (n,)."""
+    rest = [(np.full(1, x), np.zeros(1), np.zeros(1)) for x in home]
+    return side_by_side([moving.get(i, rest[i]) for i in range(len(home))], rate_hz)
+
+
+def fourier(
+    rng: np.random.Generator,
+    low: Array,
+    high: Array,
+    speed: Array,
+    accel: Array,
+    *,
+    seconds: float,
+    harmonics: int,
+    rate_hz: float,
+) -> Reference:
+    """Random Fourier series that starts and ends at rest and stays inside the limits, all (n,).
+
+    Each joint is scaled until it reaches the first of its limits of position, speed, acceleration.
+    """
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    base = 2.0 * np.pi / seconds
+    k = np.arange(1, harmonics + 1)
+    weight = rng.standard_normal((2, harmonics, len(low))) / k[None, :, None]
+    angle = base * np.outer(t, k)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    rate = (base * k)[:, None]
+    q = sine @ weight[0] + cosine @ weight[1]
+    dq = cosine @ (rate * weight[0]) - sine @ (rate * weight[1])
+    ddq = -sine @ (rate**2 * weight[0]) - cosine @ (rate**2 * weight[1])
+    q, dq, ddq = _windowed(t, seconds, q - q.mean(axis=0), dq, ddq)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    scale = np.min(
+        [half / np.abs(q).max(0), speed / np.abs(dq).max(0), accel / np.abs(ddq).max(0)], axis=0
+    )
+    return Reference(middle + scale * q, scale * dq, scale * ddq, rate_hz)
+
+
+def _windowed(t: Array, seconds: float, q: Array, dq: Array, ddq: Array) -> Profile:
+    """Fade in and out over one second with a smooth step, derivatives by the product rule."""
+    fade = min(1.0, 0.25 * seconds)
+    s = np.clip(np.minimum(t, seconds - t) / fade, 0.0, 1.0)
+    side = np.where(t < 0.5 * seconds, 1.0, -1.0) / fade
+    w = (s**3 * (10 - 15 * s + 6 * s**2))[:, None]
+    dw = (30 * s**2 * (1 - s) ** 2 * side)[:, None]
+    ddw = (60 * s * (1 - s) * (1 - 2 * s) * side**2)[:, None]
+    return w * q, dw * q + w * dq, ddw * q + 2 * dw * dq + w * ddq
+
+
+def point_to_point(
+    rng: np.random.Generator,
+    low: Array,
+    high: Array,
+    speed: Array,
+    accel: Array,
+    *,
+    points: int,
+    rate_hz: float,
+    dwell: float = 0.3,
+) -> Reference:
+    """Straight joint moves between random postures, every joint by its own trapezoid, all (n,)."""
+    here = 0.5 * (low + high)
+    parts = [hold(here, dwell, rate_hz)]
+    for _ in range(points):
+        there = rng.uniform(low, high)
+        profiles = [
+            trapezoid(float(a), float(b), float(v), float(acc), rate_hz)
+            for a, b, v, acc in zip(here, there, speed, accel, strict=True)
+        ]
+        parts += [side_by_side(profiles, rate_hz), hold(there, dwell, rate_hz)]
+        here = there
+    return join(parts)
+
+
+def side_by_side(profiles: Sequence[Profile], rate_hz: float) -> Reference:
+    """Joints start together; those that arrive first wait."""
+    count = max(len(p[0]) for p in profiles)
+    columns = [
+        np.column_stack([np.pad(p[i], (0, count - len(p[i])), mode="edge") for p in profiles])
+        for i in range(3)
+    ]
+    return Reference(columns[0], columns[1], columns[2], rate_hz)

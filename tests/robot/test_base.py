@@ -1,0 +1,236 @@
+"""Base parameters: identities, the paper's own case, and counts known from the literature."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from seqid_cli.robot.base import (
+    base_parameters,
+    base_regressor,
+    parameter_unit,
+    standard_names,
+    standard_regressor,
+)
+from seqid_cli.robot.dh import DhRow, chain_from_dh
+from seqid_cli.robot.regressor import gravity_regressor, rotor_regressor, torque_regressor
+from seqid_cli.robot.types import Array, Robot
+
+from .robots import (
+    GRAVITY,
+    HALF,
+    arm_6r,
+    planar_2r,
+    random_model,
+    robot_from_chain,
+    states,
+)
+
+Coupling = Literal["diagonal", "gyroscopic"]
+
+
+def _scara() -> Robot:
+    rows = [
+        DhRow(0.0, 0.0, 0.4, 0.0),
+        DhRow(0.0, 0.3, 0.0, 0.0),
+        DhRow(0.0, 0.25, 0.0, 0.0, prismatic=True),
+        DhRow(0.0, 0.0, 0.0, 0.0),
+    ]
+    return robot_from_chain(chain_from_dh(rows), gear_ratio=50.0)
+
+
+def _skew() -> Robot:
+    _, chain = random_model(np.random.default_rng(3), [False, False, True, False])
+    return robot_from_chain(chain, gravity=np.array([1.0, 2.0, -9.0]), gear_ratio=-30.0)
+
+
+def _seven() -> Robot:
+    twists = (0.0, -HALF, HALF, HALF, -HALF, HALF, HALF)
+    offsets = ((0.0, 0.333), (0, 0), (0, 0.316), (0.0825, 0), (-0.0825, 0.384), (0, 0), (0.088, 0))
+    rows = [DhRow(al, a, d, 0.0) for al, (a, d) in zip(twists, offsets, strict=True)]
+    return robot_from_chain(chain_from_dh(rows), gear_ratio=100.0)
+
+
+ROBOTS = {
+    "planar": planar_2r,
+    "arm_6r": lambda: arm_6r(gear_ratio=101.0),
+    "scara": _scara,
+    "skew": _skew,
+    "seven": _seven,
+}
+
+
+def _phi(robot: Robot, rotor: list[int], rng: np.random.Generator) -> Array:
+    phi = rng.normal(size=11 * robot.n)
+    unknown = np.isin(np.arange(robot.n), rotor)
+    phi[10 * robot.n :] *= unknown
+    return phi
+
+
+@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
+@pytest.mark.parametrize("rotors", ["none", "all", "last"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_base_parameters_say_all_and_nothing_twice(
+    name: str, rotors: str, coupling: Coupling
+) -> None:
+    robot = ROBOTS[name]()
+    rotor = {"none": [], "all": list(range(robot.n)), "last": [robot.n - 1]}[rotors]
+    rng = np.random.default_rng(11)
+    basis = base_parameters(robot, rotor=rotor, coupling=coupling)
+    q, dq, ddq = states(rng, 200, robot.n)
+    phi = _phi(robot, rotor, rng)
+    tau = standard_regressor(robot, q, dq, ddq, coupling=coupling) @ phi
+    H = base_regressor(robot, basis, q, dq, ddq)
+    np.testing.assert_allclose(H @ (basis.expression @ phi), tau, atol=1e-10 * abs(tau).max())
+    stacked = H.reshape(-1, basis.size)
+    assert np.linalg.matrix_rank(stacked / np.linalg.norm(stacked, axis=0)) == basis.size
+    identity = basis.expression @ basis.representative
+    np.testing.assert_allclose(identity, np.eye(basis.size), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_base_regressor_is_the_standard_one_times_the_representative(name: str) -> None:
+    robot = ROBOTS[name]()
+    basis = base_parameters(robot, rotor=range(robot.n), coupling="gyroscopic")
+    q, dq, ddq = states(np.random.default_rng(12), 30, robot.n)
+    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    ratio = np.array([joint.gear_ratio for joint in robot.joints], dtype=float)
+    rotors = rotor_regressor(robot.chain, q, dq, ddq, ratio, "gyroscopic")
+    expected = np.concatenate((Y, rotors), axis=2) @ basis.representative
+    H = base_regressor(robot, basis, q, dq, ddq)
+    np.testing.assert_allclose(H, expected, atol=1e-12 * abs(expected).max())
+    assert H.transpose(1, 2, 0).flags.c_contiguous
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_gravity_parameters_are_those_of_gravity_alone(name: str) -> None:
+    robot = ROBOTS[name]()
+    rng = np.random.default_rng(13)
+    basis = base_parameters(robot, rotor=range(robot.n))
+    g = int(basis.gravity.sum())
+    assert basis.gravity.tolist() == [True] * g + [False] * (basis.size - g)
+    q, _, _ = states(rng, 100, robot.n)
+    at_rest = base_regressor(robot, basis, q, np.zeros_like(q), np.zeros_like(q))
+    assert abs(at_rest[:, :, g:]).max(initial=0.0) < 1e-10
+    Y = gravity_regressor(robot.chain, robot.gravity, q)
+    phi = rng.normal(size=11 * robot.n)
+    expected = Y @ phi[: 10 * robot.n]
+    found = at_rest[:, :, :g] @ (basis.expression[:g] @ phi)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    assert g == np.linalg.matrix_rank(Y.reshape(-1, 10 * robot.n), tol=1e-8)
+    inertias = [k for k, n in enumerate(standard_names(robot.n)) if n[0] == "I"]
+    assert not basis.expression[:g, inertias].any()
+
+
+@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
+def test_planar_arm_has_the_papers_five_parameters(coupling: Coupling) -> None:
+    robot = planar_2r()
+    basis = base_parameters(robot, rotor=[0, 1], coupling=coupling)
+    assert not basis.gravity.any()
+    assert basis.names == ("Izz_1", "mx_2", "my_2", "Izz_2", "Ia_2")
+    if coupling == "diagonal":  # Eq. 44; N_2^2 is a factor of the column here
+        assert basis.terms(0) == pytest.approx({"Izz_1": 1.0, "m_2": 0.09, "Ia_1": 36.0})
+        assert [basis.expression_text(k) for k in range(1, 5)] == ["mx_2", "my_2", "Izz_2", "Ia_2"]
+        assert basis.expression_text(0) == "Izz_1 + 0.09*m_2 + 36*Ia_1"
+
+
+def test_planar_arm_has_the_papers_regressor() -> None:
+    robot = planar_2r()
+    basis = base_parameters(robot, rotor=[0, 1], coupling="diagonal")
+    q, dq, ddq = states(np.random.default_rng(14), 50, 2)
+    H = base_regressor(robot, basis, q, dq, ddq)
+    (v1, v2), (a1, a2), length = dq.T, ddq.T, 0.3
+    sine, cosine, zero = np.sin(q[:, 1]), np.cos(q[:, 1]), np.zeros(50)
+    centrifugal, both = 2 * v1 * v2 + v2**2, 2 * a1 + a2
+    first = [  # Eq. 43, columns in our order
+        a1,
+        length * (-centrifugal * sine + both * cosine),
+        length * (-centrifugal * cosine - both * sine),
+        a1 + a2,
+        zero,
+    ]
+    second = [
+        zero,
+        length * (v1**2 * sine + a1 * cosine),
+        length * (v1**2 * cosine - a1 * sine),
+        a1 + a2,
+        36.0 * a2,
+    ]
+    np.testing.assert_allclose(H, np.array([first, second]).transpose(2, 0, 1), atol=1e-12)
+
+
+def test_no_gravity_parameters_where_gravity_is_zero_or_along_skew_parallel_axes() -> None:
+    assert not base_parameters(planar_2r(gravity=np.zeros(3)), rotor=[]).gravity.any()
+    tilt = chain_from_dh([DhRow(0.7, 0.0, 0.0, 0.0), DhRow(0.0, 0.3, 0.0, 0.0)])
+    along = 9.81 * np.array([0.0, np.sin(0.7), -np.cos(0.7)])
+    basis = base_parameters(robot_from_chain(tilt, gravity=along), rotor=[])
+    assert basis.size == 4
+    assert not basis.gravity.any()
+    tipped = base_parameters(robot_from_chain(tilt, gravity=GRAVITY), rotor=[])
+    assert tipped.gravity.sum() == 4  # mx and my of both links: then 6 in all
+    assert tipped.size == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "without", "with_rotors"), [("arm_6r", 36, 40), ("seven", 43, 48), ("planar", 4, 5)]
+)
+def test_counts_known_from_the_literature(name: str, without: int, with_rotors: int) -> None:
+    robot = ROBOTS[name]()
+    assert base_parameters(robot, rotor=[]).size == without
+    assert base_parameters(robot, rotor=range(robot.n)).size == with_rotors
+
+
+def test_rounded_quarter_turns_do_not_add_parameters() -> None:
+    rows = [DhRow(round(al, 4), a, d, 0.0) for al, a, d in _rough_table()]
+    assert base_parameters(robot_from_chain(chain_from_dh(rows)), rotor=[]).size == 36
+
+
+def _rough_table() -> tuple[tuple[float, float, float], ...]:
+    return (
+        (0.0, 0.0, 0.089159),
+        (HALF, 0.0, 0.0),
+        (0.0, -0.425, 0.0),
+        (0.0, -0.39225, 0.10915),
+        (HALF, 0.0, 0.09465),
+        (-HALF, 0.0, 0.0823),
+    )
+
+
+def test_huge_gear_ratios_do_not_hide_links() -> None:
+    small = base_parameters(arm_6r(gear_ratio=1.0), rotor=range(6))
+    large = base_parameters(arm_6r(gear_ratio=5000.0), rotor=range(6))
+    assert large.names == small.names
+
+
+def test_basis_is_the_same_every_time() -> None:
+    first = base_parameters(_skew(), rotor=[1, 3], coupling="gyroscopic")
+    again = base_parameters(_skew(), rotor=(3, 1), coupling="gyroscopic")
+    assert first.names == again.names
+    np.testing.assert_array_equal(first.expression, again.expression)
+    np.testing.assert_array_equal(first.representative, again.representative)
+
+
+def test_expressions_are_tidy_and_agree_with_the_matrix() -> None:
+    basis = base_parameters(arm_6r(gear_ratio=101.0), rotor=range(6))
+    names = standard_names(6)
+    for k in range(basis.size):
+        terms = basis.terms(k)
+        assert next(iter(terms)) == basis.names[k]
+        row = np.zeros(66)
+        for name, factor in terms.items():
+            row[names.index(name)] = factor
+        np.testing.assert_allclose(row, basis.expression[k], atol=1e-9)
+        assert "1*" not in basis.expression_text(k).replace(".", "").split(" ")[0]
+    elbow = basis.names.index("mx_3")
+    assert basis.expression_text(elbow) == "mx_3 - 0.3922*m_4 - 0.3922*m_5 - 0.3922*m_6"
+
+
+def test_units_and_joints_follow_from_names() -> None:
+    basis = base_parameters(planar_2r(), rotor=[1])
+    assert [basis.unit(k) for k in range(5)] == ["kg m^2", "kg m", "kg m", "kg m^2", "kg m^2"]
+    assert [basis.joint_index(k) for k in range(5)] == [0, 1, 1, 1, 1]
+    assert parameter_unit("m_12") == "kg"
+    assert standard_names(2)[10:12] == ("m_2", "mx_2")
+    assert standard_names(2)[20:] == ("Ia_1", "Ia_2")

@@ -1,0 +1,110 @@
+"""Kinematics against Pinocchio and against the paper's own matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from seqid_cli.robot.dh import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import (
+    forward,
+    link_angular_motion,
+    link_rotation,
+    rotation_between,
+)
+from seqid_cli.robot.placement import rotation_about, tidy_position, tidy_rotation
+from seqid_cli.robot.types import Array
+
+from .robots import arm_6r, random_model, states
+
+MIXED = [False, True, False, False]
+
+
+def test_frames_are_pinocchios() -> None:
+    rng = np.random.default_rng(0)
+    model, chain = random_model(rng, MIXED)
+    q, _, _ = states(rng, 5, 4)
+    frames = forward(chain, q)
+    data = model.createData()
+    for k in range(5):
+        pin.forwardKinematics(model, data, q[k])
+        for i in range(4):
+            placement = data.oMi[i + 1]
+            np.testing.assert_allclose(frames.R[k, i], placement.rotation, atol=1e-12)
+            np.testing.assert_allclose(frames.p[k, i], placement.translation, atol=1e-12)
+            np.testing.assert_allclose(frames.z[k, i], placement.rotation @ chain.axis[i])
+
+
+def test_angular_motion_is_pinocchios() -> None:
+    rng = np.random.default_rng(1)
+    model, chain = random_model(rng, MIXED)
+    q, dq, ddq = states(rng, 5, 4)
+    data = model.createData()
+    for link in range(4):
+        motion = link_angular_motion(chain, q, dq, ddq, link)
+        for k in range(5):
+            pin.forwardKinematics(model, data, q[k], dq[k], ddq[k])
+            np.testing.assert_allclose(motion.w[k], data.v[link + 1].angular, atol=1e-12)
+            np.testing.assert_allclose(motion.dw[k], data.a[link + 1].angular, atol=1e-12)
+
+
+def _equation_27(alpha: float, theta: float) -> Array:
+    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array([[ct, -st, 0.0], [st * ca, ct * ca, -sa], [st * sa, ct * sa, ca]])
+
+
+def test_rotation_between_is_equations_27_and_28() -> None:
+    rng = np.random.default_rng(2)
+    alpha, theta0 = rng.uniform(-3.0, 3.0, size=(2, 4))
+    rows = [DhRow(alpha[k], 0.1, 0.2, theta0[k]) for k in range(4)]
+    chain = chain_from_dh(rows)
+    q = rng.uniform(-3.0, 3.0, size=(6, 4))
+    for k, sample in enumerate(q):
+        steps = [_equation_27(alpha[i], theta0[i] + sample[i]) for i in range(4)]
+        np.testing.assert_allclose(
+            rotation_between(chain, q, 0, 3)[k], steps[1] @ steps[2] @ steps[3]
+        )
+        np.testing.assert_allclose(rotation_between(chain, q, 2, 1)[k], steps[2].T)
+        np.testing.assert_allclose(link_rotation(chain, q, 1)[k], steps[0] @ steps[1])
+    np.testing.assert_array_equal(rotation_between(chain, q, 2, 2), np.tile(np.eye(3), (6, 1, 1)))
+
+
+def test_dh_frames_are_products_of_the_four_moves() -> None:
+    rows = [DhRow(0.3, 0.2, 0.5, -0.7), DhRow(-1.1, 0.1, 0.4, 0.9, prismatic=True)]
+    q = np.array([0.6, 0.25])
+    T = np.eye(4)
+    for row, value in zip(rows, q, strict=True):
+        angle, slide = (row.theta0, row.d + value) if row.prismatic else (row.theta0 + value, row.d)
+        T = T @ _move([1, 0, 0], row.alpha, row.a) @ _move([0, 0, 1], angle, slide)
+    frames = forward(chain_from_dh(rows), q[None])
+    np.testing.assert_allclose(frames.R[0, 1], T[:3, :3], atol=1e-14)
+    np.testing.assert_allclose(frames.p[0, 1], T[:3, 3], atol=1e-14)
+
+
+def _move(axis: list[int], angle: float, slide: float) -> Array:
+    T = np.eye(4)
+    T[:3, :3] = rotation_about(np.array(axis, dtype=float), angle)
+    T[:3, 3] = slide * np.array(axis)
+    return T
+
+
+@pytest.mark.parametrize("angle", [1.5708, 1.570796, -1.5708, 3.14159])
+def test_rounded_quarter_turns_become_exact(angle: float) -> None:
+    R = tidy_rotation(rotation_about(np.array([1.0, 0.0, 0.0]), angle))
+    assert set(np.unique(R)) <= {-1.0, 0.0, 1.0}
+    skewed = R @ rotation_about(np.array([0.0, 0.0, 1.0]), 0.3)
+    np.testing.assert_allclose(tidy_rotation(skewed), skewed, atol=1e-15)
+
+
+def test_real_misalignment_is_kept() -> None:
+    R = rotation_about(np.array([1.0, 0.0, 0.0]), 1e-4)
+    np.testing.assert_allclose(tidy_rotation(R), R, atol=1e-8)
+    assert abs(tidy_rotation(R)[1, 2]) > 0.99e-4
+    np.testing.assert_array_equal(tidy_position(np.array([1e-5, 4e-17, -0.2])), [1e-5, 0.0, -0.2])
+
+
+def test_one_sample_and_none_have_their_shapes() -> None:
+    chain = arm_6r().chain
+    assert forward(chain, np.zeros((1, 6))).R.shape == (1, 6, 3, 3)
+    assert forward(chain, np.zeros((0, 6))).p.shape == (0, 6, 3)

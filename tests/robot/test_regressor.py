@@ -1,0 +1,184 @@
+"""The regressor against Pinocchio, against Newton-Euler and, for rotors, against Lagrange."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from seqid_cli.robot.kinematics import forward, link_motion
+from seqid_cli.robot.regressor import (
+    gravity_regressor,
+    inverse_dynamics,
+    rotor_regressor,
+    torque_regressor,
+)
+from seqid_cli.robot.types import Array, Chain
+
+from .robots import ARM_6R, arm_6r, oracle_regressor, random_model, states
+
+MIXED = [False, False, True, False, False, True, False]
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    prismatic=st.lists(st.booleans(), min_size=1, max_size=8),
+    seed=st.integers(min_value=0, max_value=2**32 - 1),
+)
+def test_regressor_is_pinocchios_on_any_chain(prismatic: list[bool], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    model, chain = random_model(rng, prismatic)
+    model.gravity.linear = rng.normal(size=3) * 5.0
+    q, dq, ddq = states(rng, 5, chain.n)
+    Y = torque_regressor(chain, model.gravity.linear.copy(), q, dq, ddq)
+    expected = oracle_regressor(model, q, dq, ddq)
+    assert Y.shape == (5, chain.n, 10 * chain.n)
+    np.testing.assert_allclose(Y, expected, rtol=0.0, atol=1e-12 * max(1.0, abs(expected).max()))
+
+
+def test_newton_euler_is_regressor_times_parameters_and_pinocchios_rnea() -> None:
+    rng = np.random.default_rng(1)
+    model, chain = random_model(rng, MIXED)
+    gravity = model.gravity.linear.copy()
+    phi = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
+    q, dq, ddq = states(rng, 20, chain.n)
+    tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
+    data = model.createData()
+    rnea = [pin.rnea(model, data, *state).copy() for state in zip(q, dq, ddq, strict=True)]
+    Y = torque_regressor(chain, gravity, q, dq, ddq)
+    np.testing.assert_allclose(tau, rnea, rtol=1e-11, atol=1e-10)
+    np.testing.assert_allclose(Y @ phi.ravel(), rnea, rtol=1e-11, atol=1e-10)
+
+
+def test_newton_euler_accepts_parameters_of_no_body() -> None:
+    rng = np.random.default_rng(2)
+    _, chain = random_model(rng, MIXED)
+    gravity = np.array([1.0, -2.0, 9.0])
+    phi = rng.normal(size=(chain.n, 10)) * 3.0  # negative masses, indefinite inertias
+    q, dq, ddq = states(rng, 20, chain.n)
+    expected = torque_regressor(chain, gravity, q, dq, ddq) @ phi.ravel()
+    tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
+    np.testing.assert_allclose(tau, expected, rtol=1e-11, atol=1e-10)
+
+
+def test_chosen_columns_are_those_of_the_whole() -> None:
+    rng = np.random.default_rng(3)
+    _, chain = random_model(rng, MIXED)
+    q, dq, ddq = states(rng, 6, chain.n)
+    gravity = np.array([0.0, 0.0, -9.81])
+    columns = [0, 2, 7, 11, 13, 40, 44, 49, 66, 69]
+    chosen = torque_regressor(chain, gravity, q, dq, ddq, columns=columns)
+    whole = torque_regressor(chain, gravity, q, dq, ddq)
+    np.testing.assert_array_equal(chosen, whole[:, :, columns])
+    assert torque_regressor(chain, gravity, q, dq, ddq, columns=[]).shape == (6, chain.n, 0)
+
+
+def test_blocks_have_no_seams() -> None:
+    rng = np.random.default_rng(4)
+    robot = arm_6r()
+    q, dq, ddq = states(rng, 9001, 6)
+    whole = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    parts = [slice(0, 4000), slice(4000, 4001), slice(4001, 9001)]
+    for rows in parts:
+        part = torque_regressor(robot.chain, robot.gravity, q[rows], dq[rows], ddq[rows])
+        np.testing.assert_allclose(part, whole[rows], rtol=0.0, atol=1e-12)
+
+
+def test_columns_lie_contiguous_in_memory() -> None:
+    robot = arm_6r()
+    q = np.zeros((8, 6))
+    Y = torque_regressor(robot.chain, robot.gravity, q, q, q)
+    assert Y.transpose(1, 2, 0).flags.c_contiguous
+
+
+def test_gravity_regressor_is_the_regressor_at_rest_and_the_gradient_of_potential_energy() -> None:
+    rng = np.random.default_rng(5)
+    robot = arm_6r()
+    q, _, _ = states(rng, 1, 6)
+    phi = rng.normal(size=60)
+    torque = (gravity_regressor(robot.chain, robot.gravity, q) @ phi)[0]
+
+    def potential(q: Array) -> float:
+        frames = forward(robot.chain, q[None])
+        total = 0.0
+        for i, (mass, *moment) in enumerate(phi.reshape(6, 10)[:, :4]):
+            total -= robot.gravity @ (mass * frames.p[0, i] + frames.R[0, i] @ np.array(moment))
+        return total
+
+    step = 1e-6 * np.eye(6)
+    gradient = [(potential(q[0] + e) - potential(q[0] - e)) / 2e-6 for e in step]
+    np.testing.assert_allclose(torque, gradient, atol=1e-6)
+    inertia_columns = [10 * i + k for i in range(6) for k in range(4, 10)]
+    assert not gravity_regressor(robot.chain, robot.gravity, q)[:, :, inertia_columns].any()
+
+
+def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> float:
+    """Kinetic energy of rotor i about its axis, above what it has as a dead mass of its link."""
+    carried = 0.0
+    if i > 0:
+        motion = link_motion(chain, np.zeros(3), q[:, None], dq[:, None], np.zeros((chain.n, 1)))
+        carried = float(chain.rotation[i] @ chain.axis[i] @ motion.w[i - 1][:, 0])
+    return float(0.5 * ((ratio * dq[i] + carried) ** 2 - carried**2))
+
+
+def _lagrange(chain: Chain, q: Array, dq: Array, ddq: Array, i: int, ratio: float) -> Array:
+    """Compute d/dt dT/d(dq) - dT/dq of the spin energy by central differences."""
+    h = 1e-4
+
+    def momentum(time: float) -> Array:
+        at, rate = q + dq * time + 0.5 * ddq * time**2, dq + ddq * time
+        return np.array(
+            [
+                _spin_energy(chain, at, rate + h * e, i, ratio)
+                - _spin_energy(chain, at, rate - h * e, i, ratio)
+                for e in np.eye(chain.n)
+            ]
+        ) / (2 * h)
+
+    slope = np.array(
+        [
+            _spin_energy(chain, q + h * e, dq, i, ratio)
+            - _spin_energy(chain, q - h * e, dq, i, ratio)
+            for e in np.eye(chain.n)
+        ]
+    ) / (2 * h)
+    return np.asarray((momentum(h) - momentum(-h)) / (2 * h) - slope)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("prismatic", [[False] * 5, [False, True, False, False]])
+def test_gyroscopic_rotor_is_lagranges(seed: int, prismatic: list[bool]) -> None:
+    rng = np.random.default_rng(seed)
+    _, chain = random_model(rng, prismatic)
+    n = chain.n
+    q, dq, ddq = states(rng, 1, n)
+    ratio = rng.uniform(-5.0, 5.0, size=n)
+    Y = rotor_regressor(chain, q, dq, ddq, ratio, "gyroscopic")[0]
+    for i in np.flatnonzero(~chain.prismatic):
+        expected = _lagrange(chain, q[0], dq[0], ddq[0], int(i), ratio[i])
+        np.testing.assert_allclose(Y[:, i], expected, atol=2e-5)
+
+
+def test_diagonal_rotor_loads_its_own_joint_only() -> None:
+    rng = np.random.default_rng(6)
+    _, chain = random_model(rng, MIXED)
+    q, dq, ddq = states(rng, 3, chain.n)
+    ratio = rng.uniform(-100.0, 100.0, size=chain.n)
+    Y = rotor_regressor(chain, q, dq, ddq, ratio, "diagonal")
+    np.testing.assert_allclose(Y, [np.diag(ratio**2 * row) for row in ddq])
+    coupled = rotor_regressor(chain, q, dq, ddq, ratio, "gyroscopic")
+    slides = np.flatnonzero(chain.prismatic)
+    np.testing.assert_array_equal(coupled[:, :, slides], Y[:, :, slides])
+
+
+def test_turning_a_joint_frame_round_changes_only_signs() -> None:
+    robot = arm_6r()
+    chain = robot.chain
+    flipped = Chain(chain.rotation, chain.position, -chain.axis, chain.prismatic)
+    rng = np.random.default_rng(7)
+    q, dq, ddq = states(rng, 4, len(ARM_6R))
+    Y = torque_regressor(chain, robot.gravity, q, dq, ddq)
+    turned = torque_regressor(flipped, robot.gravity, -q, -dq, -ddq)
+    np.testing.assert_allclose(turned, -Y, atol=1e-12)

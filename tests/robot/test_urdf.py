@@ -1,0 +1,196 @@
+"""URDF to chain: what other tools write, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.base import base_parameters
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.kinematics import forward
+from seqid_cli.robot.regressor import inverse_dynamics, torque_regressor
+from seqid_cli.robot.types import Array, Robot
+
+from .robots import (
+    ARM_6R,
+    GRAVITY,
+    NAMES_6R,
+    NAMES_GANTRY,
+    arm_6r,
+    joint,
+    link,
+    oracle_regressor,
+    states,
+    urdf,
+    urdf_6r,
+    urdf_gantry,
+)
+
+
+def _load(folder: Path, text: str, names: tuple[str, ...]) -> Robot:
+    (folder / "robot.urdf").write_text(text)
+    joints = "".join(f'[[joint]]\nname = "{name}"\n' for name in names)
+    head = 'schema = "seqid/robot@1"\nname = "r"\nurdf = "robot.urdf"\ngravity = [0, 0, -9.81]\n'
+    (folder / "robot.toml").write_text(head + joints)
+    return load_robot(folder / "robot.toml")
+
+
+def _configuration(model: pin.Model, q: Array) -> Array:
+    """Pinocchio's coordinates: (cos, sin) of joints that turn without end."""
+    parts = []
+    for k, value in enumerate(q):
+        turning = model.joints[k + 1].nq == 2
+        parts.append([np.cos(value), np.sin(value)] if turning else [value])
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"), [(urdf_6r(), NAMES_6R), (urdf_gantry(), NAMES_GANTRY)], ids=["6r", "gantry"]
+)
+def test_regressor_and_nominal_torque_are_pinocchios(
+    tmp_path: Path, text: str, names: tuple[str, ...]
+) -> None:
+    robot = _load(tmp_path, text, names)
+    model = pin.buildModelFromXML(text)
+    q, dq, ddq = states(np.random.default_rng(0), 8, robot.n)
+    wide = np.array([_configuration(model, row) for row in q])
+    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    data = model.createData()
+    assert robot.nominal is not None
+    tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
+    for k in range(8):
+        state = (wide[k], dq[k], ddq[k])
+        expected = pin.computeJointTorqueRegressor(model, data, *state)
+        np.testing.assert_allclose(Y[k], expected, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(tau[k], pin.rnea(model, data, *state), rtol=0.0, atol=1e-10)
+
+
+def test_urdf_and_dh_of_the_same_arm_agree(tmp_path: Path) -> None:
+    robot, twin = _load(tmp_path, urdf_6r(), NAMES_6R), arm_6r()
+    q, dq, ddq = states(np.random.default_rng(1), 5, len(ARM_6R))
+    np.testing.assert_allclose(
+        torque_regressor(robot.chain, GRAVITY, q, dq, ddq),
+        torque_regressor(twin.chain, GRAVITY, q, dq, ddq),
+        atol=1e-11,
+    )
+    assert robot.joint_names == NAMES_6R
+    assert base_parameters(robot, rotor=[]).names == base_parameters(twin, rotor=[]).names
+
+
+def test_base_count_is_the_rank_of_pinocchios_regressor(tmp_path: Path) -> None:
+    for text, names in ((urdf_6r(), NAMES_6R), (urdf_gantry(), NAMES_GANTRY)):
+        robot = _load(tmp_path, text, names)
+        model = pin.buildModelFromXML(text.replace("continuous", "revolute"))
+        q, dq, ddq = states(np.random.default_rng(2), 300, robot.n)
+        Y = oracle_regressor(model, q, dq, ddq).reshape(-1, 10 * robot.n)
+        assert base_parameters(robot, rotor=[]).size == np.linalg.matrix_rank(Y, tol=1e-7)
+
+
+def test_prismatic_joints_come_from_the_urdf(tmp_path: Path) -> None:
+    robot = _load(tmp_path, urdf_gantry(), NAMES_GANTRY)
+    assert [joint.prismatic for joint in robot.joints] == [True, False, True, False]
+    moved = forward(robot.chain, np.array([[0.25, 0.0, 0.0, 0.0]])).p[0, 0]
+    np.testing.assert_allclose(moved, [0.25, 0.0, 0.5])
+
+
+def test_joints_that_are_not_named_are_locked_at_zero_and_merged(tmp_path: Path) -> None:
+    names = ("shoulder_lift", "elbow")
+    robot = _load(tmp_path, urdf_6r(), names)
+    whole = _load(tmp_path, urdf_6r(), NAMES_6R)
+    some, every = np.zeros((3, 2)), np.zeros((3, 6))
+    every[:, 1:3] = some[:] = np.random.default_rng(3).normal(size=(3, 2))
+    assert robot.nominal is not None
+    assert whole.nominal is not None
+    still, still_all = np.zeros_like(some), np.zeros_like(every)
+    tau = inverse_dynamics(robot.chain, GRAVITY, robot.nominal, some, still, still)
+    tau_all = inverse_dynamics(whole.chain, GRAVITY, whole.nominal, every, still_all, still_all)
+    np.testing.assert_allclose(tau, tau_all[:, 1:3], atol=1e-10)
+
+
+def test_mimic_joints_are_locked_and_may_not_be_driven(tmp_path: Path) -> None:
+    text = urdf(
+        *(link(name, mass=1.0, x=0.1) for name in ("base", "l1", "finger_l", "finger_r")),
+        joint("turn", "base", "l1", axis="0 1 0"),
+        joint("left", "l1", "finger_l", kind="prismatic"),
+        joint("right", "l1", "finger_r", kind="prismatic", extra='<mimic joint="left"/>'),
+    )
+    robot = _load(tmp_path, text, ("turn",))
+    assert robot.nominal is not None
+    assert robot.nominal[0, 0] == pytest.approx(3.0)
+    with pytest.raises(ConfigError, match=r"joint\[1\].name 'right' follows joint 'left'"):
+        _load(tmp_path, text, ("turn", "right"))
+    with pytest.raises(ConfigError, match="not in chain order: left, turn"):
+        _load(tmp_path, text, ("left", "turn"))
+
+
+def test_wrong_order_says_the_right_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="not in chain order: elbow, shoulder_lift") as caught:
+        _load(tmp_path, urdf_6r(), ("elbow", "shoulder_lift"))
+    assert "shoulder_lift, elbow" in caught.value.hint
+
+
+def test_branches_are_refused(tmp_path: Path) -> None:
+    text = urdf(
+        *(link(name, mass=1.0) for name in ("base", "left_arm", "right_arm")),
+        joint("left", "base", "left_arm"),
+        joint("right", "base", "right_arm"),
+    )
+    with pytest.raises(ConfigError, match="'left' and 'right' are on different branches"):
+        _load(tmp_path, text, ("left", "right"))
+    assert _load(tmp_path, text, ("right",)).n == 1
+
+
+def test_unknown_joint_offers_the_nearest_and_lists_all(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"joint\[0\].name 'elbo' is no joint") as caught:
+        _load(tmp_path, urdf_6r(), ("elbo",))
+    assert "Did you mean 'elbow'?" in caught.value.hint
+    assert all(name in caught.value.hint for name in NAMES_6R)
+    with pytest.raises(ConfigError, match="'tool_mount' is a fixed joint"):
+        _load(tmp_path, urdf_6r(), ("tool_mount",))
+
+
+def test_robot_without_inertials_has_no_nominal_parameters(tmp_path: Path) -> None:
+    text = urdf(link("base"), link("arm"), joint("turn", "base", "arm"))
+    assert _load(tmp_path, text, ("turn",)).nominal is None
+
+
+def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
+    rough = urdf_6r().replace(repr(float(np.pi / 2)), "1.5708")
+    assert "1.5708" in rough
+    assert base_parameters(_load(tmp_path, rough, NAMES_6R), rotor=[]).size == 36
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not well-formed XML"),
+        ("<robot name='r'><link name='a'/>", "not well-formed XML"),
+        ("<sdf/>", "outermost element is <sdf>"),
+        ('<!DOCTYPE r [<!ENTITY a "b">]><robot name="r"/>', "declares XML entities"),
+        (urdf('<xacro:include filename="a"/>'), "xacro file"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "c")), "not a usable URDF|is no joint"),
+        (
+            urdf(link("a"), link("b"), joint("turn", "a", "b"), joint("turn", "a", "b")),
+            "two joints named 'turn'",
+        ),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 nan 0")), "finite|usable"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", axis="0 0 0")), "finite|usable"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 x 0")), "finite|usable"),
+        (urdf(link("a"), link("b"), link("c"), joint("turn", "a", "b")), "not a usable URDF"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", kind="planar")), "planar joint"),
+    ],
+)
+def test_damaged_urdf_is_a_message(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        _load(tmp_path, text, ("turn",))
+
+
+def test_xacro_remedy(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        _load(tmp_path, urdf('<xacro:arm prefix=""/>'), ("turn",))
+    assert "xacro" in caught.value.hint
+    assert caught.value.where.endswith("robot.urdf")

@@ -111,25 +111,26 @@ def _predict(
     from seqid_cli.identify.predict import predict
 
     names = job.robot.joint_names
-    overall, logs = ErrorSums.none(len(names)), []
+    overall = sliding = ErrorSums.none(len(names))
+    logs = []
     with contextlib.ExitStack() as stack:
         writer = stack.enter_context(TorqueWriter.open(torques, names)) if torques else None
         for log in predict(account, job.robot, job.stages, options=options):
-            sums = ErrorSums.of(log)
-            overall = overall + sums
+            own, slid = ErrorSums.of(log, sliding=False), ErrorSums.of(log, sliding=True)
+            overall, sliding = overall + own, sliding + slid
             logs.append(
                 LogPredictionError(
                     path=str(log.path),
                     sha256=log.sha256,
                     samples=log.samples,
                     cutoff_hz=log.cutoff_hz,
-                    joints=_joints(sums, names),
+                    joints=_joints(own, slid, names),
                     notes=list(log.notes),
                 )
             )
             if writer is not None:
                 writer.write(log)
-    joints = _joints(overall, names)
+    joints = _joints(overall, sliding, names)
     used = list(present(job.stages))
     return PredictionFile(
         schema=PREDICTION_SCHEMA,
@@ -141,18 +142,20 @@ def _predict(
         stages=used,
         joints=joints,
         logs=logs,
-        verdicts=[_verdict(name, error) for name, error in joints.items() if error.samples],
+        verdicts=[_verdict(name, error) for name, error in joints.items() if error.samples_sliding],
         notes=_notes(used, joints),
     )
 
 
-def _joints(sums: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
+def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
     return {
         name: JointError(
             rmse=sums.rmse(index),
             relative_rmse=sums.relative_rmse(index),
             max_abs=sums.largest(index),
             samples=sums.samples(index),
+            rmse_sliding=sliding.rmse(index),
+            samples_sliding=sliding.samples(index),
         )
         for index, name in enumerate(names)
     }
@@ -160,7 +163,7 @@ def _joints(sums: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
 
 def _notes(stages: list[str], joints: dict[str, JointError]) -> list[str]:
     notes = [] if "inertia" in stages else ["the parameters hold no inertia stage"]
-    still = [name for name, error in joints.items() if not error.samples]
+    still = [name for name, error in joints.items() if not error.samples_sliding]
     if still:
         notes.append(f"never slides in these logs and is not judged: {', '.join(still)}")
     return notes
@@ -181,13 +184,14 @@ def _show(screen: Screen, file: PredictionFile) -> None:
             name,
             number(error.rmse),
             percent(error.relative_rmse),
+            number(error.rmse_sliding),
             number(error.max_abs),
             str(error.samples),
             verdict_text(file.verdicts, name),
         )
         for name, error in file.joints.items()
     ]
-    columns = ("joint", "RMS error N m", "relative", "largest N m", "samples", "verdict")
+    columns = ("joint", "RMSE N m", "relative", "sliding N m", "largest N m", "samples", "verdict")
     screen.table(columns, rows)
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     for note in notes:

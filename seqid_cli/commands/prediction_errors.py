@@ -25,11 +25,7 @@ _KINDS = ("torque", "predicted", "residual")
 
 @dataclass(frozen=True)
 class ErrorSums:
-    """Sums per joint (n,) over the samples that count; they add up over logs.
-
-    A sample counts where the joint slides: at rest friction takes any value up to its limit, so
-    that the model has nothing to say that could be wrong.
-    """
+    """Sums per joint (n,) over the samples that count; they add up over logs."""
 
     count: NDArray[np.int64]
     squared_error: NDArray[np.float64]  # (N m)^2
@@ -42,9 +38,13 @@ class ErrorSums:
         return cls(np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n), np.zeros(n))
 
     @classmethod
-    def of(cls, log: LogPrediction) -> ErrorSums:
-        """Return the sums over one log."""
-        counts = log.used[:, None] & log.sliding
+    def of(cls, log: LogPrediction, *, sliding: bool) -> ErrorSums:
+        """Return the sums over one log.
+
+        At rest friction takes any value up to its limit and the error is the distance to that
+        interval; `sliding` leaves those samples out.
+        """
+        counts = log.used[:, None] & (log.sliding if sliding else np.ones_like(log.sliding))
         error = np.where(counts, log.tau - log.predicted, 0.0)
         torque = np.where(counts, log.tau, 0.0)
         return cls(

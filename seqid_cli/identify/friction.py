@@ -25,6 +25,7 @@ from seqid_cli.identify.trials import (
     Trial,
     by_joint,
     collect_trials,
+    gravity_columns,
     speed_levels,
 )
 from seqid_cli.logs.recording import Recording
@@ -146,22 +147,30 @@ def _fit(robot: Robot, j: int, trials: list[Trial], options: FrictionOptions) ->
 def without_inertia(group: GravityGroup, fit: _Fit) -> list[Trial]:
     """Take the torque of what acceleration is left (Eq. 25) off the trials of one configuration.
 
-    With one joint moving, its inertia d_kk is one number per configuration; it is fitted to what
-    the friction surface leaves over, and taken only where the data are clear about it.
+    With one joint moving, its inertia d_kk is one number per configuration. The impulse of the ramp
+    that led up to the speed v gives it without differentiating: the integral of the torque, less
+    those of gravity and friction, is d_kk v.
     """
-    left, ddq = [], []
-    for trial in group.trials:
-        velocity = np.full(len(trial.q), trial.velocity)
-        gravity = group.columns_of(trial) @ group.p_xi
-        left.append(trial.tau - gravity - fit.surface.torque(trial.q, velocity))
-        ddq.append(trial.ddq - trial.ddq.mean())
-    a, r = np.concatenate(ddq), np.concatenate(left)
-    power = float(a @ a)
-    inertia = float(a @ r) / max(power, 1e-300)
-    error = float(np.sqrt(np.sum((a * (r - inertia * a)) ** 2))) / max(power, 1e-300)
+    speeds = np.array([trial.velocity for trial in group.trials])
+    impulses = np.array([_inertial_impulse(group, fit, trial) for trial in group.trials])
+    power = float(speeds @ speeds)
+    inertia = float(speeds @ impulses) / power
+    left = impulses - inertia * speeds
+    error = float(np.sqrt(np.sum((speeds * left) ** 2))) / power
     if inertia < CLEAR_SIGMA * error:
         return group.trials
-    return [replace(t, tau=t.tau - inertia * (t.ddq - t.ddq.mean())) for t in group.trials]
+    return [replace(trial, tau=trial.tau - inertia * trial.ddq) for trial in group.trials]
+
+
+def _inertial_impulse(group: GravityGroup, fit: _Fit, trial: Trial) -> float:
+    """Impulse of the ramp, N m s, without gravity's and friction's."""
+    ramp = trial.ramp
+    if not len(ramp.q):
+        return 0.0
+    velocity = trial.velocity * np.linspace(0.0, 1.0, len(ramp.q))
+    gravity = gravity_columns(group.robot, trial.joint, group.configuration, ramp.q) @ group.p_xi
+    friction = fit.surface.torque(ramp.q, velocity)
+    return float(np.sum(ramp.tau - gravity - friction) * ramp.dt)
 
 
 def weighted_by_level(data: list[SpeedData], chosen: Chosen) -> list[SpeedData]:

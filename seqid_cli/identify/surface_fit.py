@@ -132,8 +132,7 @@ def left_out_errors(data: list[SpeedData], reduced: list[Reduced], m: int, l: in
                 frictions.append(friction)
                 noises.append(noise)
     error, friction = np.concatenate(errors), np.concatenate(frictions)
-    typical = float(np.sqrt(np.mean(np.concatenate(noises) ** 2)))
-    beyond = np.maximum(np.abs(error) - 2 * typical, 0.0)
+    beyond = np.maximum(np.abs(error) - 2 * np.concatenate(noises), 0.0)
     rms = float(np.sqrt(np.mean(friction**2)))
     large = np.abs(friction) > NEAR_ZERO * rms
     return LeftOutErrors(

@@ -13,7 +13,6 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
@@ -25,24 +24,34 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 SLICES = 64
-SLOW_WINDOW_S = 0.08
 SAME_SPEED = 0.12
 SAME_CONFIGURATION = 0.03  # rad
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """How a trial got up to speed: positions (R,) rad and torques (R,) N m, `dt` s apart."""
+
+    q: Array
+    tau: Array
+    dt: float
 
 
 @dataclass(frozen=True)
 class Trial:
     """One joint at constant velocity.
 
-    `q` (K,) rad, `tau` (K,) N m and `ddq` (K,) rad/s^2 are slice averages; `configuration` (n,)
-    rad is where every joint stood, the moving one at the middle of its range.
+    `q` (K,) rad and `tau` (K,) N m are slice averages; `ddq` rad/s^2 is what acceleration is left,
+    `ramp` how the joint got up to speed, `configuration` (n,) rad where every joint stood, the
+    moving one at the middle of its range.
     """
 
     joint: int
     velocity: float
     q: Array
     tau: Array
-    ddq: Array
+    ddq: float
+    ramp: Ramp
     weight: float  # samples per slice
     configuration: Array
 
@@ -93,24 +102,25 @@ def _trial(recording: Recording, stretch: Stretch) -> Trial:
     time = (np.arange(slices) + 0.5) * length / recording.rate_hz
     middle = stretch.samples / 2 / recording.rate_hz
     q = np.asarray(stretch.configuration[j] + stretch.velocity * (time - middle), dtype=np.float64)
-    ddq = _slow_acceleration(recording.q[stretch.start : stop, j], recording.rate_hz)
-    mean_ddq: Array = np.asarray(ddq.reshape(slices, length).mean(axis=1), dtype=np.float64)
+    ddq = _mean_acceleration(recording.q[stretch.start : stop, j], recording.rate_hz)
+    ramp = slice(stretch.ramp_start, stretch.start)
     configuration = np.array(stretch.configuration)
-    return Trial(j, stretch.velocity, q, tau, mean_ddq, float(length), configuration)
+    return Trial(
+        j,
+        stretch.velocity,
+        q,
+        tau,
+        ddq,
+        Ramp(recording.q[ramp, j], recording.tau[ramp, j], 1 / recording.rate_hz),
+        float(length),
+        configuration,
+    )
 
 
-def _slow_acceleration(q: Array, rate_hz: float) -> Array:
-    """Acceleration, rad/s^2, that is left below about 5 Hz where the velocity should be constant.
-
-    Zero near the ends, where the window would reach into the ramps.
-    """
-    h = max(1, round(SLOW_WINDOW_S * rate_hz))
-    result = np.zeros_like(q)
-    if len(q) > 5 * h:
-        mean = uniform_filter1d(q, h, mode="nearest")
-        second = (mean[2 * h :] - 2 * mean[h:-h] + mean[: -2 * h]) * (rate_hz / h) ** 2
-        result[2 * h : -2 * h] = second[h:-h]
-    return result
+def _mean_acceleration(q: Array, rate_hz: float) -> float:
+    """Acceleration, rad/s^2, that is left where the velocity should be constant."""
+    time = np.arange(len(q)) / rate_hz
+    return 2 * float(np.polyfit(time - time.mean(), q, 2)[0])
 
 
 def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:

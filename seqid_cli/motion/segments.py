@@ -35,6 +35,7 @@ class Stretch:
     joint: int
     start: int
     stop: int
+    ramp_start: int  # where the move that the stretch is part of left zero velocity
     velocity: float  # rad/s, signed
     configuration: tuple[float, ...]  # mean position of every joint, rad
 
@@ -130,18 +131,20 @@ def _stretches(
     for a, b in _directions(position, rate_hz, step):
         for c, d in _plateaus(position[a:b], rate_hz, step):
             low, high = start + a + c, start + a + d
-            stretch = _stretch(q, rate_hz, joint, low, high)
+            stretch = _stretch(q, rate_hz, joint, low, high, start + a)
             if abs(stretch.velocity) > 0:
                 result.append(stretch)
     return result
 
 
-def _stretch(q: Array, rate_hz: float, joint: int, start: int, stop: int) -> Stretch:
+def _stretch(
+    q: Array, rate_hz: float, joint: int, start: int, stop: int, ramp_start: int
+) -> Stretch:
     time = np.arange(stop - start) / rate_hz
     time -= time.mean()
     slope = float(time @ q[start:stop, joint] / (time @ time))
     where = tuple(float(x) for x in q[start:stop].mean(axis=0))
-    return Stretch(joint, start, stop, slope, where)
+    return Stretch(joint, start, stop, ramp_start, slope, where)
 
 
 def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int, int]]:

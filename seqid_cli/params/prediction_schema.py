@@ -17,14 +17,18 @@ class FileId(Struct, kw_only=True):
 class JointError(Struct, kw_only=True):
     """Error of the predicted torque of one joint, N m.
 
-    `relative_rmse` is `rmse` over the RMS of the measured torque on the same samples. Numbers are
-    null where there is nothing to compute them from (no sample counted, no torque measured).
+    `relative_rmse` is `rmse` over the RMS of the measured torque on the same samples. At rest the
+    model says an interval, and the error is the distance to it; `rmse_sliding` leaves such samples
+    out and counts `samples_sliding`. Numbers are null where there is nothing
+    to compute them from (no sample counted, no torque measured).
     """
 
     rmse: float | None
     relative_rmse: float | None
     max_abs: float | None
     samples: int
+    rmse_sliding: float | None
+    samples_sliding: int
 
 
 class LogPredictionError(Struct, kw_only=True):

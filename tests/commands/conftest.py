@@ -54,9 +54,7 @@ class Rig:
 
 
 @pytest.fixture
-def rig(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Rig:
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Rig:
     """Return a rig in an empty folder that is the working directory."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(ROBOT_TOML)

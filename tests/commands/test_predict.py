@@ -72,8 +72,10 @@ def model(monkeypatch: pytest.MonkeyPatch) -> Model:
     return fake
 
 
-def stacked(model: Model, joint: int) -> tuple[np.ndarray, np.ndarray]:
-    used = np.concatenate([log.used & log.sliding[:, joint] for log in model.made])
+def stacked(model: Model, joint: int, *, sliding: bool) -> tuple[np.ndarray, np.ndarray]:
+    used = np.concatenate(
+        [log.used & (log.sliding[:, joint] if sliding else True) for log in model.made]
+    )
     tau = np.concatenate([log.tau[:, joint] for log in model.made])[used]
     predicted = np.concatenate([log.predicted[:, joint] for log in model.made])[used]
     return tau, tau - predicted
@@ -86,16 +88,19 @@ def test_errors_over_all_logs_and_per_log(rig: Rig, reader: Reader, model: Model
     document = json.loads((rig.folder / "out.json").read_text())
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
     for joint, name in enumerate(("shoulder", "elbow")):
-        tau, error = stacked(model, joint)
+        tau, error = stacked(model, joint, sliding=False)
         found = document["joints"][name]
-        assert found["samples"] == 2 * (SAMPLES - 1 - joint)
+        assert found["samples"] == 2 * (SAMPLES - 1)
+        assert found["samples_sliding"] == 2 * (SAMPLES - 1 - joint)
+        _, slid = stacked(model, joint, sliding=True)
+        assert found["rmse_sliding"] == pytest.approx(np.sqrt(np.mean(slid**2)))
         assert found["rmse"] == pytest.approx(np.sqrt(np.mean(error**2)))
         assert found["relative_rmse"] == pytest.approx(
             np.sqrt(np.mean(error**2)) / np.sqrt(np.mean(tau**2))
         )
         assert found["max_abs"] == pytest.approx(np.max(np.abs(error)))
     assert [log["path"] for log in document["logs"]] == ["a.parquet", "b.parquet"]
-    assert document["logs"][0]["joints"]["elbow"]["samples"] == SAMPLES - 2
+    assert document["logs"][0]["joints"]["elbow"]["samples_sliding"] == SAMPLES - 2
     assert document["parameters"][0]["path"] == "p.json"
     assert document["stages"] == ["friction", "gravity", "imu", "inertia", "effects"]
     assert "a.parquet: a remark" in done.err
@@ -147,12 +152,9 @@ def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model:
     done = rig.run(*BASE, "--json")
     document = json.loads(done.out)
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
-    assert document["joints"]["elbow"] == {
-        "rmse": None,
-        "relative_rmse": None,
-        "max_abs": None,
-        "samples": 0,
-    }
+    assert document["joints"]["elbow"]["rmse_sliding"] is None
+    assert document["joints"]["elbow"]["samples_sliding"] == 0
+    assert document["joints"]["elbow"]["samples"] == 2 * (SAMPLES - 1)
     assert document["verdicts"] == []
     assert "never slides in these logs and is not judged: shoulder, elbow" in done.err
 

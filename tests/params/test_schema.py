@@ -49,7 +49,14 @@ def test_the_schema_refuses_what_the_reader_refuses() -> None:
 
 
 def test_predictions_follow_the_schema() -> None:
-    error = JointError(rmse=0.1, relative_rmse=None, max_abs=0.2, samples=3)
+    error = JointError(
+        rmse=0.1,
+        relative_rmse=None,
+        max_abs=0.2,
+        samples=3,
+        rmse_sliding=None,
+        samples_sliding=0,
+    )
     part = LogPredictionError(
         path="v", sha256="0", samples=3, cutoff_hz=12.0, joints={"elbow": error}
     )

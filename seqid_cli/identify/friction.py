@@ -41,6 +41,11 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
+
+class UnpairedError(QualityError):
+    """A joint's trials cannot be freed of gravity."""
+
+
 Chosen = tuple[Scaling, list[Reduced], Orders]
 
 DEFAULT_BETA = 0.05
@@ -83,16 +88,24 @@ def identify_friction(
             hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
         )
     joints, verdicts, notes = {}, [], []
+    last: UnpairedError | None = None
     for j, joint in enumerate(robot.joints):
         own = by_joint(trials, j)
         if not own:
             reason = "no constant-velocity trial moves this joint"
             verdicts.append(Verdict(joint=joint.name, good=False, reason=reason))
             continue
-        fit = _identify_joint(robot, j, own, options)
+        try:
+            fit = _identify_joint(robot, j, own, options)
+        except UnpairedError as error:
+            verdicts.append(Verdict(joint=joint.name, good=False, reason=error.message))
+            last = error
+            continue
         joints[joint.name] = fit.joint
         verdicts.append(fit.verdict)
         notes += fit.notes
+    if not joints and last is not None:
+        raise last
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 
@@ -125,7 +138,7 @@ class _Fit:
 def _fit(robot: Robot, j: int, trials: list[Trial], options: FrictionOptions) -> _Fit:
     gravity = fit_gravity(robot, j, trials)
     if not gravity.groups:
-        raise QualityError(
+        raise UnpairedError(
             "no pair of forward and backward trials at one speed in one configuration",
             hint="record every speed in both directions over the same range (Eq. 15)",
             where=f"joint {robot.joints[j].name}",

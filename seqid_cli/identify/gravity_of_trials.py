@@ -74,9 +74,11 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
         Groups without a forward/backward pair are left out and counted in `unpaired`.
     """
     groups = configurations(trials)
-    pairs = [half_sums(group) for group in groups]
-    paired = [(group, sums) for group, sums in zip(groups, pairs, strict=True) if sums]
-    unpaired = sum(len(group) for group, sums in zip(groups, pairs, strict=True) if not sums)
+    loaded = gravity_columns(robot, joint, trials[0].configuration, trials[0].q).shape[1] > 0
+    paired = [(group, sums) for group in groups if (sums := half_sums(group))]
+    if not loaded and len(paired) < len(groups):
+        return GravityFit([_unloaded(robot, group) for group in groups], 0, False, 0.0)
+    unpaired = len(trials) - sum(len(group) for group, _ in paired)
     if not paired:
         return GravityFit([], unpaired, False, 0.0)
     friction = _friction_scale(paired)
@@ -98,6 +100,11 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
         for i, (group, _) in enumerate(paired)
     ]
     return GravityFit(fitted, unpaired, directional, share)
+
+
+def _unloaded(robot: Robot, group: list[Trial]) -> GravityGroup:
+    """Trials of a joint that gravity does not load: nothing to remove, no twin needed."""
+    return GravityGroup(robot, group[0].configuration, group, np.zeros(0), np.zeros(0))
 
 
 Paired = list[tuple[list[Trial], list[HalfSums]]]

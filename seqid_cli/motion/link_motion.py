@@ -100,7 +100,8 @@ def _readings(
         gyro = recording.gyros.get(imu.name)
         if gyro is None and not layout(imu).acceleration:
             continue
-        yield link_reading(imu, calibration, values, gyro, recording, motion)
+        reading = link_reading(imu, calibration, values, gyro, recording, motion)
+        yield unbiased(reading, robot, motion)
 
 
 def link_reading(
@@ -118,13 +119,16 @@ def link_reading(
     R = np.array(calibration.rotation)
     dw = (reading.dw @ R.T)[::factor]
     gain = _gain(calibration)
-    still = ~motion.moving.any(axis=1)
-    # A sensor's bias shows as angular acceleration at rest.
-    if still.sum() > motion.rate_hz * 0.2:
-        dw = dw - dw[still].mean(axis=0)
     noise = (calibration.noise_density or 0.0) * np.sqrt(lowpass.cutoff_hz)
     size = float(np.sqrt(np.mean(np.sum(dw**2, axis=1))))
     return LinkReading(imu, gain * dw, float(np.hypot(noise, AXIS_ERROR * size)))
+
+
+def unbiased(reading: LinkReading, robot: Robot, motion: Motion) -> LinkReading:
+    """Take off the sensor's bias: the encoders know the mean acceleration of a whole log well."""
+    expected = _predicted(robot, motion, reading.imu.after_joint)
+    bias = (reading.dw - expected)[motion.usable].mean(axis=0)
+    return replace(reading, dw=reading.dw - bias)
 
 
 def _gain(calibration: ImuCalibration) -> float:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, uniform_filter1d
 
@@ -23,8 +24,11 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SCALES_S = (0.1, 0.3, 1.0)
-SMALLEST_STEP = 2e-5  # rad; below this a position change is not motion
+SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
+SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
 VELOCITY_TOLERANCE = 0.02
+STEADY = 0.03  # of the mean velocity, at the ends of a stretch
+LEAST_SHARE = 0.35  # of the move, that a stretch must cover
 SHORTEST_S = 0.12
 
 
@@ -77,7 +81,8 @@ def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
         half = max(1, round(scale * rate_hz / 2))
         if 2 * half >= len(q):
             continue
-        change = np.abs(q[2 * half :] - q[: -2 * half]) > 2.5 * step
+        travel = np.abs(q[2 * half :] - q[: -2 * half])
+        change = (travel > 2.5 * step) & (travel > SHAKEN * travel.max(axis=1, keepdims=True))
         # A change within the window moves its middle; the window's halves are grown back by a
         # third.
         grown = np.zeros_like(moving)
@@ -204,17 +209,34 @@ def _half_window(position: Array, rate_hz: float, step: float) -> int:
 def _trimmed(
     position: Array, start: int, stop: int, half: int, rate_hz: float, step: float
 ) -> list[tuple[int, int]]:
-    """Trim a steady range at its ends and keep it if a straight line fits it."""
+    """Cut a steady range back until its velocity is one and the same throughout.
+
+    Drift within a window can be too slow to see and still add up, as near the top of a sine; what is
+    left must then be a fair share of the move.
+    """
     start, stop = start + half // 2, stop - half // 2
-    if stop - start < max(8, SHORTEST_S * rate_hz):
-        return []
-    time = np.arange(stop - start, dtype=float)
-    slope, offset = np.polyfit(time, position[start:stop], 1)
-    off = np.abs(position[start:stop] - offset - slope * time)
-    travel = abs(slope) * (stop - start)
-    if travel < 8 * step or np.quantile(off, 0.95) > step + 0.01 * travel:
-        return []
-    return [(start, stop)]
+    least = max(8 * step, LEAST_SHARE * abs(float(position[-1] - position[0])))
+    while stop - start >= max(8, SHORTEST_S * rate_hz):
+        piece = position[start:stop]
+        if abs(float(piece[-1] - piece[0])) < least:
+            return []
+        first, last = _end_velocities(piece, step)
+        if max(first, last) <= 1.0:
+            return [(start, stop)]
+        cut = max(1, (stop - start) // 12)
+        start, stop = (start + cut, stop) if first > last else (start, stop - cut)
+    return []
+
+
+def _end_velocities(piece: Array, step: float) -> tuple[float, float]:
+    """How far the velocity at either end is from the mean, over what is allowed; a cubic fit."""
+    x = np.linspace(-1.0, 1.0, len(piece))
+    cubic = Polynomial.fit(x, piece, 3, domain=[-1, 1], window=[-1, 1]).deriv()
+    mean = float(piece[-1] - piece[0]) / 2
+    # The slope of a cubic at its ends, from samples quantised to a step, is known to about this.
+    noise = 10 * step / np.sqrt(12 * len(piece))
+    allowed = STEADY * abs(mean) + 3 * noise
+    return abs(float(cubic(-1.0)) - mean) / allowed, abs(float(cubic(1.0)) - mean) / allowed
 
 
 def standing(moving: Mask, rate_hz: float, margin_s: float = 0.05) -> Mask:

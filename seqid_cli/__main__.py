@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -14,6 +15,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments == ["--version"]:  # before Typer is imported: three times as fast
         sys.stdout.write(f"seqid {__version__}\n")
         return 0
+    # Small matrices: a second BLAS thread costs many times what it gains, and changes last digits.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from seqid_cli.commands.app import run
 
     return run(arguments)

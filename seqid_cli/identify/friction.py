@@ -120,10 +120,10 @@ def _identify_joint(
     robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
 ) -> _JointFit:
     """Fit twice: the first surface shows what acceleration is left in the trials."""
-    first = _fit(robot, j, trials, options)
+    first = _fit(robot, j, trials, options, thorough=False)
     steady = [trial for group in first.gravity.groups for trial in without_inertia(group, first)]
     unpaired = first.gravity.unpaired
-    second = _fit(robot, j, steady, options)
+    second = _fit(robot, j, steady, options, thorough=True)
     return _summarise(robot, j, second, unpaired, options)
 
 
@@ -135,7 +135,9 @@ class _Fit:
     chosen: Chosen
 
 
-def _fit(robot: Robot, j: int, trials: list[Trial], options: FrictionOptions) -> _Fit:
+def _fit(
+    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions, *, thorough: bool
+) -> _Fit:
     gravity = fit_gravity(robot, j, trials)
     if not gravity.groups:
         raise UnpairedError(
@@ -152,7 +154,7 @@ def _fit(robot: Robot, j: int, trials: list[Trial], options: FrictionOptions) ->
         if logarithmic[2].held_out_rmse < 0.97 * chosen[2].held_out_rmse:
             chosen = logarithmic
     data = weighted_by_level(data, chosen)
-    chosen = _choose(data, chosen[0], options)
+    chosen = _choose(data, chosen[0], options, thorough=thorough)
     surface = _surface(data, *chosen, directional=gravity.directional)
     return _Fit(gravity, data, surface, chosen)
 
@@ -189,7 +191,7 @@ def _inertial_impulse(group: GravityGroup, fit: _Fit, trial: Trial) -> float:
 def weighted_by_level(data: list[SpeedData], chosen: Chosen) -> list[SpeedData]:
     """Weight each speed by the inverse variance of what the fit leaves at it."""
     _, reduced, orders = chosen
-    D = fit_surface(reduced, orders.position, orders.velocity)
+    D = fit_surface(reduced, orders.position, orders.velocity, orders.smoothing)
     left = dict.fromkeys({item.u for item in reduced}, 0.0)
     total = dict(left)
     for item in reduced:
@@ -203,16 +205,21 @@ def weighted_by_level(data: list[SpeedData], chosen: Chosen) -> list[SpeedData]:
     ]
 
 
-def _choose(data: list[SpeedData], scaling: Scaling, options: FrictionOptions) -> Chosen:
+def _choose(
+    data: list[SpeedData], scaling: Scaling, options: FrictionOptions, *, thorough: bool = False
+) -> Chosen:
     """Reduce the data on one scale and choose the orders by speeds left out (Eq. 8, 10, 11)."""
     reduced = [reduce_speed(item, scaling) for item in data]
 
-    def accept(m: int, l: int) -> bool:
-        beta = options.beta
-        return beta is not None and left_out_errors(data, reduced, m, l).meets(beta)
+    def accept(orders: Orders) -> bool:
+        return left_out_errors(data, reduced, orders).meets(options.beta or DEFAULT_BETA)
 
     orders = choose_orders(
-        reduced, position=options.position_order, velocity=options.velocity_order, accept=accept
+        reduced,
+        position=options.position_order,
+        velocity=options.velocity_order,
+        accept=accept if options.beta else None,
+        thorough=thorough,
     )
     return scaling, reduced, orders
 
@@ -269,8 +276,9 @@ def _surface(
     for side in sides:
         chosen = [i for i, item in enumerate(data) if side in (0, item.direction)]
         own = [reduced[i] for i in chosen]
-        D.append(fit_surface(own, orders.position, orders.velocity))
-        covariance.append(_covariance([data[i] for i in chosen], own, scaling, D[-1]))
+        D.append(fit_surface(own, orders.position, orders.velocity, orders.smoothing))
+        own_data = [data[i] for i in chosen]
+        covariance.append(_covariance(own_data, own, scaling, D[-1], orders.smoothing))
     size = covariance[0].shape[0]
     joined = np.zeros((len(sides) * size, len(sides) * size))
     for k, block in enumerate(covariance):
@@ -279,10 +287,13 @@ def _surface(
     return FrictionSurface(scaling, width, D[0], D[-1], joined, directional)
 
 
-def _covariance(data: list[SpeedData], reduced: list[Reduced], scaling: Scaling, D: Array) -> Array:
+def _covariance(
+    data: list[SpeedData], reduced: list[Reduced], scaling: Scaling, D: Array, smoothing: float
+) -> Array:
     """Covariance of D's entries, robust against errors shared by neighbouring slices."""
     m, l = D.shape[0] - 1, D.shape[1] - 1
-    bread = np.linalg.pinv(information(reduced, m, l), rcond=1e-12, hermitian=True)
+    normal = information(reduced, m, l, smoothing)
+    bread = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
     meat = np.zeros_like(bread)
     blocks = 0
     for item in data:
@@ -308,7 +319,7 @@ def _summarise(
 ) -> _JointFit:
     data, surface, gravity = fit.data, fit.surface, fit.gravity
     _, reduced, orders = fit.chosen
-    errors = left_out_errors(data, reduced, orders.position, orders.velocity)
+    errors = left_out_errors(data, reduced, orders)
     beta = options.beta or DEFAULT_BETA
     rms = float(np.sqrt(np.mean(np.concatenate([item.friction for item in data]) ** 2)))
     levels = _levels(data, surface)

@@ -211,8 +211,8 @@ def _trimmed(
 ) -> list[tuple[int, int]]:
     """Cut a steady range back until its velocity is one and the same throughout.
 
-    Drift within a window can be too slow to see and still add up, as near the top of a sine; what is
-    left must then be a fair share of the move.
+    Drift within a window can be too slow to see and still add up, as near the top of a sine; what
+    is left must then be a fair share of the move.
     """
     start, stop = start + half // 2, stop - half // 2
     least = max(8 * step, LEAST_SHARE * abs(float(position[-1] - position[0])))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -37,6 +37,18 @@ def torque_motion(recording: Recording, robot: Robot, options: MotionOptions) ->
             where=str(recording.path),
         )
     return decimated(estimate_motion(recording, robot, options))
+
+
+def cutoff_note(cutoffs: Sequence[float], options: MotionOptions) -> str:
+    """Say which low-pass was used and where it came from."""
+    low, high = min(cutoffs), max(cutoffs)
+    span = f"{low:.3g} Hz" if high - low < 0.005 * high else f"{low:.3g} to {high:.3g} Hz"
+    if options.cutoff_hz is not None:
+        return f"low-pass {span}, as given"
+    return (
+        f"low-pass {span}, chosen per log from the encoder's step, the rate and the motion's "
+        "bandwidth (--cutoff overrides)"
+    )
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.friction_summary import (
+    DEFAULT_BETA,
+    Chosen,
+    Fit,
+    JointFit,
+    summarise,
+)
 from seqid_cli.identify.gravity_of_trials import GravityFit, GravityGroup, fit_gravity
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.surface_fit import (
@@ -31,10 +38,7 @@ from seqid_cli.identify.trials import (
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, Scaling, tensor_basis
 from seqid_cli.params.schema import (
-    FrictionJoint,
     FrictionStage,
-    GravityOfTrial,
-    SpeedLevel,
     Verdict,
 )
 from seqid_cli.robot.types import Robot
@@ -46,11 +50,7 @@ class UnpairedError(QualityError):
     """A joint's trials cannot be freed of gravity."""
 
 
-Chosen = tuple[Scaling, list[Reduced], Orders]
-
-DEFAULT_BETA = 0.05
 WIDE_RANGE = 4.0  # fastest over slowest speed from which a logarithmic scale is tried
-POOR_HELD_OUT = 0.15  # left-out error over friction beyond which the surface is not to be trusted
 NARROW_SIGN = 10.0  # the sign is smoothed over a tenth of the slowest speed
 CLEAR_SIGMA = 5.0
 BLOCK = 8  # neighbouring slices whose errors may share a cause
@@ -109,35 +109,20 @@ def identify_friction(
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 
-@dataclass(frozen=True)
-class _JointFit:
-    joint: FrictionJoint
-    verdict: Verdict
-    notes: list[str]
-
-
 def _identify_joint(
     robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
-) -> _JointFit:
+) -> JointFit:
     """Fit twice: the first surface shows what acceleration is left in the trials."""
     first = _fit(robot, j, trials, options, thorough=False)
     steady = [trial for group in first.gravity.groups for trial in without_inertia(group, first)]
     unpaired = first.gravity.unpaired
     second = _fit(robot, j, steady, options, thorough=True)
-    return _summarise(robot, j, second, unpaired, options)
-
-
-@dataclass(frozen=True)
-class _Fit:
-    gravity: GravityFit
-    data: list[SpeedData]
-    surface: FrictionSurface
-    chosen: Chosen
+    return summarise(robot, j, second, unpaired, options)
 
 
 def _fit(
     robot: Robot, j: int, trials: list[Trial], options: FrictionOptions, *, thorough: bool
-) -> _Fit:
+) -> Fit:
     gravity = fit_gravity(robot, j, trials)
     if not gravity.groups:
         raise UnpairedError(
@@ -156,10 +141,10 @@ def _fit(
     data = weighted_by_level(data, chosen)
     chosen = _choose(data, chosen[0], options, thorough=thorough)
     surface = _surface(data, *chosen, directional=gravity.directional)
-    return _Fit(gravity, data, surface, chosen)
+    return Fit(gravity, data, surface, chosen)
 
 
-def without_inertia(group: GravityGroup, fit: _Fit) -> list[Trial]:
+def without_inertia(group: GravityGroup, fit: Fit) -> list[Trial]:
     """Take the torque of what acceleration is left (Eq. 25) off the trials of one configuration.
 
     With one joint moving, its inertia d_kk is one number per configuration. The impulse of the ramp
@@ -177,7 +162,7 @@ def without_inertia(group: GravityGroup, fit: _Fit) -> list[Trial]:
     return [replace(trial, tau=trial.tau - inertia * trial.ddq) for trial in group.trials]
 
 
-def _inertial_impulse(group: GravityGroup, fit: _Fit, trial: Trial) -> float:
+def _inertial_impulse(group: GravityGroup, fit: Fit, trial: Trial) -> float:
     """Impulse of the ramp, N m s, without gravity's and friction's."""
     ramp = trial.ramp
     if not len(ramp.q):
@@ -312,106 +297,3 @@ def _covariance(
 def _basis(item: SpeedData, scaling: Scaling, m: int, l: int) -> Array:
     u = scaling.u(np.full(len(item.q), item.speed))
     return tensor_basis(scaling.x(item.q), u, m, l)
-
-
-def _summarise(
-    robot: Robot, j: int, fit: _Fit, unpaired: int, options: FrictionOptions
-) -> _JointFit:
-    data, surface, gravity = fit.data, fit.surface, fit.gravity
-    _, reduced, orders = fit.chosen
-    errors = left_out_errors(data, reduced, orders)
-    beta = options.beta or DEFAULT_BETA
-    rms = float(np.sqrt(np.mean(np.concatenate([item.friction for item in data]) ** 2)))
-    levels = _levels(data, surface)
-    joint = FrictionJoint(
-        position_order=orders.position,
-        velocity_order=orders.velocity,
-        max_error=errors.relative,
-        max_abs_error=errors.absolute,
-        rmse=float(np.sqrt(np.mean([level.rmse**2 for level in levels]))),
-        held_out_rmse=errors.rmse,
-        beta=beta,
-        criterion_met=errors.meets(beta),
-        position_range=list(surface.scaling.position),
-        speed_range=list(surface.scaling.speed),
-        speed_scale="log" if surface.scaling.logarithmic else "linear",
-        sign_width=surface.sign_width,
-        directional=surface.directional,
-        asymmetry=gravity.asymmetry,
-        positive=surface.positive.tolist(),
-        negative=surface.negative.tolist(),
-        covariance=surface.covariance.tolist(),
-        gravity=[
-            GravityOfTrial(
-                configuration=group.configuration.tolist(),
-                p_xi=group.p_xi.tolist(),
-                std_error=group.std_error.tolist(),
-            )
-            for group in gravity.groups
-        ],
-        speeds=levels,
-        unit="N" if robot.joints[j].prismatic else "N m",
-    )
-    name = robot.joints[j].name
-    notes = _notes(name, joint, gravity.asymmetry, unpaired)
-    return _JointFit(joint, _verdict(name, joint, rms), notes)
-
-
-def _levels(data: list[SpeedData], surface: FrictionSurface) -> list[SpeedLevel]:
-    result = []
-    for speed in sorted({item.speed for item in data}):
-        own = [item for item in data if item.speed == speed]
-        squares = [
-            (item.friction - item.direction * surface.torque(item.q, _velocity(item))) ** 2
-            for item in own
-        ]
-        result.append(
-            SpeedLevel(
-                speed=speed,
-                forward=sum(item.direction > 0 for item in own),
-                backward=sum(item.direction < 0 for item in own),
-                rmse=float(np.sqrt(np.mean(np.concatenate(squares)))),
-            )
-        )
-    return result
-
-
-def _velocity(item: SpeedData) -> Array:
-    return np.full(len(item.q), item.direction * item.speed)
-
-
-def _verdict(name: str, joint: FrictionJoint, friction_rms: float) -> Verdict:
-    """Good, or poor and why."""
-    share = (joint.held_out_rmse or 0.0) / max(friction_rms, 1e-12)
-    if len(joint.speeds) < 3:
-        reason = f"only {len(joint.speeds)} speed(s); three or more show how friction depends on it"
-        return Verdict(joint=name, good=False, reason=reason)
-    if share > POOR_HELD_OUT:
-        reason = (
-            f"speeds left out are missed by {100 * share:.0f} % of the friction; "
-            "record more speeds, or look at what else moves the torque (seqid diagnose)"
-        )
-        return Verdict(joint=name, good=False, reason=reason)
-    reason = f"speeds left out are predicted to {100 * share:.1f} % of the friction"
-    return Verdict(joint=name, good=True, reason=reason)
-
-
-def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> list[str]:
-    notes = []
-    if unpaired:
-        notes.append(
-            f"{name}: {unpaired} trial(s) have no twin in the other direction in the same "
-            "configuration and were left out; Eq. 15 needs both"
-        )
-    if joint.directional:
-        notes.append(
-            f"{name}: friction depends on direction by {100 * asymmetry:.1f} %, against the "
-            "assumption of Eq. 15; each direction has its own surface"
-        )
-    if not joint.criterion_met:
-        notes.append(
-            f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the "
-            f"largest error is {100 * joint.max_error:.1f} % "
-            f"({joint.max_abs_error:.3g} {joint.unit})"
-        )
-    return notes

@@ -123,17 +123,28 @@ def _stage(robot: Robot, found: dict[str, list[Trials]], cutoff_hz: float) -> Im
         calibration = _calibrate(robot, imu, pairs, gravity, density)
         imus[imu.name] = calibration
         notes += [f"{imu.name}: {text}" for text in calibration.not_determined]
-        verdicts.append(_verdict(imu, calibration))
+        verdicts.append(_verdict(robot, imu, calibration))
     return ImuStage(imus=imus, cutoff_hz=cutoff_hz, verdicts=verdicts, notes=notes)
 
 
-def _verdict(imu: Imu, calibration: ImuCalibration) -> Verdict:
+def _verdict(robot: Robot, imu: Imu, calibration: ImuCalibration) -> Verdict:
     worst = calibration.std_error_deg
     reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
-    if calibration.not_determined:
+    missing = bool(calibration.not_determined)
+    if missing:
         reason += "; " + "; ".join(calibration.not_determined)
-    good = worst < POOR_DEG and not calibration.not_determined
+        if _planar(robot, imu.after_joint):
+            reason += ", and does not matter: every joint before the IMU turns about that axis"
+            missing = False
+    good = worst < POOR_DEG and not missing
     return Verdict(joint=imu.name, good=good, reason=reason)
+
+
+def _planar(robot: Robot, link: int) -> bool:
+    """Whether all joints up to a link turn about parallel axes, whatever their angles."""
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
+    axes = axes_in_link(robot, q, link)[:, ~robot.chain.prismatic[: link + 1]]
+    return bool(np.all(np.abs(axes @ robot.chain.axis[link]) > 1 - 1e-9))
 
 
 def _trials(recording: Recording, robot: Robot, imu: Imu, motion: Motion) -> Trials:

@@ -17,7 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.equations import blocks, filtered_regressor, torque_motion
+from seqid_cli.identify.equations import (
+    blocks,
+    cutoff_note,
+    filtered_regressor,
+    torque_motion,
+)
 from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve, whitened
 from seqid_cli.identify.options import InertiaOptions
@@ -93,6 +98,7 @@ class InertiaEquations:
         self.joints = [Accumulator(basis.size + 1) for _ in range(robot.n)]
         self.torque_squares = np.zeros(robot.n)
         self.cutoffs: list[float] = []
+        self.options = InertiaOptions()
         self.sources: dict[str, str] = {}
         self._cross: dict[int, Array] = {}
 
@@ -106,6 +112,7 @@ class InertiaEquations:
             source=options.source,
         )
         self.cutoffs.append(motion.cutoff.hz)
+        self.options = options
         self.sources[str(recording.path)] = motion.source
         usable = sliding(motion, self.slowest)
         y = self._right_side(motion)
@@ -217,7 +224,7 @@ class InertiaEquations:
         return verdicts
 
     def _notes(self, missing: list[str], pairs: list[list[str]], coupled: bool) -> list[str]:
-        notes = []
+        notes = [cutoff_note(self.cutoffs, self.options.motion)]
         if missing:
             notes.append("not excited by these logs: " + "; ".join(missing))
         if pairs:

@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.equations import blocks, filtered_regressor, torque_motion
+from seqid_cli.identify.equations import (
+    blocks,
+    cutoff_note,
+    filtered_regressor,
+    torque_motion,
+)
 from seqid_cli.identify.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.rigid_stage import not_excited, parameters_of, representative_of
 from seqid_cli.logs.recording import Recording
@@ -70,7 +75,7 @@ def identify_simultaneous(
         equations.add(torque_motion(recording, robot, options))
     if not any(joint.samples for joint in equations.joints):
         raise QualityError("no joint moves in these logs", hint="record moves of every joint")
-    return equations.stages()
+    return equations.stages(options)
 
 
 class SimultaneousEquations:
@@ -127,15 +132,16 @@ class SimultaneousEquations:
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
         return motion.filtered(columns, times=2)
 
-    def stages(self) -> tuple[FrictionStage, RigidStage]:
+    def stages(self, options: MotionOptions) -> tuple[FrictionStage, RigidStage]:
         """Solve and describe the result."""
         solution = solve(self.joints)
         moved = [j for j in range(self.robot.n) if self.joints[j].samples]
         friction = {self.robot.joint_names[j]: self._joint(j, solution) for j in moved}
         note = "Coulomb, viscous and offset from one least squares with the rigid body (Eq. 5-6)"
         cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
+        filtering = cutoff_note(self.cutoffs, options)
         stage = FrictionStage(
-            joints=friction, method="simultaneous", cutoff_hz=cutoff, notes=[note]
+            joints=friction, method="simultaneous", cutoff_hz=cutoff, notes=[note, filtering]
         )
         return stage, self._rigid(solution, cutoff)
 

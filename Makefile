@@ -3,7 +3,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 WORKERS ?= 2
-RIGS ?= six_joint
+RIGS ?= one_joint two_joint six_joint
 OUT ?= out
 
 SHELL := /bin/bash
@@ -50,6 +50,10 @@ lint: $(DEV) ## check the style
 
 types: $(DEV) ## check the types
 	$(BIN)/mypy
+
+.PHONY: study
+study: $(DEV) ## measure against truth and bounds, rewrite the tables in README.md (minutes)
+	$(BIN)/python -m tests.study
 
 # ---- sample logs
 

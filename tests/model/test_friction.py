@@ -1,0 +1,215 @@
+"""The friction surface against its formula, its gradient, and its edges."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.polynomial.chebyshev import chebval2d
+from numpy.typing import NDArray
+
+from seqid_cli.model.friction import FrictionSurface, Scaling, tensor_basis
+from seqid_cli.params.schema import FrictionJoint
+
+Array = NDArray[np.float64]
+
+POSITION, SPEED, WIDTH = (-1.5, 2.5), (0.1, 4.0), 0.01
+
+
+def surface(
+    *, directional: bool = False, logarithmic: bool = False, orders: tuple[int, int] = (3, 2)
+) -> FrictionSurface:
+    """A surface with random coefficients, Coulomb friction above all."""
+    rng = np.random.default_rng(0)
+    shape = (orders[0] + 1, orders[1] + 1)
+    positive, negative = 0.2 * rng.standard_normal((2, *shape))
+    positive[0, 0], negative[0, 0] = 5.0, 4.0
+    size = positive.size * (2 if directional else 1)
+    A = rng.standard_normal((size, size))
+    return FrictionSurface(
+        scaling=Scaling(POSITION, SPEED, logarithmic),
+        sign_width=WIDTH,
+        positive=positive,
+        negative=negative if directional else positive,
+        covariance=A @ A.T,
+        directional=directional,
+    )
+
+
+@pytest.fixture(params=[(False, False), (True, False), (False, True), (True, True)])
+def any_surface(request: pytest.FixtureRequest) -> FrictionSurface:
+    """Both kinds on both scales."""
+    return surface(directional=request.param[0], logarithmic=request.param[1])
+
+
+def states(count: int = 60) -> tuple[Array, Array]:
+    rng = np.random.default_rng(1)
+    q = rng.uniform(*POSITION, count)
+    v = rng.uniform(*SPEED, count) * rng.choice([-1, 1], count)
+    return q, v
+
+
+def formula(own: FrictionSurface, q: Array, v: Array) -> Array:
+    """Eq. 7 and 10 on Chebyshev polynomials, written with numpy's own evaluation."""
+    low, high = own.scaling.position
+    x = (2 * q - low - high) / (high - low)
+    slow, fast = own.scaling.speed
+    speed = np.abs(v)
+    if own.scaling.logarithmic:
+        slow, fast, speed = np.log(slow), np.log(fast), np.log(speed)
+    u = (2 * speed - slow - fast) / (fast - slow)
+    ahead, back = chebval2d(x, u, own.positive), chebval2d(x, u, own.negative)
+    return np.where(v > 0, ahead, -back)
+
+
+def test_the_torque_is_the_formula_inside_the_range(any_surface: FrictionSurface) -> None:
+    q, v = states()
+    np.testing.assert_allclose(
+        any_surface.torque(q, v), formula(any_surface, q, v), rtol=1e-7, atol=1e-7
+    )
+
+
+def test_without_direction_the_torque_is_odd_in_the_velocity() -> None:
+    q, v = states()
+    own = surface()
+    np.testing.assert_allclose(own.torque(q, -v), -own.torque(q, v), rtol=1e-12)
+
+
+def test_outside_the_range_it_holds_its_edge(any_surface: FrictionSurface) -> None:
+    low, high = any_surface.scaling.position
+    fast = any_surface.scaling.speed[1]
+    v = np.array([0.5, -2.0, 3.0])
+    for beyond, edge in ((low - 3.0, low), (high + 1.0, high)):
+        np.testing.assert_array_equal(
+            any_surface.torque(np.full(3, beyond), v), any_surface.torque(np.full(3, edge), v)
+        )
+    q = np.array([-1.0, 0.0, 2.0])
+    np.testing.assert_array_equal(
+        any_surface.torque(q, np.full(3, 10 * fast)), any_surface.torque(q, np.full(3, fast))
+    )
+    slowest = any_surface.scaling.speed[0]
+    np.testing.assert_allclose(
+        any_surface.torque(q, np.full(3, 0.7 * slowest)),
+        any_surface.torque(q, np.full(3, slowest)),
+        rtol=1e-5,
+    )
+
+
+def test_outside_is_said(any_surface: FrictionSurface) -> None:
+    q, v = states()
+    assert not any_surface.outside(q, v).any()
+    middle, pace = np.zeros(1), np.ones(1)
+    assert any_surface.outside(np.array([3.0]), pace).all()
+    assert any_surface.outside(np.array([-2.0]), pace).all()
+    assert any_surface.outside(middle, np.array([-5.0])).all()
+    assert any_surface.outside(middle, np.array([0.05])).all()
+    assert not any_surface.outside(middle, np.array([0.0])).any()
+
+
+def test_the_torque_does_not_jump_at_rest(any_surface: FrictionSurface) -> None:
+    q = np.array([-1.0, 0.3, 2.0])
+    tiny = 1e-9
+    off = any_surface.torque(q, np.full(3, tiny)) - any_surface.torque(q, np.full(3, -tiny))
+    assert np.abs(off).max() < 1e-5
+    rest = any_surface.torque(q, np.zeros(3))
+    np.testing.assert_allclose(rest, any_surface.torque(q, np.full(3, tiny)), atol=1e-5)
+
+
+def test_at_rest_the_part_that_does_not_flip_stays() -> None:
+    own = surface(directional=True)
+    q = np.array([0.2, 1.0])
+    slow = np.full(2, own.scaling.speed[0])
+    offset = (own.torque(q, slow) + own.torque(q, -slow)) / 2
+    np.testing.assert_allclose(own.torque(q, np.zeros(2)), offset, atol=1e-6)
+    assert np.abs(offset).min() > 0.1
+
+
+def test_the_torque_passes_rest_monotonically(any_surface: FrictionSurface) -> None:
+    v = np.linspace(-0.05, 0.05, 201)
+    torque = any_surface.torque(np.zeros_like(v), v)
+    assert (np.diff(torque) >= -1e-12).all()
+
+
+def test_columns_are_the_gradient(any_surface: FrictionSurface) -> None:
+    """Central differences in every entry that the covariance is of."""
+    q, v = states(25)
+    columns = any_surface.columns(q, v)
+    count = any_surface.positive.size
+    assert columns.shape[1] == len(any_surface.covariance)
+    step = 1e-4
+    for k in range(columns.shape[1]):
+        sides = []
+        for sign in (1, -1):
+            positive, negative = any_surface.positive.copy(), any_surface.negative.copy()
+            if k < count:
+                positive.ravel()[k] += sign * step
+            if not any_surface.directional:
+                negative = positive
+            elif k >= count:
+                negative.ravel()[k - count] += sign * step
+            sides.append(replace(any_surface, positive=positive, negative=negative).torque(q, v))
+        slope = (sides[0] - sides[1]) / (2 * step)
+        np.testing.assert_allclose(columns[:, k], slope, atol=1e-9)
+
+
+def test_the_band_at_rest_is_what_the_slowest_speed_has(any_surface: FrictionSurface) -> None:
+    q = np.linspace(*POSITION, 20)
+    low, high = any_surface.at_rest(q)
+    v = np.full(20, any_surface.scaling.speed[0])
+    np.testing.assert_allclose(high, formula(any_surface, q, v), rtol=1e-4)
+    np.testing.assert_allclose(low, formula(any_surface, q, -v), rtol=1e-4)
+    assert (low < high).all()
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_the_papers_orders_are_well_conditioned(logarithmic: bool) -> None:
+    """Orders (10, 11) from twelve speeds, where raw monomials are hopeless."""
+    scaling = Scaling((-2.6, 2.6), (0.4, 8.0), logarithmic)
+    # Chebyshev's points in the speed show the basis itself; evenly spaced ones would show Runge's.
+    points = np.cos((np.arange(12) + 0.5) * np.pi / 12)
+    ends = np.log(scaling.speed) if logarithmic else np.array(scaling.speed)
+    pace = (ends[0] + ends[1] + points * (ends[1] - ends[0])) / 2
+    speeds = np.exp(pace) if logarithmic else pace
+    q, v = (g.ravel() for g in np.meshgrid(np.linspace(-2.6, 2.6, 64), speeds))
+    A = tensor_basis(scaling.x(q), scaling.u(v), 10, 11)
+    assert np.linalg.cond(A) < 30
+    raw = (q[:, None, None] ** np.arange(11)[:, None] * v[:, None, None] ** np.arange(12)).reshape(
+        len(q), -1
+    )
+    assert np.linalg.cond(raw) > 1e12
+
+
+def test_tensor_basis_runs_through_the_speed_first() -> None:
+    x, u = np.array([0.3]), np.array([-0.4])
+    D = np.arange(12.0).reshape(3, 4)
+    got = tensor_basis(x, u, 2, 3) @ D.ravel()
+    np.testing.assert_allclose(got, chebval2d(x, u, D), rtol=1e-14)
+
+
+def test_one_speed_or_one_position_alone() -> None:
+    own = replace(surface(orders=(0, 0)), scaling=Scaling((0.5, 0.5), (1.0, 1.0)))
+    np.testing.assert_allclose(own.torque(np.array([0.5]), np.array([1.0])), 5.0)
+
+
+def test_from_the_parameter_file_and_back(any_surface: FrictionSurface) -> None:
+    low, high = any_surface.scaling.position
+    joint = FrictionJoint(
+        position_order=3,
+        velocity_order=2,
+        max_error=0.0,
+        rmse=0.0,
+        position_range=[low, high],
+        speed_range=list(any_surface.scaling.speed),
+        speed_scale="log" if any_surface.scaling.logarithmic else "linear",
+        sign_width=any_surface.sign_width,
+        directional=any_surface.directional,
+        positive=any_surface.positive.tolist(),
+        negative=any_surface.negative.tolist(),
+        covariance=any_surface.covariance.tolist(),
+    )
+    back = FrictionSurface.from_stage(joint)
+    assert back.scaling == any_surface.scaling
+    np.testing.assert_array_equal(back.covariance, any_surface.covariance)
+    q, v = states()
+    np.testing.assert_array_equal(back.torque(q, v), any_surface.torque(q, v))

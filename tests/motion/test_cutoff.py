@@ -1,0 +1,120 @@
+"""The cut-off follows the encoder and the motion; its noise figures are those of quantisation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.motion.cutoff import BANDWIDTHS, HIGHEST_HZ, choose_cutoff, encoder_step
+from seqid_cli.motion.filtering import Lowpass, differentiate
+from tests.plants.sensors import quantise
+
+Array = NDArray[np.float64]
+
+RATE = 500.0
+
+
+def motion(rng: np.random.Generator, seconds: float = 20.0, top_hz: float = 1.5) -> Array:
+    """Two joints on random sums of sines."""
+    t = np.arange(round(seconds * RATE)) / RATE
+    frequency = rng.uniform(0.1, top_hz, (8, 2))
+    phase = rng.uniform(0, 2 * np.pi, (8, 2))
+    return np.asarray(0.4 * np.sin(2 * np.pi * t[:, None, None] * frequency + phase).sum(axis=1))
+
+
+@pytest.mark.parametrize("counts", [600, 4096, 2**17])
+def test_the_step_of_a_quantised_position_is_found(counts: int) -> None:
+    step = 2 * np.pi / counts
+    q = quantise(motion(np.random.default_rng(0)), step)
+    np.testing.assert_allclose(encoder_step(q), step, rtol=0.01)
+
+
+def test_an_unquantised_position_has_no_step() -> None:
+    rng = np.random.default_rng(1)
+    q = motion(rng) + 1e-4 * rng.standard_normal((10000, 2))
+    np.testing.assert_array_equal(encoder_step(q), 0.0)
+
+
+def test_a_position_that_never_changes_has_no_step() -> None:
+    np.testing.assert_array_equal(encoder_step(np.full((100, 2), 0.7)), 0.0)
+
+
+def test_the_coarser_the_encoder_the_lower_the_cutoff() -> None:
+    q = motion(np.random.default_rng(2))
+    hz = [choose_cutoff(quantise(q, 2 * np.pi / 2**bits), RATE).hz for bits in (9, 12, 15, 18)]
+    assert hz == sorted(hz)
+    assert hz[0] < 0.7 * hz[-1]
+
+
+@pytest.mark.parametrize("counts", [600, 4096])
+def test_the_acceleration_noise_is_what_quantisation_makes(counts: int) -> None:
+    """Differentiate the rounding error of many motions below the chosen cut-off."""
+    step = 2 * np.pi / counts
+    errors, claimed = [], []
+    for seed in range(6):
+        q = motion(np.random.default_rng(seed))
+        rounded = quantise(q, step)
+        cutoff = choose_cutoff(rounded, RATE)
+        lowpass = Lowpass(cutoff.hz, RATE)
+        _, ddq = differentiate(lowpass(rounded - q), RATE)
+        errors.append(ddq[500:-500].std(axis=0))
+        claimed.append(cutoff.acceleration_noise)
+    # The formula has a brick wall where the filter rolls off: their noises differ by sqrt 0.8.
+    roll_off = np.sqrt(5 / 8 * 1.4346 * 0.8889)
+    seen = np.sqrt(np.mean(np.square(errors)))
+    assert roll_off * np.sqrt(np.mean(np.square(claimed))) == pytest.approx(seen, rel=0.15)
+
+
+def test_white_noise_without_steps_is_measured() -> None:
+    rng = np.random.default_rng(3)
+    std = 2e-3
+    q = motion(rng, 40.0) + std * rng.standard_normal((20000, 2))
+    np.testing.assert_allclose(choose_cutoff(q, RATE).noise_density, std**2 * 2 / RATE, rtol=0.2)
+
+
+def test_the_motion_passes_below_the_cutoff() -> None:
+    """What the filter takes off the true acceleration is below a percent of its power."""
+    for counts in (600, 2**17):
+        q = motion(np.random.default_rng(4))
+        cutoff = choose_cutoff(quantise(q, 2 * np.pi / counts), RATE)
+        _, full = differentiate(q, RATE)
+        _, passed = differentiate(Lowpass(cutoff.hz, RATE)(q), RATE)
+        inner = slice(500, -500)
+        assert np.mean((full - passed)[inner] ** 2) < 0.01 * np.mean(full[inner] ** 2)
+
+
+def test_the_bias_stays_below_what_kappa_pays_for() -> None:
+    for counts in (600, 4096, 2**17):
+        q = quantise(motion(np.random.default_rng(5)), 2 * np.pi / counts)
+        assert choose_cutoff(q, RATE).bias < 0.05
+
+
+def test_a_fine_encoder_stops_at_ten_times_the_motion() -> None:
+    t = np.arange(20000) / RATE
+    q = np.sin(2 * np.pi * 0.5 * t)[:, None]
+    cutoff = choose_cutoff(q, RATE)
+    assert cutoff.hz <= 1.3 * BANDWIDTHS * 0.5
+    assert cutoff.hz < HIGHEST_HZ
+
+
+def test_joints_that_rest_do_not_vote() -> None:
+    q = quantise(motion(np.random.default_rng(6)), 2 * np.pi / 4096)
+    alone = choose_cutoff(q[:, :1], RATE)
+    rested = q.copy()
+    rested[:, 1] = quantise(np.array(0.2), 2 * np.pi / 4096)
+    both = choose_cutoff(rested, RATE, moving=np.array([True, False]))
+    assert both.hz == pytest.approx(alone.hz)
+
+
+def test_a_robot_file_overrules_the_step_seen() -> None:
+    q = motion(np.random.default_rng(7))
+    told = choose_cutoff(q, RATE, resolution=np.array([0.01, 0.0]))
+    assert told.encoder_step[0] == 0.01
+    assert told.hz < choose_cutoff(q, RATE).hz
+
+
+def test_the_cutoff_is_below_an_eighth_of_the_rate() -> None:
+    rng = np.random.default_rng(8)
+    q = motion(rng, top_hz=8.0)[::10]
+    assert choose_cutoff(q, RATE / 10).hz <= RATE / 80 + 1e-9

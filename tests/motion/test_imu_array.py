@@ -1,0 +1,202 @@
+"""The accelerometer equation, solved where the layout allows and refused elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.imu_array import (
+    angular_velocity,
+    array_matrix,
+    layout,
+    read_angular,
+    speed_about,
+)
+from seqid_cli.robot.types import Imu
+from tests.plants.rigid import LinkMotion
+from tests.plants.sensors import AccelerometerArray, tetrahedral_array
+
+Array = NDArray[np.float64]
+
+OPEN = Lowpass(1e9, 100.0)  # passes everything
+
+
+def imu_of(positions: Array, axes: Array, *, gyro: bool = False) -> Imu:
+    return Imu("imu_a", 0, positions, axes, gyro=gyro)
+
+
+def rigid_motion(rng: np.random.Generator, samples: int = 50) -> tuple[Array, Array, Array]:
+    """Specific force, angular velocity and acceleration of the IMU's frame, (N, 3) each."""
+    f, w, dw = rng.standard_normal((3, samples, 3))
+    return 10 * f, 4 * w, 30 * dw
+
+
+def readings(imu: Imu, f: Array, w: Array, dw: Array) -> Array:
+    """The simulated instrument's own arithmetic, mounted on the link frame itself."""
+    array = AccelerometerArray("a", 0, imu.positions, imu.axes, np.eye(3), np.zeros(3))
+    turn = np.broadcast_to(np.eye(3), (len(f), 3, 3))
+    return array.ideal(LinkMotion(turn, w, dw, f))
+
+
+@pytest.fixture(params=["tetrahedron", "random"])
+def imu(request: pytest.FixtureRequest) -> Imu:
+    """Twelve accelerometers that see everything."""
+    if request.param == "tetrahedron":
+        return imu_of(*tetrahedral_array(0.05))
+    rng = np.random.default_rng(0)
+    axes = rng.standard_normal((12, 3))
+    return imu_of(
+        rng.uniform(-0.1, 0.1, (12, 3)), axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    )
+
+
+def test_twelve_accelerometers_give_the_motion_exactly(imu: Imu) -> None:
+    f, w, dw = rigid_motion(np.random.default_rng(1))
+    values = readings(imu, f, w, dw)
+    got = read_angular(imu, values, None, OPEN, np.ones(len(f), dtype=bool))
+    np.testing.assert_allclose(got.force, f, atol=1e-8)
+    np.testing.assert_allclose(got.dw, dw, atol=1e-7)
+    np.testing.assert_allclose(got.products, w[:, :, None] * w[:, None, :], atol=1e-7)
+    assert got.speed_known
+
+
+def test_the_matrix_is_the_equation_of_the_docstring(imu: Imu) -> None:
+    f, w, dw = rigid_motion(np.random.default_rng(2), 20)
+    w_products = [w[:, i] * w[:, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    unknowns = np.column_stack([f, dw, *w_products])
+    r, s = imu.positions[None], imu.axes[None]
+    spin, turn = np.broadcast_arrays(w[:, None], r + dw[:, None])[0], dw[:, None]
+    expected = np.sum(s * (f[:, None] + np.cross(turn, r) + np.cross(spin, np.cross(spin, r))), 2)
+    np.testing.assert_allclose(unknowns @ array_matrix(imu).T, expected, atol=1e-10)
+
+
+def test_a_good_layout_is_called_good(imu: Imu) -> None:
+    seen = layout(imu)
+    assert seen.acceleration
+    assert seen.products
+    assert 1 <= seen.condition < 100
+
+
+def test_at_one_point_neither_acceleration_nor_speed_is_seen() -> None:
+    axes = tetrahedral_array(0.05)[1]
+    for positions in (np.zeros((12, 3)), np.tile([0.3, -0.1, 0.2], (12, 1))):
+        seen = layout(imu_of(positions, axes))
+        assert not seen.acceleration
+        assert not seen.products
+
+
+def test_in_one_plane_with_axes_across_only_part_is_seen() -> None:
+    """Sensing across the plane alone shows tilting of the plane, not the turn in it."""
+    rng = np.random.default_rng(3)
+    positions = np.column_stack([rng.uniform(-0.1, 0.1, (12, 2)), np.zeros(12)])
+    seen = layout(imu_of(positions, np.tile([0.0, 0.0, 1.0], (12, 1))))
+    assert not seen.acceleration
+    assert not seen.products
+
+
+def test_triads_in_one_plane_are_judged_by_their_null_space() -> None:
+    rng = np.random.default_rng(4)
+    corners = np.column_stack([rng.uniform(-0.1, 0.1, (4, 2)), np.zeros(4)])
+    imu = imu_of(np.repeat(corners, 3, axis=0), np.tile(np.eye(3), (4, 1)))
+    assert _claims_hold(imu)
+
+
+@pytest.mark.parametrize("count", [6, 9, 11])
+def test_fewer_accelerometers_see_no_more_than_their_number(count: int) -> None:
+    positions, axes = tetrahedral_array(0.05)
+    seen = layout(imu_of(positions[:count], axes[:count]))
+    assert not (seen.acceleration and seen.products)
+    assert _claims_hold(imu_of(positions[:count], axes[:count]))
+
+
+def _claims_hold(imu: Imu) -> bool:
+    """Whether `layout` says a group is seen exactly where no null direction touches it."""
+    A = array_matrix(imu)
+    _, s, Vt = np.linalg.svd(A)
+    null = Vt[np.sum(s > 1e-9 * s[0]) :]
+    seen = layout(imu)
+    acceleration = bool(np.abs(null[:, 3:6]).max(initial=0.0) < 1e-9)
+    products = bool(np.abs(null[:, 6:]).max(initial=0.0) < 1e-9)
+    return (seen.acceleration, seen.products) == (acceleration, products)
+
+
+def test_random_layouts_are_judged_by_their_null_space() -> None:
+    rng = np.random.default_rng(5)
+    for count in range(3, 15):
+        axes = np.eye(3)[rng.integers(0, 3, count)]
+        positions = 0.05 * rng.integers(-1, 2, (count, 3)).astype(float)
+        assert _claims_hold(imu_of(positions, axes))
+
+
+def test_without_products_they_are_zero_and_said_to_be() -> None:
+    positions, axes = tetrahedral_array(0.05)
+    imu = imu_of(positions[:9], axes[:9])
+    f, w, dw = rigid_motion(np.random.default_rng(6))
+    got = read_angular(imu, readings(imu, f, w, dw), None, OPEN, np.ones(len(f), dtype=bool))
+    assert not got.speed_known
+    assert not got.products.any()
+
+
+def test_a_gyro_is_differentiated() -> None:
+    t = np.arange(2000) / 500.0
+    w = np.column_stack([np.sin(3 * t), 0.5 * np.cos(2 * t), 0.2 * t])
+    dw = np.column_stack([3 * np.cos(3 * t), -np.sin(2 * t), np.full_like(t, 0.2)])
+    f = np.tile([0.1, 0.2, 9.8], (len(t), 1))
+    imu = imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)
+    lowpass, valid = Lowpass(20.0, 500.0), np.ones(len(t), dtype=bool)
+    got = read_angular(imu, f, w, lowpass, valid)
+    inner = slice(2 * lowpass.settling, -2 * lowpass.settling)
+    np.testing.assert_allclose(got.dw[inner], dw[inner], atol=1e-3)
+    np.testing.assert_allclose(
+        got.products[inner], (w[:, :, None] * w[:, None, :])[inner], atol=1e-3
+    )
+    np.testing.assert_allclose(got.force, f, atol=1e-6)
+    assert got.speed_known
+
+
+def test_readings_go_through_the_low_pass_once(imu: Imu) -> None:
+    values = np.random.default_rng(7).standard_normal((600, 12))
+    lowpass, valid = Lowpass(10.0, 500.0), np.ones(600, dtype=bool)
+    once = read_angular(imu, values, None, lowpass, valid).dw
+    before = read_angular(imu, lowpass(values), None, OPEN, valid).dw
+    np.testing.assert_allclose(once, before, atol=1e-10)
+
+
+def test_the_sign_of_the_velocity_comes_from_the_reference() -> None:
+    t = np.arange(1000) / 250.0
+    w = np.column_stack([2 * np.sin(4 * t), np.sin(4 * t), -np.sin(4 * t)])
+    rng = np.random.default_rng(8)
+    rough = w + 0.3 * rng.standard_normal(w.shape) * (np.linalg.norm(w, axis=1) > 0.9)[:, None]
+    got = angular_velocity(w[:, :, None] * w[:, None, :], rough)
+    np.testing.assert_allclose(got, w, atol=1e-7)
+
+
+def test_where_the_reference_is_silent_the_last_sign_is_kept() -> None:
+    w = np.tile([0.0, 0.0, -1.5], (20, 1))
+    reference = np.zeros_like(w)
+    reference[5], reference[12] = w[5], -w[12]
+    got = angular_velocity(w[:, :, None] * w[:, None, :], reference)
+    np.testing.assert_allclose(got[:12], w[:12], atol=1e-12)
+    np.testing.assert_allclose(got[12:], -w[12:], atol=1e-12)
+
+
+def test_speed_about_an_axis_is_its_component() -> None:
+    w = np.random.default_rng(9).standard_normal((30, 3))
+    axis = np.array([0.6, 0.0, -0.8])
+    np.testing.assert_allclose(
+        speed_about(w[:, :, None] * w[:, None, :], axis), np.abs(w @ axis), atol=1e-12
+    )
+
+
+def test_derivative_of_the_recovered_velocity_is_the_recovered_acceleration() -> None:
+    """Two independent parts of the array's reading agree with each other."""
+    t = np.arange(3000) / 1000.0
+    w = np.column_stack([1 + np.sin(3 * t), 0.5 * np.cos(2 * t), 2 + 0.3 * np.sin(5 * t)])
+    dw = np.column_stack([3 * np.cos(3 * t), -np.sin(2 * t), 1.5 * np.cos(5 * t)])
+    imu = imu_of(*tetrahedral_array(0.05))
+    values = readings(imu, np.zeros_like(w), w, dw)
+    got = read_angular(imu, values, None, OPEN, np.ones(len(t), dtype=bool))
+    slope, _ = differentiate(angular_velocity(got.products, w), 1000.0)
+    np.testing.assert_allclose(slope[10:-10], got.dw[10:-10], atol=1e-6)

@@ -1,0 +1,1 @@
+"""Reproducible measurements on simulated and recorded robots, printed as Markdown tables."""

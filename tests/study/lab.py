@@ -1,0 +1,87 @@
+"""From a simulated plant to the recordings that the stages read, without files in between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.plants.experiments import Trial
+from tests.plants.rigid import PHI_NAMES
+from tests.plants.robotfile import robot_toml
+from tests.plants.simulate import Log, Plant, simulate
+
+Array = NDArray[np.float64]
+SEED_STRIDE = 1000  # seeds of one repetition's logs: stride * repetition + number of the log
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One repetition: what was recorded, stage by stage, and what no instrument shows."""
+
+    plant: Plant
+    robot: Robot
+    recordings: Mapping[str, Sequence[Recording]]
+    logs: Mapping[str, Sequence[Log]]
+
+
+def robot_of(name: str, plant: Plant) -> Robot:
+    """The plant's robot file, written and read again."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.toml"
+        path.write_text(robot_toml(name, plant), encoding="ascii")
+        return load_robot(path)
+
+
+def recording_of(plant: Plant, name: str, log: Log) -> Recording:
+    """What a reader makes of the log: joint torque from the current, nothing of the truth."""
+    rate = 1.0 / float(log.t[1] - log.t[0])
+    return Recording(
+        path=Path(name),
+        sha256="0" * 64,
+        format="simulated",
+        t=log.t,
+        q=log.q,
+        valid=np.ones(len(log.t), dtype=bool),
+        health=Health(rate_hz=round(rate, 6), jitter=0.0),
+        tau=log.current * plant.torque_per_ampere,
+        accelerometers=dict(log.accelerometers),
+    )
+
+
+def run(
+    name: str, plant: Plant, trials: Sequence[Trial], repetition: int, *, every: int = 1
+) -> Experiment:
+    """Simulate all trials anew, with the noise seeds of this repetition."""
+    recordings: dict[str, list[Recording]] = {}
+    logs: dict[str, list[Log]] = {}
+    for number, trial in enumerate(trials):
+        seed = SEED_STRIDE * (repetition + 1) + number
+        log = simulate(plant, trial.reference, seed, every=every, imus=trial.imus)
+        label = f"{trial.stage}/{trial.name}"
+        recordings.setdefault(trial.stage, []).append(recording_of(plant, label, log))
+        logs.setdefault(trial.stage, []).append(log)
+    return Experiment(plant, robot_of(name, plant), recordings, logs)
+
+
+def true_standard(plant: Plant) -> dict[str, float]:
+    """Standard parameters of all links and rotor inertias, by the names of the parameter file."""
+    arm = plant.arm
+    links = {
+        f"{symbol}_{link + 1}": float(arm.phi[link, k])
+        for link in range(arm.n)
+        for k, symbol in enumerate(PHI_NAMES)
+    }
+    return links | {f"Ia_{i + 1}": float(x) for i, x in enumerate(arm.rotor_inertia)}
+
+
+def true_value(terms: Mapping[str, float], standard: Mapping[str, float]) -> float:
+    """Value that a base parameter, given as factors of standard parameters, has in the plant."""
+    return sum(factor * standard[name] for name, factor in terms.items())

@@ -1,0 +1,75 @@
+"""Markdown tables, the statistics in them, and where they go in the README."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Statistics of signed errors of repetitions, in the unit of the errors."""
+
+    median: float  # of the magnitudes
+    worst: float
+    mean: float  # signed: the bias
+    std: float  # about the mean
+    count: int
+
+
+def spread(errors: ArrayLike) -> Spread:
+    """Summarise signed errors (K,)."""
+    e = np.asarray(errors, dtype=np.float64)
+    size = np.abs(e)
+    std = float(np.std(e, ddof=1)) if len(e) > 1 else float("nan")
+    return Spread(float(np.median(size)), float(size.max()), float(e.mean()), std, len(e))
+
+
+def rms(values: ArrayLike) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
+
+
+def share_within(z: ArrayLike, limit: float) -> float:
+    """Share of values whose magnitude is at most `limit`."""
+    return float(np.mean(np.abs(np.asarray(z, dtype=np.float64)) <= limit))
+
+
+def number(value: float, digits: int = 2) -> str:
+    """A number with `digits` significant digits, without an exponent where that stays short."""
+    if not np.isfinite(value):
+        return "-"
+    if value == 0.0:
+        return "0"
+    places = digits - 1 - int(np.floor(np.log10(abs(value))))
+    return f"{value:.{max(places, 0)}f}" if places <= 6 else f"{value:.{digits - 1}e}"
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table; first column to the left, others to the right."""
+    for row in rows:
+        if len(row) != len(header):
+            raise ValueError(f"row {row[0]!r} has {len(row)} cells, the header {len(header)}")
+    rule = ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join("| " + " | ".join(row) + " |" for row in [header, rule, *rows])
+
+
+def placed(document: str, name: str, content: str) -> str:
+    """The document with `content` between the markers of study `name`.
+
+    Raises
+    ------
+    ValueError
+        If the document does not have the two markers exactly once.
+    """
+    start, end = f"<!-- study:{name} -->", "<!-- /study -->"
+    pattern = re.compile(re.escape(start) + r"(?:(?!<!-- study:).)*?" + re.escape(end), re.DOTALL)
+    if document.count(start) != 1 or not pattern.search(document):
+        raise ValueError(f"README needs {start} and {end}, once, around the tables")
+    return pattern.sub(lambda _: f"{start}\n{content.strip()}\n{end}", document)

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Chosen = tuple[Scaling, list[Reduced], Orders]
 
 DEFAULT_BETA = 0.05
+FEWEST_SPEEDS = 4
 POOR_HELD_OUT = 0.15  # left-out error over friction beyond which the surface is not to be trusted
 
 
@@ -54,7 +55,7 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
         max_error=errors.relative,
         max_abs_error=errors.absolute,
         rmse=float(np.sqrt(np.mean([level.rmse**2 for level in levels]))),
-        held_out_rmse=errors.rmse,
+        held_out_rmse=errors.rmse if len(levels) >= FEWEST_SPEEDS else None,
         beta=beta,
         criterion_met=errors.meets(beta),
         position_range=list(surface.scaling.position),
@@ -107,10 +108,12 @@ def _velocity(item: SpeedData) -> Array:
 
 def _verdict(name: str, joint: FrictionJoint, friction_rms: float) -> Verdict:
     """Good, or poor and why."""
-    share = (joint.held_out_rmse or 0.0) / max(friction_rms, 1e-12)
-    if len(joint.speeds) < 3:
-        reason = f"only {len(joint.speeds)} speed(s); three or more show how friction depends on it"
+    if joint.held_out_rmse is None:
+        reason = (
+            f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"
+        )
         return Verdict(joint=name, good=False, reason=reason)
+    share = joint.held_out_rmse / max(friction_rms, 1e-12)
     if share > POOR_HELD_OUT:
         reason = (
             f"speeds left out are missed by {100 * share:.0f} % of the friction; "

@@ -133,7 +133,9 @@ def _system(robot: Robot, joint: int, paired: Paired) -> tuple[Array, Array, Arr
             wide[:, i * a.shape[1] : (i + 1) * a.shape[1]] = a
             rows.append(wide)
             slope = np.full(len(item.q), item.speed / fastest)
-            extra.append(np.column_stack([np.ones_like(slope), slope]))
+            # The gravity force of a prismatic joint is itself an offset.
+            offset = [] if robot.chain.prismatic[joint] and a.shape[1] else [np.ones_like(slope)]
+            extra.append(np.column_stack([*offset, slope]))
             right.append(item.tau)
             block.append(count + np.arange(len(item.q)) // 8)
             count += -(-len(item.q) // 8)

@@ -16,7 +16,7 @@ README = Path(__file__).parents[2] / "README.md"
 Study = Callable[[bool], str]
 STUDIES: Mapping[str, Study] = {
     "one_joint": lambda quick: one_joint.study(1 if quick else 8),
-    "two_joint": lambda quick: two_joint.study(1 if quick else 8),
+    "two_joint": lambda quick: two_joint.study(1 if quick else 6),
     "six_joint": lambda quick: "" if quick else six_joint.study(3),
     "recorded": lambda quick: recorded.study(),
     "formats": lambda quick: formats.study(6 if quick else 12),

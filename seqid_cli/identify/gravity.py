@@ -31,7 +31,6 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-SLICES_PER_BLOCK = 16
 POOR_CONDITION = 300.0
 
 
@@ -95,7 +94,7 @@ class GravityRows:
         self._cross: dict[int, Array] = {}
 
     def add(self, trial: Trial, joints: list[Accumulator]) -> None:
-        """Add the rows of one trial, in blocks of neighbouring slices."""
+        """Add the rows of one trial."""
         surface = self.surfaces[trial.joint]
         if surface is None:
             self.skipped.append(self.robot.joint_names[trial.joint])
@@ -110,11 +109,10 @@ class GravityRows:
         F = surface.columns(trial.q[inside], v[inside])
         y = trial.tau[inside] - surface.torque(trial.q[inside], v[inside])
         root = np.sqrt(trial.weight)
-        for k in range(0, len(q), SLICES_PER_BLOCK):
-            part = slice(k, k + SLICES_PER_BLOCK)
-            for j, joint in enumerate(joints):
-                own = part if j == trial.joint else slice(0, 0)
-                joint.add(H[own] * root, y[own] * root)
+        # Drift and friction errors are shared within a trial: it is one block.
+        for j, joint in enumerate(joints):
+            own = slice(None) if j == trial.joint else slice(0, 0)
+            joint.add(H[own] * root, y[own] * root)
         crossed = self._cross.get(trial.joint, np.zeros((self.size, F.shape[1])))
         self._cross[trial.joint] = crossed + trial.weight * H.T @ F
         self.used += 1

@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 ASYMMETRY_SHARE = 0.02  # of the friction, below which a direction dependence does not matter
 ASYMMETRY_SIGMA = 4.0
+ENOUGH_PAIRS = 8
 
 
 @dataclass(frozen=True)
@@ -82,13 +83,10 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     if not paired:
         return GravityFit([], unpaired, False, 0.0)
     friction = _friction_scale(paired)
-    columns, extra, y, block = _system(robot, joint, paired)
-    plain, errors = _solve(columns, y, block)
-    share, directional = _asymmetry(columns, extra, y, block, friction)
-    if directional:
-        full, errors = _solve(np.hstack([columns, extra]), y, block)
-        plain, errors = full[: columns.shape[1]], errors[: columns.shape[1]]
-    width = columns.shape[1] // len(paired)
+    system = _system(robot, joint, paired)
+    share, directional = _asymmetry(system, friction)
+    plain, errors, _ = _solve(system, extended=directional)
+    width = system.columns.shape[1] // len(paired)
     fitted = [
         GravityGroup(
             robot,
@@ -121,9 +119,21 @@ def _friction_scale(paired: Paired) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def _system(robot: Robot, joint: int, paired: Paired) -> tuple[Array, Array, Array, Array]:
+@dataclass(frozen=True)
+class _System:
+    """Half-sums `y` by gravity `columns` and direction-dependent `extra`, weighted by `root`."""
+
+    columns: Array
+    extra: Array
+    y: Array
+    root: Array
+    block: NDArray[np.intp]
+
+
+def _system(robot: Robot, joint: int, paired: Paired) -> _System:
     """Stack the half-sums: gravity columns per configuration, offset and slope over the speed."""
-    rows, extra, right, block = [], [], [], []
+    rows, extra, right, root, block = [], [], [], [], []
+    pairs = sum(len(sums) for _, sums in paired)
     fastest = max(item.speed for _, sums in paired for item in sums)
     count = 0
     for i, (group, sums) in enumerate(paired):
@@ -137,35 +147,46 @@ def _system(robot: Robot, joint: int, paired: Paired) -> tuple[Array, Array, Arr
             offset = [] if robot.chain.prismatic[joint] and a.shape[1] else [np.ones_like(slope)]
             extra.append(np.column_stack([*offset, slope]))
             right.append(item.tau)
-            block.append(count + np.arange(len(item.q)) // 8)
-            count += -(-len(item.q) // 8)
-    return np.vstack(rows), np.vstack(extra), np.concatenate(right), np.concatenate(block)
+            root.append(np.full(len(item.q), np.sqrt(item.weight)))
+            # Drift and friction errors are shared within a pair; few pairs must be cut up.
+            parts = 1 if pairs >= ENOUGH_PAIRS else 4
+            block.append(count + np.arange(len(item.q)) * parts // len(item.q))
+            count += parts
+    return _System(
+        np.vstack(rows),
+        np.vstack(extra),
+        np.concatenate(right),
+        np.concatenate(root),
+        np.concatenate(block),
+    )
 
 
-def _solve(columns: Array, y: Array, block: Array) -> tuple[Array, Array]:
-    """Least squares with standard errors that are robust within blocks of neighbouring slices."""
+def _solve(system: _System, *, extended: bool) -> tuple[Array, Array, float]:
+    """Weighted least squares: solution, standard errors robust within blocks, squares left."""
+    columns = system.columns
+    if extended:
+        columns = np.hstack([columns, system.extra])
     if columns.shape[1] == 0:
-        return np.zeros(0), np.zeros(0)
-    solution: Array = np.asarray(np.linalg.lstsq(columns, y, rcond=1e-10)[0], dtype=np.float64)
-    left = y - columns @ solution
-    bread = np.linalg.pinv(columns.T @ columns)
-    scores = np.zeros((int(block.max()) + 1, columns.shape[1]))
-    np.add.at(scores, block.astype(int), columns * left[:, None])
-    covariance = bread @ (scores.T @ scores) @ bread
-    return solution, np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return np.zeros(0), np.zeros(0), float(np.sum((system.root * system.y) ** 2))
+    A, y = columns * system.root[:, None], system.y * system.root
+    solution: Array = np.asarray(np.linalg.lstsq(A, y, rcond=1e-10)[0], dtype=np.float64)
+    left = y - A @ solution
+    bread = np.linalg.pinv(A.T @ A)
+    blocks = int(system.block.max()) + 1
+    scores = np.zeros((blocks, A.shape[1]))
+    np.add.at(scores, system.block, A * left[:, None])
+    scale = blocks / max(blocks - A.shape[1], 1)
+    covariance = bread @ (scores.T @ scores) @ bread * scale
+    return solution, np.sqrt(np.maximum(np.diag(covariance), 0.0)), float(left @ left)
 
 
-def _asymmetry(
-    columns: Array, extra: Array, y: Array, block: Array, friction: float
-) -> tuple[float, bool]:
+def _asymmetry(system: _System, friction: float) -> tuple[float, bool]:
     """Share of friction that depends on direction, and whether it is beyond doubt and size."""
-    both = np.hstack([columns, extra])
-    solution, errors = _solve(both, y, block)
-    offset = extra @ solution[columns.shape[1] :]
+    size = system.columns.shape[1]
+    solution, errors, left_both = _solve(system, extended=True)
+    _, _, left_plain = _solve(system, extended=False)
+    offset = system.extra @ solution[size:]
     share = float(np.sqrt(np.mean(offset**2)) / max(friction, 1e-12))
-    sigma = np.abs(solution[columns.shape[1] :]) / np.maximum(errors[columns.shape[1] :], 1e-300)
-    plain, _ = _solve(columns, y, block)
-    left_plain = float(np.sum((y - columns @ plain) ** 2))
-    left_both = float(np.sum((y - both @ solution) ** 2))
+    sigma = np.abs(solution[size:]) / np.maximum(errors[size:], 1e-300)
     helps = left_both < 0.97 * left_plain
     return share, bool(share > ASYMMETRY_SHARE and sigma.max() > ASYMMETRY_SIGMA and helps)

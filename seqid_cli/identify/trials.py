@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
@@ -41,16 +42,16 @@ class Ramp:
 class Trial:
     """One joint at constant velocity.
 
-    `q` (K,) rad and `tau` (K,) N m are slice averages; `ddq` rad/s^2 is what acceleration is left,
-    `ramp` how the joint got up to speed, `configuration` (n,) rad where every joint stood, the
-    moving one at the middle of its range.
+    `q` (K,) rad and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what acceleration is
+    left, `ramp` how the joint got up to speed, `configuration` (n,) rad where every joint stood,
+    the moving one at the middle of its range.
     """
 
     joint: int
     velocity: float
     q: Array
     tau: Array
-    ddq: float
+    ddq: Array
     ramp: Ramp
     weight: float  # samples per slice
     configuration: Array
@@ -98,29 +99,26 @@ def _trial(recording: Recording, stretch: Stretch) -> Trial:
     length = stretch.samples // slices
     stop = stretch.start + slices * length
     tau = recording.tau[stretch.start : stop, j].reshape(slices, length).mean(axis=1)
-    # Positions on the straight line through the stretch: finer than the encoder's counts.
-    time = (np.arange(slices) + 0.5) * length / recording.rate_hz
-    middle = stretch.samples / 2 / recording.rate_hz
-    q = np.asarray(stretch.configuration[j] + stretch.velocity * (time - middle), dtype=np.float64)
-    ddq = _mean_acceleration(recording.q[stretch.start : stop, j], recording.rate_hz)
+    # A cubic through the stretch gives positions finer than the encoder's counts, and what
+    # acceleration a soft controller leaves.
+    time = (np.arange(stop - stretch.start) + 0.5) / (stop - stretch.start) * 2 - 1
+    seconds = (stop - stretch.start) / recording.rate_hz / 2
+    cubic = Polynomial.fit(
+        time, recording.q[stretch.start : stop, j], 3, domain=[-1, 1], window=[-1, 1]
+    )
+    middles = time.reshape(slices, length).mean(axis=1)
     ramp = slice(stretch.ramp_start, stretch.start)
     configuration = np.array(stretch.configuration)
     return Trial(
         j,
         stretch.velocity,
-        q,
+        np.asarray(cubic(middles), dtype=np.float64),
         tau,
-        ddq,
+        np.asarray(cubic.deriv(2)(middles) / seconds**2, dtype=np.float64),
         Ramp(recording.q[ramp, j], recording.tau[ramp, j], 1 / recording.rate_hz),
         float(length),
         configuration,
     )
-
-
-def _mean_acceleration(q: Array, rate_hz: float) -> float:
-    """Acceleration, rad/s^2, that is left where the velocity should be constant."""
-    time = np.arange(len(q)) / rate_hz
-    return 2 * float(np.polyfit(time - time.mean(), q, 2)[0])
 
 
 def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:
@@ -212,11 +210,12 @@ def plane_across(axis: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class HalfSums:
-    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, and the pair's speed."""
+    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, the pair's speed, weight."""
 
     q: Array
     tau: Array
     speed: float
+    weight: float
 
 
 def half_sums(group: list[Trial]) -> list[HalfSums]:
@@ -233,5 +232,5 @@ def half_sums(group: list[Trial]) -> list[HalfSums]:
             twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
             if inside.sum() >= 4:
                 half = (ahead.tau[inside] + twin) / 2
-                result.append(HalfSums(ahead.q[inside], half, level[0].speed))
+                result.append(HalfSums(ahead.q[inside], half, level[0].speed, ahead.weight))
     return result

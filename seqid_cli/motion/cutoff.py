@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
 BANDWIDTHS = 10.0
+CLEAR_FALL = 0.05  # of the score, beyond which a later maximum is not looked for
 
 
 @dataclass(frozen=True)
@@ -113,8 +114,18 @@ def choose_cutoff(
         signal, noise, density[j] = _powers(q[:, j], rate_hz, step[j], candidates)
         score += np.log(signal) - KAPPA * noise / signal
         bias = np.maximum(bias, noise / signal)
-    best = int(np.argmax(score)) if joints else len(candidates) // 2
+    best = _first_maximum(score) if joints else len(candidates) // 2
     return Cutoff(float(candidates[best]), step, float(bias[best]), True, density)
+
+
+def _first_maximum(score: Array) -> int:
+    """Index of the best value before the first clear fall.
+
+    A slow joint's quantisation is tones, not white noise; above the motion's bandwidth they would
+    count as signal and raise the score again.
+    """
+    fallen = np.flatnonzero(score < np.maximum.accumulate(score) - CLEAR_FALL)
+    return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
 
 
 def _bandwidth(position: Array, rate_hz: float) -> float:

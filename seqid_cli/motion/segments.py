@@ -26,8 +26,9 @@ Mask = NDArray[np.bool_]
 SCALES_S = (0.1, 0.3, 1.0)
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
-VELOCITY_TOLERANCE = 0.02
-STEADY = 0.03  # of the mean velocity, at the ends of a stretch
+VELOCITY_TOLERANCE = 0.06
+SLOWER = 0.03  # of the mean velocity, by which an end may be slower than the middle
+STEADY = 0.1  # of the mean velocity, at the ends of a stretch
 LEAST_SHARE = 0.35  # of the move, that a stretch must cover
 SHORTEST_S = 0.12
 
@@ -235,8 +236,14 @@ def _end_velocities(piece: Array, step: float) -> tuple[float, float]:
     mean = float(piece[-1] - piece[0]) / 2
     # The slope of a cubic at its ends, from samples quantised to a step, is known to about this.
     noise = 10 * step / np.sqrt(12 * len(piece))
-    allowed = STEADY * abs(mean) + 3 * noise
-    return abs(float(cubic(-1.0)) - mean) / allowed, abs(float(cubic(1.0)) - mean) / allowed
+    first, middle, last = (float(cubic(at)) / mean for at in (-1.0, 0.0, 1.0))
+    slack = 3 * noise / abs(mean)
+
+    def excess(end: float) -> float:
+        # An end faster than the middle is a controller settling, a slower one the top of a sine.
+        return float(max(abs(end - 1) / (STEADY + slack), (middle - end) / (SLOWER + slack)))
+
+    return excess(first), excess(last)
 
 
 def standing(moving: Mask, rate_hz: float, margin_s: float = 0.05) -> Mask:

@@ -194,7 +194,7 @@ def test_slices_average_position_and_torque() -> None:
         assert own.joint == 1
         assert own.configuration[0] == pytest.approx(0.4, abs=0.006)
         np.testing.assert_allclose(own.tau, 2.0 * own.q + 1.0, atol=0.01)
-        assert abs(own.ddq) < 0.02 * own.speed
+        assert np.abs(own.ddq).max() < 0.1 * own.speed
         # The ramp leads from rest to the speed; its impulse over the speed is the ramp's torque.
         assert abs(own.ramp.q[0] - own.q[0]) >= abs(own.ramp.q[-1] - own.q[0])
         np.testing.assert_allclose(own.ramp.tau, 2.0 * own.ramp.q + 1.0, atol=0.02)

@@ -148,11 +148,13 @@ def _predict(
 
 
 def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
+    # A joint that never slides is only held within its stiction: nothing to judge it by.
+    judged = [sliding.samples(index) > 0 for index in range(len(names))]
     return {
         name: JointError(
-            rmse=sums.rmse(index),
-            relative_rmse=sums.relative_rmse(index),
-            max_abs=sums.largest(index),
+            rmse=sums.rmse(index) if judged[index] else None,
+            relative_rmse=sums.relative_rmse(index) if judged[index] else None,
+            max_abs=sums.largest(index) if judged[index] else None,
             samples=sums.samples(index),
             rmse_sliding=sliding.rmse(index),
             samples_sliding=sliding.samples(index),

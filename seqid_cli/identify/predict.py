@@ -107,12 +107,17 @@ def _notes(
 ) -> Iterator[str]:
     if stages.inertia is None:
         yield "no inertia stage in the parameter file: inertial torque is taken as zero"
-    for j, name in enumerate(robot.joint_names):
-        if model.surfaces[j] is None:
-            yield f"{name}: no friction in the parameter file, taken as zero"
-        share = outside[:, j].sum() / max(slides[:, j].sum(), 1)
-        if share > OUTSIDE_NOTE:
-            yield (
-                f"{name}: {100 * share:.0f} % of the samples lie outside the speeds or positions "
-                "at which friction was identified; the nearest identified value is used"
-            )
+    unknown = [n for n, s in zip(robot.joint_names, model.surfaces, strict=True) if s is None]
+    if unknown:
+        yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
+    share = outside.sum(axis=0) / np.maximum(slides.sum(axis=0), 1)
+    far = [
+        f"{name} {100 * part:.0f} %"
+        for name, part in zip(robot.joint_names, share, strict=True)
+        if part > OUTSIDE_NOTE
+    ]
+    if far:
+        yield (
+            "outside the speeds or positions at which friction was identified, so that the nearest "
+            f"identified value stands in: {', '.join(far)} of the samples"
+        )

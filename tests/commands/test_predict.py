@@ -152,7 +152,8 @@ def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model:
     done = rig.run(*BASE, "--json")
     document = json.loads(done.out)
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
-    assert document["joints"]["elbow"]["rmse_sliding"] is None
+    for key in ("rmse", "relative_rmse", "max_abs", "rmse_sliding"):
+        assert document["joints"]["elbow"][key] is None
     assert document["joints"]["elbow"]["samples_sliding"] == 0
     assert document["joints"]["elbow"]["samples"] == 2 * (SAMPLES - 1)
     assert document["verdicts"] == []

@@ -28,7 +28,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 ASYMMETRY_SHARE = 0.02  # of the friction, below which a direction dependence does not matter
-ASYMMETRY_SIGMA = 4.0
+ASYMMETRY_SIGMA = 6.0
 ENOUGH_PAIRS = 8
 
 

@@ -26,10 +26,10 @@ Mask = NDArray[np.bool_]
 SCALES_S = (0.1, 0.3, 1.0)
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
-VELOCITY_TOLERANCE = 0.06
-SLOWER = 0.03  # of the mean velocity, by which an end may be slower than the middle
-STEADY = 0.1  # of the mean velocity, at the ends of a stretch
-LEAST_SHARE = 0.35  # of the move, that a stretch must cover
+VELOCITY_TOLERANCE = 0.1
+SLOWER = 0.1  # of the mean velocity, by which an end may be slower than the middle
+STEADY = 0.15  # of the mean velocity, at the ends of a stretch
+LEAST_SHARE = 0.5  # of the move, that a stretch must cover
 SHORTEST_S = 0.12
 
 

@@ -32,7 +32,6 @@ from seqid_cli.identify.trials import (
     Trial,
     by_joint,
     collect_trials,
-    gravity_columns,
     speed_levels,
 )
 from seqid_cli.logs.recording import Recording
@@ -168,9 +167,8 @@ def _inertial_impulse(group: GravityGroup, fit: Fit, trial: Trial) -> float:
     if not len(ramp.q):
         return 0.0
     velocity = trial.velocity * np.linspace(0.0, 1.0, len(ramp.q))
-    gravity = gravity_columns(group.robot, trial.joint, group.configuration, ramp.q) @ group.p_xi
-    friction = fit.surface.torque(ramp.q, velocity)
-    return float(np.sum(ramp.tau - gravity - friction) * ramp.dt)
+    known = group.torque(ramp.q) + fit.surface.torque(ramp.q, velocity)
+    return float(np.sum(ramp.tau - known) * ramp.dt)
 
 
 def weighted_by_level(data: list[SpeedData], chosen: Chosen) -> list[SpeedData]:
@@ -215,7 +213,7 @@ def friction_data(gravity: GravityFit) -> list[SpeedData]:
     for group in gravity.groups:
         for trial in group.trials:
             direction = 1 if trial.velocity > 0 else -1
-            friction = direction * (trial.tau - group.columns_of(trial) @ group.p_xi)
+            friction = direction * (trial.tau - group.torque(trial.q))
             weight = np.full(len(trial.q), trial.weight)
             result.append(SpeedData(trial.speed, direction, trial.q, friction, weight))
     return _on_levels(result)

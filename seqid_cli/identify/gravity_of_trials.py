@@ -42,9 +42,10 @@ class GravityGroup:
     p_xi: Array
     std_error: Array
 
-    def columns_of(self, trial: Trial) -> Array:
-        """Vector a of Eq. 13 along one trial, (K, 2) m/s^2."""
-        return gravity_columns(self.robot, trial.joint, self.configuration, trial.q)
+    def torque(self, q: Array) -> Array:
+        """Gravity torque (K,) N m at positions q (K,) of the moving joint (Eq. 12)."""
+        joint = self.trials[0].joint
+        return gravity_columns(self.robot, joint, self.configuration, q) @ self.p_xi
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 POOR_DEG = 0.5
 UNDETERMINED_DEG = 5.0
 FORCE_BIAS = 0.1  # m/s^2, how far an accelerometer's zero may be off when gravity is used
-SCALE_DEG = 0.1  # rad/s^2 below which an acceleration says nothing
+WEAKEST = 0.1  # rad/s^2 below which an acceleration says nothing
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def _axis_pair(
     """Eq. 29/32 and 33 for one joint of one log, with the references of Eq. 30 and 31."""
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
-    if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < SCALE_DEG:
+    if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < WEAKEST:
         return None
     direction = direction / np.linalg.norm(direction)
     # The IMU's own acceleration along the axis is less noisy than the encoder's: refine with it.

@@ -79,9 +79,9 @@ def identify_inertia(
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
     rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
     basis = base_parameters(robot, rotor=rotor)
-    equations = InertiaEquations(robot, basis, stages)
+    equations = InertiaEquations(robot, basis, stages, options)
     for recording in recordings:
-        equations.add(recording, options)
+        equations.add(recording)
     if not any(joint.samples for joint in equations.joints):
         raise QualityError("no joint with known friction moves in these logs")
     return equations.stage()
@@ -90,29 +90,27 @@ def identify_inertia(
 class InertiaEquations:
     """Accumulates the rows of all logs; the last column is the share of gyroscopic coupling."""
 
-    def __init__(self, robot: Robot, basis: Basis, stages: Stages) -> None:
-        self.robot, self.basis, self.stages = robot, basis, stages
+    def __init__(self, robot: Robot, basis: Basis, stages: Stages, options: InertiaOptions) -> None:
+        self.robot, self.basis, self.stages, self.options = robot, basis, stages, options
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
         self.joints = [Accumulator(basis.size + 1) for _ in range(robot.n)]
         self.torque_squares = np.zeros(robot.n)
         self.cutoffs: list[float] = []
-        self.options = InertiaOptions()
         self.sources: dict[str, str] = {}
         self._cross: dict[int, Array] = {}
 
-    def add(self, recording: Recording, options: InertiaOptions) -> None:
+    def add(self, recording: Recording) -> None:
         """Add the rows of one log."""
         motion = best_motion(
             recording,
             self.robot,
             self.stages.imu,
-            torque_motion(recording, self.robot, options.motion),
-            source=options.source,
+            torque_motion(recording, self.robot, self.options.motion),
+            source=self.options.source,
         )
         self.cutoffs.append(motion.cutoff.hz)
-        self.options = options
         self.sources[str(recording.path)] = motion.source
         usable = sliding(motion, self.slowest)
         y = self._right_side(motion)

@@ -78,8 +78,13 @@ class TorqueModel:
 
     def predict(self, motion: Motion) -> Array:
         """Torque (N, n) N m, filtered like `motion.tau` so that both can be compared."""
+        rigid, friction = self._terms(motion)
+        return rigid + friction
+
+    def _terms(self, motion: Motion) -> tuple[Array, Array]:
+        """Rigid-body and friction torque, each filtered like `motion.tau`."""
         rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
-        return rigid + motion.filtered(self.friction(motion.q, motion.dq), times=2)
+        return rigid, motion.filtered(self.friction(motion.q, motion.dq), times=2)
 
     def predict_set(self, motion: Motion, slides: Mask) -> Array:
         """Torque (N, n) N m where joints slide; at rest the value nearest to the measured one.
@@ -88,8 +93,8 @@ class TorqueModel:
         has at the slowest speed. The residual at rest is the distance to that interval.
         """
         assert motion.tau is not None
-        predicted = self.predict(motion)
-        rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
+        rigid, friction = self._terms(motion)
+        predicted = rigid + friction
         for j, surface in enumerate(self.surfaces):
             if surface is not None:
                 low, high = surface.at_rest(motion.q[:, j])

@@ -19,11 +19,11 @@ BIN := $(VENV)/bin
 RUN := $(VENV)/.installed
 DEV := $(VENV)/.installed-dev
 SEQID := $(BIN)/seqid
-STAGES := friction gravity imu inertia prediction
+STAGES := friction gravity imu inertia prediction diagnosis refined
 
 .PHONY: help
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST) | expand -t 15
 
 # ---- environment
 
@@ -55,13 +55,17 @@ types: $(DEV) ## check the types
 study: $(DEV) ## measure against truth and bounds, rewrite the tables in README.md (minutes)
 	$(BIN)/python -m tests.study
 
+.PHONY: study-effects
+study-effects: $(DEV) ## how well undeclared effects are found, into docs/effects_study.md (hours)
+	$(BIN)/python -m tests.study --only undeclared --refine --processes $(WORKERS)
+
 # ---- sample logs
 
 .PHONY: samples
 samples: $(DEV) ## make sample_logs/ anew (simulated, seeded)
 	$(BIN)/python -m tests.plants.samples sample_logs
 
-# ---- demo: every stage of every rig in sample_logs/, each made from the one before
+# ---- demo: every stage of every rig in sample_logs/, each made from one before
 
 .PHONY: demo
 demo: $(foreach rig,$(RIGS),$(STAGES:%=$(OUT)/$(rig)/%.json)) ## identify the sample robots
@@ -84,6 +88,13 @@ $(OUT)/%/inertia.json: sample_logs/%/robot.toml $(OUT)/%/imu.json $(call logs,in
 
 $(OUT)/%/prediction.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,validation) | $(RUN)
 	$(SEQID) predict sample_logs/$*/validation -r $< -p $(word 2,$^) -o $@ --torques $(@D)/torques.parquet
+
+$(OUT)/%/diagnosis.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,validation) | $(RUN)
+	$(SEQID) diagnose sample_logs/$*/validation -r $< -p $(word 2,$^) -o $@
+
+$(OUT)/%/refined.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,inertia) $(call logs,validation) | $(RUN)
+	$(SEQID) refine sample_logs/$*/inertia sample_logs/$*/validation/fourier_1.parquet \
+		--holdout sample_logs/$*/validation/point_to_point.parquet -r $< -p $(word 2,$^) -o $@
 
 # Made on the way, kept all the same: the next stage starts from them.
 .SECONDARY:

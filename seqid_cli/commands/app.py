@@ -40,6 +40,8 @@ COMMANDS: Mapping[str, Entry] = {
     "imu-calib": Entry("imu_calib", "Find how accelerometers and IMUs are mounted on the links."),
     "inertia": Entry("inertia", "Identify the inertia parameters, given friction and gravity."),
     "predict": Entry("predict", "Predict joint torques and compare them with the measured ones."),
+    "diagnose": Entry("diagnose", "Find out which physical effects a model lacks."),
+    "refine": Entry("refine", "Add the effects that a model lacks, checked on held-out logs."),
     "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
     "completion": Entry("completion", "Print the completion script of a shell."),
 }

@@ -24,7 +24,12 @@ if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
-_WRITTEN_BY = {"friction": "friction", "gravity": "gravity", "imu": "imu-calib"}
+_WRITTEN_BY = {
+    "friction": "friction",
+    "gravity": "gravity",
+    "imu": "imu-calib",
+    "inertia": "inertia",
+}
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,10 @@ Torques = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Where the torques themselves go, as Parquet."),
 ]
+WithUnexplained = Annotated[
+    bool,
+    typer.Option("--with-unexplained", help="Add the smooth terms that no known effect explains."),
+]
 
 
 def run(
@@ -64,6 +68,7 @@ def run(
     cutoff: Cutoff = None,
     time: Clock = "header",
     strict: Strict = False,
+    with_unexplained: WithUnexplained = False,
 ) -> int:
     """Predict the joint torques of any logs and compare them with the measured ones.
 
@@ -92,7 +97,7 @@ def run(
 
     options = InertiaOptions(motion=MotionOptions(cutoff_hz=cutoff), source=motion)
     account = Account(job)
-    file = _predict(job, account, torques, options)
+    file = _predict(job, account, torques, options, unexplained=with_unexplained)
     if output is not None:
         write_json_atomic(output, file, inputs=[*job.files, *job.parameters])
     job.screen.document(file)
@@ -105,17 +110,25 @@ def run(
 
 
 def _predict(
-    job: Job, account: Account, torques: Path | None, options: InertiaOptions
+    job: Job,
+    account: Account,
+    torques: Path | None,
+    options: InertiaOptions,
+    *,
+    unexplained: bool,
 ) -> PredictionFile:
     from seqid_cli.commands.prediction_errors import ErrorSums, TorqueWriter
     from seqid_cli.identify.predict import predict
+    from seqid_cli.model.effects.fitted import effect_notes
 
     names = job.robot.joint_names
     overall = sliding = ErrorSums.none(len(names))
     logs = []
+    told = effect_notes(job.stages, job.robot, unexplained=unexplained)
+    predictions = predict(account, job.robot, job.stages, options=options, unexplained=unexplained)
     with contextlib.ExitStack() as stack:
         writer = stack.enter_context(TorqueWriter.open(torques, names)) if torques else None
-        for log in predict(account, job.robot, job.stages, options=options):
+        for log in predictions:
             own, slid = ErrorSums.of(log, sliding=False), ErrorSums.of(log, sliding=True)
             overall, sliding = overall + own, sliding + slid
             logs.append(
@@ -143,7 +156,7 @@ def _predict(
         joints=joints,
         logs=logs,
         verdicts=[_verdict(name, error) for name, error in joints.items() if error.samples_sliding],
-        notes=_notes(used, joints),
+        notes=[*told, *_notes(used, joints)],
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,6 +16,10 @@ from seqid_cli.params.schema import Stages
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
 
+Offset = Annotated[
+    bool,
+    typer.Option("--offset", help="Give each joint's friction a constant torque besides."),
+]
 EXAMPLES = (
     "seqid simultaneous sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
     " -o simultaneous.json",
@@ -29,6 +33,7 @@ def run(
     logs: Logs,
     robot: RobotPath,
     output: Output = None,
+    offset: Offset = False,
     cutoff: Cutoff = None,
     time: Clock = "header",
     strict: Strict = False,
@@ -45,7 +50,9 @@ def run(
     options = MotionOptions(cutoff_hz=cutoff)
 
     def identify(recordings: Iterable[Recording]) -> Stages:
-        friction, inertia = identify_simultaneous(recordings, job.robot, options=options)
+        friction, inertia = identify_simultaneous(
+            recordings, job.robot, options=options, offset=offset
+        )
         return Stages(friction=friction, inertia=inertia)
 
     return run_stage(job, identify, strict=strict, following=_FOLLOWING)

@@ -13,6 +13,8 @@ from seqid_cli.errors import InputError
 from seqid_cli.identify.inertia import slowest_speeds
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.apply import added_torque, scene_of_log
+from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, sliding
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import estimate_motion
@@ -47,9 +49,14 @@ class LogPrediction:
 
 
 def predict(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    unexplained: bool = False,
 ) -> Iterator[LogPrediction]:
-    """Predict the torque of any logs.
+    """Predict the torque of any logs, with the effects that the parameter file names.
 
     Parameters
     ----------
@@ -60,6 +67,8 @@ def predict(
         Whatever has been identified; what is missing is taken as zero and noted.
     options : InertiaOptions
         Cut-off and source of the motion.
+    unexplained : bool
+        Whether smooth terms of no known cause count as well.
 
     Yields
     ------
@@ -70,14 +79,22 @@ def predict(
     ------
     InputError
         If a log carries neither torque nor current.
+    ConfigError
+        If an effect is not known to this version, or is not what it should be.
     """
     model = TorqueModel.from_stages(stages, robot)
+    effects = fitted_effects(stages, robot, unexplained=unexplained)
     for recording in recordings:
-        yield _predict_log(recording, robot, stages, model, options)
+        yield _predict_log(recording, robot, stages, model, effects, options)
 
 
 def _predict_log(
-    recording: Recording, robot: Robot, stages: Stages, model: TorqueModel, options: InertiaOptions
+    recording: Recording,
+    robot: Robot,
+    stages: Stages,
+    model: TorqueModel,
+    effects: list[Fitted],
+    options: InertiaOptions,
 ) -> LogPrediction:
     encoder = estimate_motion(recording, robot, options.motion)
     motion = best_motion(recording, robot, stages.imu, encoder, source=options.source)
@@ -87,7 +104,12 @@ def _predict_log(
             hint="record current (with torque_constant in the robot file) or torque",
             where=str(recording.path),
         )
-    slides = sliding(motion, slowest_speeds(model.surfaces))
+    slowest = slowest_speeds(model.surfaces)
+    slides = sliding(motion, slowest)
+    added = None
+    if effects:
+        scene = scene_of_log(recording, robot, model, motion)
+        added = added_torque(scene, recording, effects, slowest)
     return LogPrediction(
         path=recording.path,
         sha256=recording.sha256,
@@ -95,7 +117,7 @@ def _predict_log(
         cutoff_hz=motion.cutoff.hz,
         t=motion.t,
         tau=motion.tau,
-        predicted=model.predict_set(motion, slides),
+        predicted=model.predict_set(motion, slides, added),
         used=motion.usable,
         sliding=slides,
         notes=tuple(_notes(model, robot, stages, model.outside(motion) & slides, slides)),

@@ -1,6 +1,6 @@
 """The classical way (Eq. 5-6): rigid body, Coulomb and viscous friction in one least squares.
 
-    tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq + F_o
+    tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq (+ F_o)
 
 for comparison with the sequential way, and for logs that hold no single-joint trials. The result is
 written as a friction stage of orders (0, 1) and an inertia stage with all base parameters, so that
@@ -40,13 +40,17 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-PER_JOINT = 3  # Coulomb, viscous, offset
+TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
 SIGN_SHARE = 0.01  # width of the smoothed sign over the joint's fastest speed
 POOR_SHARE = 0.25
 
 
 def identify_simultaneous(
-    recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    *,
+    options: MotionOptions,
+    offset: bool = False,
 ) -> tuple[FrictionStage, RigidStage]:
     """Identify rigid body and Coulomb-viscous friction together.
 
@@ -58,6 +62,8 @@ def identify_simultaneous(
         Chain, gravity, known rotor inertias.
     options : MotionOptions
         Cut-off.
+    offset : bool
+        Whether each joint has a constant torque F_o besides.
 
     Returns
     -------
@@ -70,7 +76,8 @@ def identify_simultaneous(
         If no joint moves.
     """
     rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
-    equations = SimultaneousEquations(robot, base_parameters(robot, rotor=rotor))
+    basis = base_parameters(robot, rotor=rotor)
+    equations = SimultaneousEquations(robot, basis, offset=offset)
     for recording in recordings:
         equations.add(torque_motion(recording, robot, options))
     if not any(joint.samples for joint in equations.joints):
@@ -81,9 +88,11 @@ def identify_simultaneous(
 class SimultaneousEquations:
     """Accumulates [H, friction columns | tau] of every joint."""
 
-    def __init__(self, robot: Robot, basis: Basis) -> None:
+    def __init__(self, robot: Robot, basis: Basis, *, offset: bool = False) -> None:
         self.robot, self.basis = robot, basis
-        self.joints = [Accumulator(basis.size + PER_JOINT * robot.n) for _ in range(robot.n)]
+        self.terms = TERMS if offset else TERMS[:2]
+        size = basis.size + len(self.terms) * robot.n
+        self.joints = [Accumulator(size) for _ in range(robot.n)]
         self.width = np.zeros(robot.n)
         self.fastest = np.zeros(robot.n)
         self.position = np.array([[np.inf, -np.inf]] * robot.n)
@@ -112,8 +121,8 @@ class SimultaneousEquations:
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
 
     def _own(self, j: int) -> slice:
-        start = self.basis.size + PER_JOINT * j
-        return slice(start, start + PER_JOINT)
+        start = self.basis.size + len(self.terms) * j
+        return slice(start, start + len(self.terms))
 
     def _remember(self, motion: Motion) -> None:
         """Ranges of motion; the width of the sign is set by the first log that moves a joint."""
@@ -126,18 +135,19 @@ class SimultaneousEquations:
         self.position[:, 1] = np.maximum(self.position[:, 1], high)
 
     def _friction(self, motion: Motion) -> Array:
-        """Columns (N, n, 3) of sign, velocity and offset, filtered like predicted friction."""
+        """Columns (N, n, 2 or 3) of sign, velocity, offset, filtered like predicted friction."""
         safe = np.where(self.width > 0, self.width, 1.0)
         sign = np.tanh(motion.dq / safe)
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
-        return motion.filtered(columns, times=2)
+        return motion.filtered(columns[:, :, : len(self.terms)], times=2)
 
     def stages(self, options: MotionOptions) -> tuple[FrictionStage, RigidStage]:
         """Solve and describe the result."""
         solution = solve(self.joints)
         moved = [j for j in range(self.robot.n) if self.joints[j].samples]
         friction = {self.robot.joint_names[j]: self._joint(j, solution) for j in moved}
-        note = "Coulomb, viscous and offset from one least squares with the rigid body (Eq. 5-6)"
+        named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
+        note = f"{named} friction from one least squares with the rigid body (Eq. 5-6)"
         cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
         filtering = cutoff_note(self.cutoffs, options)
         stage = FrictionStage(
@@ -152,13 +162,12 @@ class SimultaneousEquations:
         fast = float(self.fastest[j])
         # Chebyshev over [0, fast]: |v| = fast (1 + T_1(u)) / 2; the offset has the sign of motion
         # taken off.
-        ahead = np.array([[1.0, fast / 2, 1.0], [0.0, fast / 2, 0.0]])
-        back = ahead * np.array([1.0, 1.0, -1.0])
-        both = np.vstack([ahead, back])
+        ahead = np.array([[1.0, fast / 2, 1.0], [0.0, fast / 2, 0.0]])[:, : len(self.terms)]
+        back = ahead * np.array([1.0, 1.0, -1.0])[: len(self.terms)]
+        directional = len(self.terms) == len(TERMS)
+        both = np.vstack([ahead, back]) if directional else ahead
         covariance = both @ solution.covariance[own, own] @ both.T
         sigma = float(solution.sigma[j])
-        names = ("coulomb", "viscous", "offset")
-        units = ("N m", "N m s/rad", "N m")
         errors = np.sqrt(np.diag(solution.covariance)[own])
         return FrictionJoint(
             position_order=0,
@@ -168,14 +177,14 @@ class SimultaneousEquations:
             position_range=[float(x) for x in self.position[j]],
             speed_range=[0.0, fast],
             sign_width=float(self.width[j]),
-            directional=True,
+            directional=directional,
             positive=[(ahead @ values).tolist()],
             negative=[(back @ values).tolist()],
             covariance=covariance.tolist(),
             speeds=[SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
                 Parameter(name=n, value=float(v), std_error=float(e), unit=u)
-                for n, v, e, u in zip(names, values, errors, units, strict=True)
+                for (n, u), v, e in zip(self.terms, values, errors, strict=True)
             ],
         )
 
@@ -184,7 +193,7 @@ class SimultaneousEquations:
         indices = np.arange(basis.size)
         own = indices[solution.determined[: basis.size]]
         missing = not_excited(basis, solution, indices)
-        rank = solution.rank - PER_JOINT * sum(joint.samples > 0 for joint in self.joints)
+        rank = solution.rank - len(self.terms) * sum(joint.samples > 0 for joint in self.joints)
         return RigidStage(
             parameters=parameters_of(robot, basis, own, solution.theta, solution.covariance),
             condition=solution.condition,

@@ -136,6 +136,7 @@ def _assemble(
         temperature=_temperature(clock.stream, base),
         accelerometers=imus.accelerometers,
         gyros=imus.gyros,
+        start=base.start_ns * 1e-9,
         partial=raw.partial,
     )
 

@@ -46,6 +46,7 @@ class Recording:
     temperature: Array | None = None  # (N, n) degC
     accelerometers: dict[str, Array] = field(default_factory=dict)
     gyros: dict[str, Array] = field(default_factory=dict)
+    start: float = 0.0  # s, the first sample on the log's own clock
     partial: str = ""  # what was lost, where the log was salvaged
 
     @property

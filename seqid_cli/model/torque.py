@@ -37,6 +37,19 @@ def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array)
 
 
 @dataclass(frozen=True)
+class Added:
+    """What effects beyond this model add to it.
+
+    `torque` (N, n) N m filtered like `motion.tau`; `low`, `high` (N, n) N m what they add to the
+    interval of friction at rest.
+    """
+
+    torque: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
 class TorqueModel:
     """Everything identified so far, ready to predict.
 
@@ -86,18 +99,23 @@ class TorqueModel:
         rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
         return rigid, motion.filtered(self.friction(motion.q, motion.dq), times=2)
 
-    def predict_set(self, motion: Motion, slides: Mask) -> Array:
+    def predict_set(self, motion: Motion, slides: Mask, added: Added | None = None) -> Array:
         """Torque (N, n) N m where joints slide; at rest the value nearest to the measured one.
 
         Coulomb's law at rest is an interval: friction takes whatever value balances, up to what it
-        has at the slowest speed. The residual at rest is the distance to that interval.
+        has at the slowest speed. The residual at rest is the distance to that interval. What
+        effects add is there in either state.
         """
         assert motion.tau is not None
         rigid, friction = self._terms(motion)
+        if added is not None:
+            rigid = rigid + added.torque
         predicted = rigid + friction
         for j, surface in enumerate(self.surfaces):
             if surface is not None:
                 low, high = surface.at_rest(motion.q[:, j])
+                if added is not None:
+                    low, high = low + added.low[:, j], high + added.high[:, j]
                 held = rigid[:, j] + np.clip(motion.tau[:, j] - rigid[:, j], low, high)
                 predicted[:, j] = np.where(slides[:, j], predicted[:, j], held)
         return predicted

@@ -8,6 +8,7 @@ filtering): a linear equation stays exact whatever the cut-off, only its informa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,7 @@ class Lowpass:
         """
         if not self.active:
             return values.copy()
-        sos = butter(ORDER, self.cutoff_hz, fs=self.rate_hz, output="sos")
+        sos = _sections(self.cutoff_hz, self.rate_hz)
         result = values.copy()
         for start, stop in runs(valid, len(values)):
             pad = min(6 * self.settling, stop - start - 1)
@@ -65,6 +66,12 @@ class Lowpass:
                 piece = sosfiltfilt(sos, values[start:stop], axis=0, padtype="odd", padlen=pad)
                 result[start:stop] = piece
         return result
+
+
+@lru_cache(maxsize=64)
+def _sections(cutoff_hz: float, rate_hz: float) -> Array:
+    sections: Array = butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    return sections
 
 
 def runs(mask: Mask | None, length: int) -> list[tuple[int, int]]:

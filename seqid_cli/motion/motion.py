@@ -114,12 +114,12 @@ def encoder_resolution(robot: Robot) -> Array:
     return np.array([joint.encoder_resolution or 0.0 for joint in robot.joints])
 
 
-def decimated(motion: Motion) -> Motion:
-    """Keep every k-th sample, at least ten per period of the cut-off.
+def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) -> Motion:
+    """Keep every k-th sample, at least `samples_per_cutoff` per period of the cut-off.
 
     Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
     """
-    factor = int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz))
+    factor = int(motion.rate_hz / (samples_per_cutoff * motion.lowpass.cutoff_hz))
     if factor < 2 or not motion.lowpass.active:
         return motion
     rate = motion.rate_hz / factor

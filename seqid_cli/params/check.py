@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.schema import (
+    ClosedLoop,
     EffectOfJoint,
     FrictionJoint,
     ImuCalibration,
@@ -48,6 +49,8 @@ def _problems(file: ParameterFile) -> Iterable[_Problem]:
             yield from _imu(f"$.stages.imu.imus.{name}", imu)
     for index, effect in enumerate(stages.effects or []):
         yield from _effect(f"$.stages.effects[{index}]", effect, joints)
+    if file.closed_loop is not None:
+        yield from _closed_loop("$.closed_loop", file.closed_loop, joints)
 
 
 def _friction(key: str, joint: FrictionJoint) -> Iterable[_Problem]:
@@ -89,6 +92,33 @@ def _imu(key: str, imu: ImuCalibration) -> Iterable[_Problem]:
 def _effect(key: str, effect: EffectOfJoint, joints: Sequence[str]) -> Iterable[_Problem]:
     yield from _known(f"{key}.joint", effect.joint or "", joints)
     yield from _parameters(key, effect.parameters)
+    count = len(effect.coefficients)
+    if effect.covariance and not _has_shape(effect.covariance, count, count):
+        yield f"{key}.covariance", f"must be square with {count} rows, one per coefficient"
+    session = effect.session
+    if session is not None and session.starts and len(session.starts) != len(session.logs):
+        yield f"{key}.session.starts", f"must be {len(session.logs)} times, one per log"
+    if session is not None and (session.origin is None) != (not session.starts):
+        yield f"{key}.session.origin", "must be there if the starts are, and only then"
+
+
+def _closed_loop(key: str, loop: ClosedLoop, joints: Sequence[str]) -> Iterable[_Problem]:
+    for name, rounds in (("rounds", loop.rounds), ("refused", loop.refused)):
+        for index, tried in enumerate(rounds):
+            yield from _known(f"{key}.{name}[{index}].joint", tried.joint or "", joints)
+            yield from _interval(f"{key}.{name}[{index}].interval", tried.interval)
+            if tried.accepted != (name == "rounds"):
+                yield f"{key}.{name}[{index}].accepted", f"contradicts its place in {name}"
+    for name in ("before", "after", "noise_floor", "gain_interval"):
+        for joint in getattr(loop, name):
+            yield from _known(f"{key}.{name}", joint, joints)
+    for joint, interval in loop.gain_interval.items():
+        yield from _interval(f"{key}.gain_interval.{joint}", interval)
+
+
+def _interval(key: str, interval: Sequence[float]) -> Iterable[_Problem]:
+    if interval and (len(interval) != 2 or interval[0] > interval[1]):
+        yield key, "must be two numbers, the smaller one first"
 
 
 def _parameters(key: str, parameters: Sequence[Parameter]) -> Iterable[_Problem]:

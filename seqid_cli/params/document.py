@@ -10,6 +10,7 @@ from seqid_cli import __version__
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.schema import (
     SCHEMA,
+    ClosedLoop,
     EffectOfJoint,
     FrictionStage,
     ImuStage,
@@ -95,6 +96,31 @@ def with_stage(
         robot=robot,
         inputs=_unique([*earlier, *inputs]),
         stages=_stages({**kept, **new}),
+    )
+
+
+def refined(
+    previous: ParameterFile,
+    robot: RobotId,
+    inputs: Sequence[InputLog],
+    stages: Stages,
+    closed_loop: ClosedLoop,
+) -> ParameterFile:
+    """Return a new document: `previous` after refinement.
+
+    `stages` replace those of `previous`. All its inputs stay, because what was identified from
+    them went into the refined stages; `inputs` are the logs that refinement read in addition.
+    """
+    content = {**present(previous.stages), **present(stages)}
+    content.setdefault("effects", [])  # there even where nothing was added
+    return ParameterFile(
+        schema=SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot,
+        inputs=_unique([*previous.inputs, *inputs]),
+        stages=_stages(content),
+        closed_loop=closed_loop,
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA, PredictionFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
@@ -16,6 +17,7 @@ SCHEMA_FOLDER = Path(__file__).parent / "schemas"
 DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     SCHEMA: ParameterFile,
     PREDICTION_SCHEMA: PredictionFile,
+    DIAGNOSIS_SCHEMA: DiagnosisFile,
 }
 
 

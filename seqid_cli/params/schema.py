@@ -184,13 +184,73 @@ class ImuStage(Struct, kw_only=True):
     notes: list[str] = []
 
 
+class EffectSession(Struct, kw_only=True):
+    """The logs that effects were identified from, for those that depend on time or on the log.
+
+    `logs` are hashes in the order in which the effect counts them. `starts` [s] count from
+    `origin`, the earliest start on the logs' own clock; both are missing if they share no clock.
+    """
+
+    logs: list[str]
+    starts: list[float] = []
+    origin: float | None = None
+
+
 class EffectOfJoint(Struct, kw_only=True):
-    """A physical effect that was added to the model."""
+    """A physical effect that was added to the model.
+
+    Its torque is linear in `coefficients`, with their `covariance`, once the `settings` are fixed;
+    `parameters` are the same in physical terms.
+    """
 
     effect: str
     joint: str | None = None
     parameters: list[Parameter] = []
     settings: dict[str, str | float | int | bool] = {}
+    coefficients: list[float] = []
+    covariance: Matrix = []
+    session: EffectSession | None = None
+
+
+class RefinementRound(Struct, kw_only=True):
+    """One round of refinement: an effect was tried.
+
+    Gains are shares of the residual's variance that the effect took away, on the logs that were
+    fitted and on the held-out ones; `interval` is that of the latter, 95 % (empty: not known).
+    """
+
+    effect: str
+    joint: str | None = None
+    accepted: bool = True
+    training_gain: float | None = None
+    held_out_gain: float | None = None
+    interval: list[float] = []
+    reason: str = ""
+
+
+class JointRmse(Struct, kw_only=True):
+    """RMS error of one joint on the held-out logs, N m."""
+
+    rmse: float
+
+
+class ClosedLoop(Struct, kw_only=True):
+    """What refinement did, measured on the held-out logs alone.
+
+    `rounds` are the effects that were added, in order; `refused` those that were tried and did not
+    help. `before` is by the model as it came in, `after` by the refined one; `gain_interval` is of
+    1 - (after / before)^2, 95 %. `held_out` identifies the logs that `evaluated_on` names.
+    """
+
+    rounds: list[RefinementRound]
+    refused: list[RefinementRound] = []
+    before: dict[str, JointRmse] = {}
+    after: dict[str, JointRmse] = {}
+    noise_floor: dict[str, float] = {}
+    gain_interval: dict[str, list[float]] = {}
+    evaluated_on: list[str] = []
+    held_out: list[InputLog] = []
+    notes: list[str] = []
 
 
 class Stages(Struct, kw_only=True, omit_defaults=True):
@@ -212,4 +272,4 @@ class ParameterFile(Struct, kw_only=True, omit_defaults=True):
     robot: RobotId
     inputs: list[InputLog]
     stages: Stages
-    closed_loop: dict[str, msgspec.Raw] | None = None
+    closed_loop: ClosedLoop | None = None

@@ -34,7 +34,13 @@ class Model:
     made: list[LogPrediction] = field(default_factory=list)
 
     def predict(
-        self, recordings: Iterable[Recording], robot: Robot, stages: object, *, options: object
+        self,
+        recordings: Iterable[Recording],
+        robot: Robot,
+        stages: object,
+        *,
+        options: object,
+        unexplained: bool = False,
     ) -> Iterator[LogPrediction]:
         """Yield one prediction per recording."""
         rng = np.random.default_rng(0)

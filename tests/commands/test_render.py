@@ -4,6 +4,7 @@ import io
 
 import pytest
 
+from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import number, percent, plain_table, rich_table
 from seqid_cli.commands.show import verdict_text
@@ -78,3 +79,25 @@ def test_progress_is_silent_where_nobody_watches(stream: io.StringIO, enabled: b
     line.show(2, "b.mcap")
     line.clear()
     assert stream.getvalue() == ""
+
+
+def test_a_chart_shows_shape_and_ranges() -> None:
+    x = [k / 27.5 - 1.0 for k in range(56)]
+    lines = text_chart(x[::-1], [at**2 for at in x[::-1]], x_label="position rad", y_label="N m")
+    top, bottom = lines[1], lines[-3]
+    assert lines[0].strip() == "N m"
+    assert top.split() == ["1", "|**", "**"]
+    assert bottom.split("|")[0].strip() == "0.000331"  # (1 / 55)^2
+    middle = bottom.index("|") + 28
+    assert bottom[middle : middle + 2] == "**"
+    assert lines[-1].split() == ["-1", "1", "position", "rad"]
+    assert all(line.count("*") == 0 for line in lines[-2:])
+    columns = {line.index("|") for line in lines[1:-2]}
+    assert len(columns) == 1
+
+
+def test_charts_of_little() -> None:
+    assert text_chart([], [], x_label="", y_label="") == []
+    assert text_chart([1.0, 1.0], [2.0, 3.0], x_label="", y_label="") == []
+    flat = text_chart([0.0, 1.0], [2.0, 2.0], x_label="", y_label="")
+    assert sum(line.count("*") for line in flat) == 2

@@ -71,6 +71,9 @@ def test_completion_is_light(tmp_path: Path, shell: str) -> None:
         ["gravity", "good.parquet", "-r", "bad.toml", "-p", "no.json"],
         ["gravity", "good.parquet", "-r", "bad.toml", "-p", "bad.json"],
         ["predict", "good.parquet", "-r", "bad.toml", "-p", "bad.json", "--torques", "x/t"],
+        ["diagnose", "good.parquet", "-r", "bad.toml", "-p", "bad.json"],
+        ["refine", "good.parquet", "--holdout", "good.parquet", "-r", "bad.toml", "-p", "bad.json"],
+        ["refine", "good.parquet", "--holdout", "other.parquet", "-r", "bad.toml", "-p", "no.json"],
         ["inertia"],
         ["frictoin"],
     ],
@@ -78,6 +81,7 @@ def test_completion_is_light(tmp_path: Path, shell: str) -> None:
 def test_mistakes_are_found_before_heavy_imports(tmp_path: Path, arguments: list[str]) -> None:
     (tmp_path / "empty.parquet").touch()
     (tmp_path / "good.parquet").write_bytes(b"PAR1" + b"\0" * 16 + b"PAR1")
+    (tmp_path / "other.parquet").write_bytes(b"PAR1" + b"\1" * 16 + b"PAR1")
     (tmp_path / "bad.toml").write_text("schema = ")
     (tmp_path / "bad.json").write_text("{")
     code, out, modules = run(tmp_path, *arguments)

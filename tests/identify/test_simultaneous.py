@@ -61,7 +61,9 @@ def record(seed: int, seconds: float = 60.0) -> Recording:
 @pytest.fixture(scope="module")
 def stages() -> Stages:
     logs = [record(1), record(2)]
-    friction, inertia = identify_simultaneous(logs, robot(), options=MotionOptions(8.0))
+    friction, inertia = identify_simultaneous(
+        logs, robot(), options=MotionOptions(8.0), offset=True
+    )
     return Stages(friction=friction, inertia=inertia)
 
 

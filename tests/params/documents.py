@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-import msgspec
-
-from seqid_cli.params.document import with_stage
+from seqid_cli.params.diagnosis_schema import (
+    DIAGNOSIS_SCHEMA,
+    Curve,
+    DiagnosisFile,
+    EffectParameter,
+    EventEntry,
+    FindingEntry,
+    HiddenEntry,
+    ResidualEntry,
+    UnexplainedPart,
+)
+from seqid_cli.params.document import now, tool, with_stage
+from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import (
+    ClosedLoop,
     EffectOfJoint,
     FrictionJoint,
     FrictionStage,
     ImuCalibration,
     ImuStage,
     InputLog,
+    JointRmse,
     Parameter,
     ParameterFile,
+    RefinementRound,
     RigidStage,
     RobotId,
     Verdict,
@@ -85,10 +98,82 @@ def imu_file() -> ParameterFile:
     return with_stage(friction_file(), robot(), [log("c", "imu")], imu=imu_stage())
 
 
-def full_file() -> ParameterFile:
+def inertia_file() -> ParameterFile:
     file = with_stage(gravity_file(), robot(), [log("c", "imu")], imu=imu_stage())
-    file = with_stage(file, robot(), [log("d", "inertia")], inertia=rigid_stage("kg m^2"))
-    effect = EffectOfJoint(effect="stribeck", joint="elbow", settings={"iterations": 3})
+    return with_stage(file, robot(), [log("d", "inertia")], inertia=rigid_stage("kg m^2"))
+
+
+def full_file() -> ParameterFile:
+    file = inertia_file()
+    effect = EffectOfJoint(
+        effect="stribeck",
+        joint="elbow",
+        settings={"stribeck_speed": 0.1, "exponent": 2.0},
+        coefficients=[0.5],
+    )
     file = with_stage(file, robot(), [log("e", "effects")], effects=[effect])
-    file.closed_loop = {"rounds": msgspec.Raw(b'[{"effect": "stribeck", "joint": "elbow"}]')}
+    file.closed_loop = closed_loop()
     return file
+
+
+def closed_loop() -> ClosedLoop:
+    refused = RefinementRound(
+        effect="spring",
+        joint="shoulder",
+        accepted=False,
+        training_gain=0.01,
+        held_out_gain=-0.02,
+        interval=[-0.04, 0.0],
+        reason="no gain on the held-out logs",
+    )
+    return ClosedLoop(
+        rounds=[RefinementRound(effect="stribeck", joint="elbow", interval=[0.3, 0.5])],
+        refused=[refused],
+        before={"elbow": JointRmse(rmse=0.2)},
+        after={"elbow": JointRmse(rmse=0.1)},
+        noise_floor={"elbow": 0.09},
+        gain_interval={"elbow": [0.7, 0.8]},
+        evaluated_on=["v"],
+        held_out=[log("v", "")],
+    )
+
+
+def diagnosis_file() -> DiagnosisFile:
+    speed = EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
+    finding = FindingEntry(
+        effect="stribeck",
+        joint="elbow",
+        confidence=0.97,
+        explains=0.81,
+        confusable_with=["presliding_hysteresis", "quadratic_drag"],
+        separate_by="slow reversals at two accelerations",
+        gain=0.7,
+        clean_gain=0.01,
+        parameters=[speed],
+        settings={"stribeck_speed": 0.05, "exponent": 2.0},
+        note="a remark",
+    )
+    curve = Curve(quantity="position", unit="rad", x=[-1.0, 0.0, 1.0], torque=[0.5, -0.5, 0.5])
+    part = UnexplainedPart(
+        joint="shoulder", depends_on=["position", "direction"], share=0.4, curve=curve
+    )
+    residual = ResidualEntry(
+        rmse=0.3, noise_floor=0.1, white=False, rmse_explained=0.12, samples=400
+    )
+    still = ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
+    return DiagnosisFile(
+        schema=DIAGNOSIS_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot(),
+        inputs=[log("v", "")],
+        parameters=[FileId(path="p.json", sha256="0" * 64)],
+        stages=["friction", "gravity", "inertia"],
+        verdict="effect_found",
+        findings=[finding],
+        unexplained=[part],
+        joints={"shoulder": still, "elbow": residual},
+        events=[EventEntry(log="v", start=1.5, end=2.0, joints=["elbow"])],
+        hidden=[HiddenEntry(effect="payload", joint=None, visible=0.02)],
+        notes=["another remark"],
+    )

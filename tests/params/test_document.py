@@ -3,13 +3,16 @@ from __future__ import annotations
 import re
 
 from seqid_cli import __version__
-from seqid_cli.params.document import present, stale_stages, with_stage
+from seqid_cli.params.document import present, refined, stale_stages, with_stage
+from seqid_cli.params.schema import EffectOfJoint, Stages
 from tests.params.documents import (
+    closed_loop,
     friction_file,
     friction_stage,
     full_file,
     gravity_file,
     imu_stage,
+    inertia_file,
     log,
     rigid_stage,
     robot,
@@ -51,3 +54,34 @@ def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:
 def test_an_independent_stage_is_kept() -> None:
     file = with_stage(gravity_file(), robot(), [], imu=imu_stage())
     assert list(present(file.stages)) == ["friction", "gravity", "imu"]
+
+
+def test_a_refined_file_keeps_every_input_and_replaces_the_stages() -> None:
+    before = inertia_file()
+    new = Stages(
+        friction=friction_stage(good=False),
+        inertia=rigid_stage("N m"),
+        effects=[EffectOfJoint(effect="stribeck", joint="elbow")],
+    )
+    after = refined(before, robot(), [log("e", "effects")], new, closed_loop())
+    assert after.stages.friction == new.friction
+    assert after.stages.gravity == before.stages.gravity
+    assert after.stages.imu == before.stages.imu
+    assert after.stages.effects == new.effects
+    assert after.inputs == [*before.inputs, log("e", "effects")]
+    assert after.closed_loop == closed_loop()
+
+
+def test_a_refinement_without_result_says_that_there_are_no_effects() -> None:
+    before = inertia_file()
+    after = refined(before, robot(), [], before.stages, closed_loop())
+    assert after.stages.effects == []
+    assert refined(full_file(), robot(), [], Stages(), closed_loop()).stages.effects == (
+        full_file().stages.effects
+    )
+
+
+def test_a_refinement_does_not_outlive_the_stages_that_it_refined() -> None:
+    again = with_stage(full_file(), robot(), [], inertia=rigid_stage())
+    assert again.stages.effects is None
+    assert again.closed_loop is None

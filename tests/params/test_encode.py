@@ -61,4 +61,4 @@ def test_stages_that_are_not_there_are_left_out() -> None:
     document = json.loads(encode(file))
     assert list(document["stages"]) == ["friction", "imu", "inertia", "effects"]
     assert document["stages"]["friction"]["cutoff_hz"] is None
-    assert document["closed_loop"] == {"rounds": [{"effect": "stribeck", "joint": "elbow"}]}
+    assert document["closed_loop"]["rounds"][0]["effect"] == "stribeck"

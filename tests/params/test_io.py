@@ -133,6 +133,15 @@ def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
             "$.stages.imu.imus.imu_a.rotation: is no rotation",
         ),
         (("stages", "effects", 0, "joint"), "knee", "$.stages.effects[0].joint: joint 'knee'"),
+        (("closed_loop", "rounds", 0, "joint"), "knee", "$.closed_loop.rounds[0].joint: joint 'k"),
+        (("closed_loop", "rounds", 0, "accepted"), False, "$.closed_loop.rounds[0].accepted: "),
+        (("closed_loop", "refused", 0, "interval"), [1.0], "$.closed_loop.refused[0].interval: mu"),
+        (("closed_loop", "before"), {"knee": {"rmse": 1.0}}, "$.closed_loop.before: joint 'knee'"),
+        (
+            ("closed_loop", "gain_interval", "elbow"),
+            [0.2, 0.1],
+            "$.closed_loop.gain_interval.elbow: must be two numbers",
+        ),
     ],
 )
 def test_wrong_content_is_named_by_its_key(
@@ -140,6 +149,31 @@ def test_wrong_content_is_named_by_its_key(
 ) -> None:
     error = problem(tmp_path / "p.json", json.dumps(edited(at, value)))
     assert error.message.startswith(message)
+
+
+@pytest.mark.parametrize(
+    "older",
+    [
+        {"rounds": [{"effect": "stribeck", "joint": "elbow"}, {"effect": "payload"}]},
+        {
+            "rounds": [],
+            "before": {"elbow": {"rmse": 0.5}},
+            "after": {"elbow": {"rmse": 0.5}},
+            "noise_floor": {"elbow": 0.1},
+            "evaluated_on": ["v.parquet"],
+        },
+    ],
+)
+def test_a_closed_loop_needs_no_more_than_the_contract(
+    tmp_path: Path, older: dict[str, list[dict[str, str]]]
+) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(json.dumps(edited(("closed_loop",), older)))
+    loop = read_parameters(path).closed_loop
+    assert loop is not None
+    assert [item.effect for item in loop.rounds] == [item["effect"] for item in older["rounds"]]
+    assert all(item.accepted for item in loop.rounds)
+    assert plain(loop.before) == older.get("before", {})
 
 
 def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:

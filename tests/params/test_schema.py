@@ -7,6 +7,7 @@ import sys
 import jsonschema
 import pytest
 
+from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
 from seqid_cli.params.generate import DOCUMENTS, json_schema, schema_path
@@ -18,7 +19,14 @@ from seqid_cli.params.prediction_schema import (
     PredictionFile,
 )
 from seqid_cli.params.schema import SCHEMA
-from tests.params.documents import friction_file, full_file, gravity_file, log, robot
+from tests.params.documents import (
+    diagnosis_file,
+    friction_file,
+    full_file,
+    gravity_file,
+    log,
+    robot,
+)
 
 REMEDY = "run python -m seqid_cli.params.generate"
 
@@ -72,6 +80,38 @@ def test_predictions_follow_the_schema() -> None:
         logs=[part],
     )
     validator(PREDICTION_SCHEMA).validate(json.loads(encode(file)))
+
+
+def test_diagnoses_follow_the_schema_and_the_contract() -> None:
+    document = json.loads(encode(diagnosis_file()))
+    validator(DIAGNOSIS_SCHEMA).validate(document)
+    assert document.keys() >= {"verdict", "findings", "unexplained", "joints"}
+    assert document["findings"][0].keys() >= {
+        "effect",
+        "joint",
+        "confidence",
+        "explains",
+        "confusable_with",
+        "separate_by",
+    }
+    assert document["unexplained"][0].keys() >= {"joint", "depends_on", "share"}
+    assert document["joints"]["elbow"].keys() >= {"rmse", "noise_floor", "white"}
+
+
+def test_the_schema_refuses_a_diagnosis_that_breaks_the_contract() -> None:
+    document = json.loads(encode(diagnosis_file()))
+    document["verdict"] = "perhaps"
+    del document["findings"][0]["separate_by"]
+    document["joints"]["elbow"]["white"] = 1
+    found = {error.json_path for error in validator(DIAGNOSIS_SCHEMA).iter_errors(document)}
+    assert found == {"$.verdict", "$.findings[0]", "$.joints.elbow.white"}
+
+
+def test_closed_loops_follow_the_contract() -> None:
+    document = json.loads(encode(full_file()))["closed_loop"]
+    assert document.keys() >= {"rounds", "before", "after", "noise_floor", "evaluated_on"}
+    assert document["rounds"][0].items() >= {"effect": "stribeck", "joint": "elbow"}.items()
+    assert document["before"] == {"elbow": {"rmse": 0.2}}
 
 
 def test_params_need_no_numpy() -> None:

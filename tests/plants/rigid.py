@@ -90,11 +90,13 @@ class Rigid:
         self._data = self._model.createData()
         self._reflected = np.diag(arm.reflected)
         self._zero = np.zeros(arm.n)
+        self._lower = np.tril_indices(arm.n, -1)
 
     def terms(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Mass matrix (n, n) kg m^2 and bias torque (n,) N m (Coriolis and gravity)."""
         mass = pin.crba(self._model, self._data, q, pin.Convention.WORLD)
-        mass = np.triu(mass) + np.triu(mass, 1).T + self._reflected
+        mass[self._lower] = mass.T[self._lower]
+        mass = mass + self._reflected
         bias = pin.nonLinearEffects(self._model, self._data, q, dq)
         if not self.arm.rotor_coupling:
             return mass, bias

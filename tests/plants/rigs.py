@@ -224,7 +224,13 @@ def _ur5e_friction() -> SurfaceFriction:
     )
 
 
-def six_joint() -> Plant:
+def plain(friction: SurfaceFriction) -> SurfaceFriction:
+    """Coulomb and viscous friction alone."""
+    none = np.zeros_like(friction.coulomb)
+    return replace(friction, stribeck=none, amplitude=np.zeros_like(friction.amplitude))
+
+
+def six_joint(*, simple_friction: bool = False) -> Plant:
     """Build an arm with a UR5e's geometry and masses, strain-wave-like drives, two arrays."""
     arm = _ur5e_arm()
     positions, axes = tetrahedral_array(0.06)
@@ -236,7 +242,7 @@ def six_joint() -> Plant:
             "imu_b", 5, positions, axes, mounting(-0.3, 1.1, 0.2), np.array([0.02, 0.01, 0.04])
         ),
     )
-    friction = _ur5e_friction()
+    friction = plain(_ur5e_friction()) if simple_friction else _ur5e_friction()
     drive = np.array([0.122, 0.120, 0.118, 0.104, 0.101, 0.103])
     hiss = np.array([0.075, 0.075, 0.06, 0.022, 0.022, 0.022])
     inertia = arm.reflected + np.array([2.0, 2.4, 0.6, 0.03, 0.02, 0.005])

@@ -57,8 +57,11 @@ def tetrahedral_array(size: float) -> tuple[Array, Array]:
 
 def quantise(values: Array, step: Array | float) -> Array:
     """Round to whole steps; a step of zero leaves the value alone."""
-    unit = np.where(np.asarray(step) > 0, step, 1.0)
-    return np.where(np.asarray(step) > 0, np.round(values / unit) * unit, values)
+    steps = np.asarray(step)
+    if steps.min() > 0:
+        return np.asarray(np.round(values / steps) * steps)
+    unit = np.where(steps > 0, step, 1.0)
+    return np.where(steps > 0, np.round(values / unit) * unit, values)
 
 
 def noise(

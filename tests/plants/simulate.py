@@ -7,20 +7,21 @@ after, so position, current and acceleration of one row belong to the same insta
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.plants.controller import Controller, Gains, feedforward
-from tests.plants.friction import Friction, FrictionModel, stick_slip
+from tests.plants.friction import FrictionModel
+from tests.plants.heat import Heat
+from tests.plants.hidden import Hidden, Run, TorqueSource
+from tests.plants.mechanics import mechanics
 from tests.plants.rigid import Arm, Rigid, link_motion
 from tests.plants.sensors import AccelerometerArray, noise, quantise
 from tests.plants.trajectories import Reference
 
 Array = NDArray[np.float64]
-TorqueSource = Callable[[float, Array, Array], Array]  # (t, q, dq) -> (n,) N m acting on the joints
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Plant:
 
     `nominal` and `coulomb_guess` are what the controller believes. `current_noise` A is the
     standard deviation at the control rate, a share `coloured` of whose variance is 1/f. `sources`
-    are further torques that act on the joints (ripple, springs, contact).
+    are further torques that act on the joints; `hidden` is everything else that the robot file
+    does not say. With `heat` the logs carry temperatures.
     """
 
     arm: Arm
@@ -47,6 +49,8 @@ class Plant:
     coloured: float = 0.0
     imus: tuple[AccelerometerArray, ...] = ()
     sources: tuple[TorqueSource, ...] = field(default=())
+    hidden: Hidden = field(default_factory=Hidden)
+    heat: Heat | None = None
 
     @property
     def torque_per_ampere(self) -> Array:
@@ -56,28 +60,41 @@ class Plant:
 
 @dataclass(frozen=True)
 class Truth:
-    """What no instrument shows: the motion and the torques, (N, n), SI."""
+    """What no instrument shows: the motion of the links and the torques, (N, n), SI."""
 
     q: Array
     dq: Array
     ddq: Array
     tau: Array  # actuator torque at the joint
     friction: Array
+    angle: Array  # at the encoders that the log reads, before their errors
+    commanded: Array  # torque that the currents stand for
 
 
 @dataclass(frozen=True)
 class Log:
-    """What the robot records: t (N,) s, q (N, n) rad, current (N, n) A, arrays' readings m/s^2."""
+    """What the robot records: t (N,) s from 0, q (N, n) rad, current (N, n) A, arrays m/s^2.
+
+    `start` is the first row's time since power-on, s; `temperature` (N, n) degC or None.
+    """
 
     t: Array
     q: Array
     current: Array
     accelerometers: dict[str, Array]
     truth: Truth
+    start: float = 0.0
+    temperature: Array | None = None
 
 
 def simulate(
-    plant: Plant, reference: Reference, seed: int, *, every: int = 1, imus: bool = True
+    plant: Plant,
+    reference: Reference,
+    seed: int,
+    *,
+    every: int = 1,
+    imus: bool = True,
+    start: float = 0.0,
 ) -> Log:
     """Run `reference` on `plant` and record every `every`-th control period.
 
@@ -88,54 +105,75 @@ def simulate(
     seed : int, of all noise
     every : int, control periods per recorded row
     imus : bool, whether the accelerometer arrays are recorded
+    start : float, s since power-on
     """
     rng = np.random.default_rng(seed)
-    rate = reference.rate_hz
-    truth = _run(plant, reference)
-    samples = len(reference.q)
-    drive = plant.torque_per_ampere
+    rate, samples = reference.rate_hz, len(reference.q)
+    run = Run(start, reference.duration, 1.0 / rate, seed)
+    truth = _run(plant, reference, run)
     hiss = noise(rng, samples, plant.current_noise, coloured=plant.coloured, rate_hz=rate)
-    kept = Truth(*(getattr(truth, x)[::every] for x in ("q", "dq", "ddq", "tau", "friction")))
+    kept = Truth(*(getattr(truth, x)[::every] for x in Truth.__dataclass_fields__))
     readings = {
         imu.name: imu.read(link_motion(plant.arm, imu.after, kept.q, kept.dq, kept.ddq), rng)
         for imu in (plant.imus if imus else ())
     }
+    current = _current(plant, truth, run)[::every]
     return Log(
         t=np.arange(len(kept.q), dtype=np.float64) * every / rate,
-        q=quantise(kept.q, plant.encoder_step),
-        current=quantise(kept.tau / drive + hiss[::every], plant.current_step),
+        q=quantise(_seen(plant, kept.angle), plant.encoder_step),
+        current=quantise(current + hiss[::every], plant.current_step),
         accelerometers=readings,
         truth=kept,
+        start=start,
+        temperature=_temperature(plant, truth, run, every),
     )
 
 
-def _run(plant: Plant, reference: Reference) -> Truth:
+def _seen(plant: Plant, angle: Array) -> Array:
+    """Angle with the encoders' errors, (..., n) rad."""
+    for error in plant.hidden.encoders:
+        angle = angle + error(angle)
+    return angle
+
+
+def _current(plant: Plant, truth: Truth, run: Run) -> Array:
+    """Current that the drives report, before noise, (N, n) A."""
+    current = truth.commanded / plant.torque_per_ampere
+    t = np.asarray(run.start + run.dt * np.arange(len(current)), dtype=np.float64)
+    for error in plant.hidden.currents:
+        current = error.read(t, current, run)
+    return current
+
+
+def _temperature(plant: Plant, truth: Truth, run: Run, every: int) -> Array | None:
+    """Read the gears' temperatures, 0.1 K a step, (N, n) degC."""
+    if plant.heat is None:
+        return None
+    power = np.abs(truth.friction * truth.dq)
+    degrees = plant.heat.trace(run.start, power, run.dt)[::every]
+    rng = np.random.default_rng([run.seed, 7])
+    return quantise(degrees + 0.05 * rng.standard_normal(degrees.shape), 0.1)
+
+
+def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
     """Integrate the motion; rows at every control instant."""
-    dt = 1.0 / reference.rate_hz
-    rigid, law = Rigid(plant.arm), plant.friction.begin()
+    dt, hidden = run.dt, plant.hidden
     controller = Controller(plant.gains, dt)
     ahead = feedforward(Rigid(plant.nominal), reference, plant.coulomb_guess)
-    wanted, reflected, step = reference.q, plant.arm.reflected, plant.encoder_step
-    samples, n = wanted.shape
-    out = Truth(*(np.empty((samples, n)) for _ in range(5)))
-    q, half = wanted[0].copy(), np.zeros(n)
-    ddq, load, sign = np.zeros(n), np.zeros(n), np.zeros(n)
-    for k in range(samples):
-        t = k * dt
-        tau = controller.torque(quantise(q, step), wanted[k], ahead[k])
-        dq = half + 0.5 * dt * ddq
-        mass, bias = rigid.terms(q, dq)
-        dry = law(t, q, dq, load)
-        force = tau - bias - dry.smooth
-        for source in plant.sources:
-            force = force + source(t, q, dq)
-        ddq, rub, sign = stick_slip(mass, force, half, dt, Friction(*dry), sign)
-        if k == 0:
-            half = -0.5 * dt * ddq  # so that it is the first row that is at rest
-        friction = rub + dry.smooth
-        load = tau - friction - reflected * ddq
-        out.q[k], out.dq[k], out.ddq[k] = q, half + 0.5 * dt * ddq, ddq
-        out.tau[k], out.friction[k] = tau, friction
-        half = half + dt * ddq
-        q = q + dt * half
+    wanted = reference.q
+    stages = [stage.begin(run) for stage in hidden.drives]
+    sources = (*plant.sources, *(torque.begin(run) for torque in hidden.torques))
+    body = mechanics(plant.arm, plant.friction.begin(), sources, hidden, wanted[0], dt)
+    out = Truth(*(np.empty(wanted.shape) for _ in Truth.__dataclass_fields__))
+    for k in range(len(wanted)):
+        t = run.start + k * dt
+        angle = body.reading_angle()
+        seen = quantise(_seen(plant, angle), plant.encoder_step)
+        tau = controller.torque(seen, wanted[k], ahead[k])
+        out.commanded[k] = tau
+        for stage in stages:
+            tau = stage(t, tau, angle)
+        row = body.step(t, tau)
+        out.q[k], out.dq[k], out.ddq[k], out.friction[k], out.angle[k] = row
+        out.tau[k] = tau
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +36,11 @@ from tests.plants.simulate import Plant, simulate
 from tests.plants.trajectories import Reference, hold, trapezoid
 
 Array = NDArray[np.float64]
-PLANTS = {"one_joint": one_joint, "two_joint": two_joint, "six_joint": six_joint}
+PLANTS: dict[str, Callable[..., Plant]] = {
+    "one_joint": one_joint,
+    "two_joint": two_joint,
+    "six_joint": six_joint,
+}
 
 
 @pytest.fixture(params=sorted(PLANTS))

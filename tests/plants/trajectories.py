@@ -161,9 +161,51 @@ def fourier(
     return Reference(middle + scale * q, scale * dq, scale * ddq, rate_hz)
 
 
-def _windowed(t: Array, seconds: float, q: Array, dq: Array, ddq: Array) -> Profile:
-    """Fade in and out over one second with a smooth step, derivatives by the product rule."""
-    fade = min(1.0, 0.25 * seconds)
+def periodic(
+    rng: np.random.Generator,
+    low: Array,
+    high: Array,
+    speed: Array,
+    accel: Array,
+    *,
+    period: float,
+    periods: int,
+    harmonics: int,
+    rate_hz: float,
+    fade: float = 1.0,
+) -> Reference:
+    """Random Fourier series over whole periods between fades of `fade` s from and to rest.
+
+    `period` s is a whole number of samples; limits as in `fourier`, all (n,). The periods begin
+    `fade` s after the first row and repeat to the last bit.
+    """
+    count, edge = round(period * rate_hz), round(fade * rate_hz)
+    k = np.arange(1, harmonics + 1)
+    weight = rng.standard_normal((2, harmonics, len(low))) / k[None, :, None] ** 1.5
+    rate = (2.0 * np.pi / period * k)[:, None]
+    angle = 2.0 * np.pi / count * np.outer(np.arange(count), k)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    cycle = (
+        sine @ weight[0] + cosine @ weight[1],
+        cosine @ (rate * weight[0]) - sine @ (rate * weight[1]),
+        -sine @ (rate**2 * weight[0]) - cosine @ (rate**2 * weight[1]),
+    )
+    rows = np.arange(-edge, periods * count + edge) % count
+    total = periods * period + 2.0 * fade
+    t = np.arange(len(rows)) / rate_hz
+    q, dq, ddq = _windowed(t, total, *(x[rows] for x in cycle), fade=fade)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    scale = np.min(
+        [half / np.abs(q).max(0), speed / np.abs(dq).max(0), accel / np.abs(ddq).max(0)], axis=0
+    )
+    return Reference(middle + scale * q, scale * dq, scale * ddq, rate_hz)
+
+
+def _windowed(
+    t: Array, seconds: float, q: Array, dq: Array, ddq: Array, *, fade: float = 1.0
+) -> Profile:
+    """Fade in and out over `fade` s with a smooth step, derivatives by the product rule."""
+    fade = min(fade, 0.25 * seconds)
     s = np.clip(np.minimum(t, seconds - t) / fade, 0.0, 1.0)
     side = np.where(t < 0.5 * seconds, 1.0, -1.0) / fade
     w = (s**3 * (10 - 15 * s + 6 * s**2))[:, None]

@@ -8,40 +8,53 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from tests.study import formats, one_joint, recorded, six_joint, two_joint
+from tests.study import formats, one_joint, recorded, six_joint, two_joint, undeclared
 from tests.study.tables import placed
 
 README = Path(__file__).parents[2] / "README.md"
 
-Study = Callable[[bool], str]
+Study = Callable[[argparse.Namespace], str]
 STUDIES: Mapping[str, Study] = {
-    "one_joint": lambda quick: one_joint.study(1 if quick else 8),
-    "two_joint": lambda quick: two_joint.study(1 if quick else 6),
-    "six_joint": lambda quick: "" if quick else six_joint.study(3),
-    "recorded": lambda quick: recorded.study(),
-    "formats": lambda quick: formats.study(6 if quick else 12),
+    "one_joint": lambda chosen: one_joint.study(1 if chosen.quick else 8),
+    "two_joint": lambda chosen: two_joint.study(1 if chosen.quick else 6),
+    "six_joint": lambda chosen: "" if chosen.quick else six_joint.study(3),
+    "recorded": lambda chosen: recorded.study(),
+    "formats": lambda chosen: formats.study(6 if chosen.quick else 12),
+    "undeclared": undeclared.study,
 }
+LONG = ("undeclared",)  # only where asked for by name
+DOCUMENTS: Mapping[str, Path] = {"undeclared": undeclared.DOCUMENT}  # the others: README
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print the tables; a full run also puts them into the README."""
+    """Print the tables; a full run also puts them into their document."""
+    usual = [name for name in STUDIES if name not in LONG]
     parser = argparse.ArgumentParser(prog="python -m tests.study", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one rig each; README stays")
-    parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=list(STUDIES))
+    parser.add_argument("--quick", action="store_true", help="one rig each; documents stay")
+    parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=usual)
+    undeclared.add_arguments(parser)
     chosen = parser.parse_args(arguments)
-    if not chosen.quick:
-        for name in chosen.only:  # a missing marker shows before the work is done
-            placed(README.read_text(encoding="utf-8"), name, "")
+    kept = [name for name in chosen.only if not written(name, chosen)]
+    for name in set(chosen.only) - set(kept):  # a missing marker shows before the work is done
+        placed(DOCUMENTS.get(name, README).read_text(encoding="utf-8"), name, "")
     for name in chosen.only:
         start = time.monotonic()
-        content = STUDIES[name](chosen.quick)
+        content = STUDIES[name](chosen)
         sys.stdout.write(f"## {name}\n\n{content or 'left out by --quick'}\n\n")
         sys.stdout.flush()
         sys.stderr.write(f"{name}: {time.monotonic() - start:.0f} s\n")
-        if not chosen.quick:
-            text = README.read_text(encoding="utf-8")
-            README.write_text(placed(text, name, content), encoding="utf-8")
+        if name not in kept:
+            path = DOCUMENTS.get(name, README)
+            text = path.read_text(encoding="utf-8")
+            path.write_text(placed(text, name, content), encoding="utf-8")
     return 0
+
+
+def written(name: str, chosen: argparse.Namespace) -> bool:
+    """Whether a study's tables go into its document: not those of a part of it."""
+    if chosen.quick:
+        return False
+    return name != "undeclared" or undeclared.choice_of(chosen).whole
 
 
 if __name__ == "__main__":

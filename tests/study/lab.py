@@ -48,10 +48,12 @@ def recording_of(plant: Plant, name: str, log: Log) -> Recording:
         sha256="0" * 64,
         format="simulated",
         t=log.t,
+        start=log.start,
         q=log.q,
         valid=np.ones(len(log.t), dtype=bool),
         health=Health(rate_hz=round(rate, 6), jitter=0.0),
         tau=log.current * plant.torque_per_ampere,
+        temperature=log.temperature,
         accelerometers=dict(log.accelerometers),
     )
 

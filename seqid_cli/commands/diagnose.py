@@ -1,0 +1,185 @@
+"""`seqid diagnose`: what a model lacks, with the evidence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from seqid_cli.commands.job import Account, Job, exit_code, prepare
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Logs,
+    MotionSource,
+    Output,
+    Parameters,
+    RobotPath,
+    Strict,
+)
+from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.show_diagnosis import show_diagnosis
+from seqid_cli.commands.stages import tell_output
+from seqid_cli.params.diagnosis_schema import (
+    DIAGNOSIS_SCHEMA,
+    Curve,
+    DiagnosisFile,
+    EffectParameter,
+    EventEntry,
+    FindingEntry,
+    HiddenEntry,
+    ResidualEntry,
+    UnexplainedPart,
+)
+from seqid_cli.params.document import now, present, robot_id, tool
+from seqid_cli.params.io import file_sha256, write_json_atomic
+from seqid_cli.params.prediction_schema import FileId
+
+if TYPE_CHECKING:
+    from seqid_cli.discover.results import Diagnosis, Finding, JointResidual, Unexplained
+    from seqid_cli.robot.types import Robot
+
+EXAMPLES = (
+    "seqid diagnose sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    " -p inertia.json -o diagnosis.json",
+    "seqid diagnose sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    " -p inertia.json --strict --json",
+)
+# What each quantity is measured in: for a revolute joint, for a prismatic one.
+_UNITS = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s^2", "m/s^2"),
+    "load": ("N m", "N"),
+    "temperature": ("degC", "degC"),
+    "time": ("s", "s"),
+    "time_frequency": ("Hz", "Hz"),
+}
+
+
+def run(
+    context: typer.Context,
+    logs: Logs,
+    robot: RobotPath,
+    parameters: Parameters,
+    output: Output = None,
+    motion: MotionSource = "auto",
+    cutoff: Cutoff = None,
+    time: Clock = "header",
+    strict: Strict = False,
+) -> int:
+    """Find out which physical effects a model lacks; any logs will do, nothing is changed.
+
+    With --strict the exit code is 1 unless nothing is missing.
+    """
+    job = prepare(
+        screen_of(context),
+        logs,
+        robot,
+        parameters,
+        output=output,
+        time_source=time,
+        needs=("friction", "inertia", *(("imu",) if motion == "imu" else ())),
+    )
+
+    from seqid_cli.discover.diagnose import diagnose
+    from seqid_cli.discover.options import DiscoverOptions
+    from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.motion.options import MotionOptions
+
+    options = DiscoverOptions(InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=motion))
+    account = Account(job)
+    found = diagnose(account, job.robot, job.stages, options=options)
+    file = _document(job, account, found)
+    if job.output is not None:
+        write_json_atomic(job.output, file, inputs=[*job.files, *job.parameters])
+    job.screen.document(file)
+    show_diagnosis(job.screen, file)
+    tell_output(job, "")
+    _tell_next(job, file)
+    missing = file.verdict != "nothing_missing"
+    return exit_code(untrusted=strict and missing, partial=account.partial)
+
+
+def _tell_next(job: Job, file: DiagnosisFile) -> None:
+    if file.verdict == "nothing_missing":
+        return
+    smooth = "" if file.findings else " --with-unexplained"
+    given = " ".join(f"-p {path}" for path in job.parameters)
+    job.screen.note(
+        f"next: seqid refine LOG... --holdout LOG... -r {job.robot.source} {given}{smooth}"
+        " -o refined.json"
+    )
+
+
+def _document(job: Job, account: Account, found: Diagnosis) -> DiagnosisFile:
+    return DiagnosisFile(
+        schema=DIAGNOSIS_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(job.robot),
+        inputs=account.inputs(),
+        parameters=[FileId(path=str(p), sha256=file_sha256(p)) for p in job.parameters],
+        stages=list(present(job.stages)),
+        verdict=found.verdict,
+        findings=[_finding(finding) for finding in found.findings],
+        unexplained=[_unexplained(part, job.robot) for part in found.unexplained],
+        joints={name: _residual(joint) for name, joint in found.joints.items()},
+        events=[
+            EventEntry(log=event.log, start=event.start, end=event.end, joints=list(event.joints))
+            for event in found.events
+        ],
+        hidden=[
+            HiddenEntry(effect=item.effect, joint=item.joint, visible=item.visible)
+            for item in found.hidden
+        ],
+        notes=list(found.notes),
+    )
+
+
+def _finding(finding: Finding) -> FindingEntry:
+    return FindingEntry(
+        effect=finding.effect,
+        joint=finding.joint,
+        confidence=finding.confidence,
+        explains=finding.explains,
+        confusable_with=list(finding.confusable_with),
+        separate_by=finding.separate_by,
+        gain=finding.gain,
+        clean_gain=finding.clean_gain,
+        parameters=[
+            EffectParameter(
+                name=value.name, value=value.value, std_error=value.std_error, unit=value.unit
+            )
+            for value in finding.parameters
+        ],
+        settings=dict(finding.settings),
+        note=finding.note,
+    )
+
+
+def _unexplained(part: Unexplained, robot: Robot) -> UnexplainedPart:
+    curve = None
+    if part.curve is not None and part.depends_on:
+        quantity = part.depends_on[0]
+        prismatic = robot.joints[robot.joint_names.index(part.joint)].prismatic
+        curve = Curve(
+            quantity=quantity,
+            unit=_UNITS.get(quantity, ("", ""))[prismatic],
+            x=list(part.curve[0]),
+            torque=list(part.curve[1]),
+        )
+    return UnexplainedPart(
+        joint=part.joint, depends_on=list(part.depends_on), share=part.share, curve=curve
+    )
+
+
+def _residual(joint: JointResidual) -> ResidualEntry:
+    counted = joint.samples > 0  # else there is nothing to compute numbers from
+    return ResidualEntry(
+        rmse=joint.rmse if counted else None,
+        noise_floor=joint.noise_floor if counted else None,
+        white=joint.white,
+        rmse_explained=joint.rmse_explained if counted else None,
+        samples=joint.samples,
+    )

@@ -1,0 +1,146 @@
+"""Which logs are fitted, which are held out, and where those of earlier stages are."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+from pathlib import Path
+
+from seqid_cli.errors import InputError, SeqidError, UsageError
+from seqid_cli.logs.open import check_log, expand
+from seqid_cli.params.schema import InputLog
+
+# Stages whose logs determine the model; "effects" are those of an earlier refinement.
+FITTED_STAGES = ("friction", "gravity", "imu", "inertia", "effects")
+_NAMED = 3  # logs that a note names
+
+
+def held_out_logs(logs: Sequence[str], held_out: Sequence[str]) -> tuple[Path, ...]:
+    """Return the held-out logs, after making sure that none of them is to be fitted.
+
+    Raises
+    ------
+    UsageError
+        A log is in both lists, under one name or as a copy.
+    InputError
+        A path stands for no log.
+    """
+    files, fitted = expand(held_out), expand(logs)
+    for file in files:
+        check_log(file)
+    names = {other.resolve(): other for other in fitted}
+    copies = _by_content(fitted, sizes={file.stat().st_size for file in files})
+    for file in files:
+        other = names.get(file.resolve())
+        if other is None and copies.keys():
+            other = copies.get((file.stat().st_size, log_sha256(file)))
+        if other is not None:
+            where = str(file) if file == other else f"{file} ({other})"
+            message = "is given both to fit and to hold out"
+            hint = "A held-out log must never be fitted: leave it out of one of the lists."
+            raise UsageError(message, where=where, hint=hint)
+    return tuple(files)
+
+
+@dataclass(frozen=True)
+class EarlierLogs:
+    """Logs that the stages before were identified from, as far as they are still there.
+
+    `paths` maps a log's SHA-256 to where it is now, `by_stage` a stage to the SHA-256 of its logs.
+    """
+
+    paths: Mapping[str, Path]
+    by_stage: Mapping[str, Sequence[str]]
+    notes: tuple[str, ...]
+
+
+def find_earlier(
+    inputs: Sequence[InputLog],
+    folders: Sequence[Path],
+    *,
+    at_hand: Mapping[str, Path],
+    held_out: Mapping[str, Path],
+) -> EarlierLogs:
+    """Look for the logs of earlier stages, unchanged, where the parameter file says they are.
+
+    Parameters
+    ----------
+    inputs : sequence of InputLog
+        As the parameter file lists them; a relative path is tried from the working directory and
+        then from each of `folders`.
+    folders : sequence of Path
+        Folders of the parameter files.
+    at_hand, held_out : mapping of SHA-256 to Path
+        Logs that were given: to be fitted, wherever earlier stages had them from, and never to be
+        fitted.
+    """
+    listed = [log for log in inputs if log.stage in FITTED_STAGES and log.sha256 not in held_out]
+    paths: dict[str, Path] = {}
+    by_stage: dict[str, list[str]] = {}
+    lost: list[str] = []
+    for log in listed:
+        path = paths.get(log.sha256) or at_hand.get(log.sha256) or _find(log, folders)
+        if path is None:
+            lost.append(log.path)
+        else:
+            paths[log.sha256] = path
+            by_stage.setdefault(log.stage, []).append(log.sha256)
+    known = [str(held_out[log.sha256]) for log in inputs if log.sha256 in held_out]
+    return EarlierLogs(paths, by_stage, (*_lost_note(lost), *_known_note(known)))
+
+
+def log_sha256(path: Path) -> str:
+    """SHA-256 of a log, as recordings carry it.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error})", where=str(path)) from error
+
+
+def _by_content(files: Sequence[Path], *, sizes: Set[int]) -> dict[tuple[int, str], Path]:
+    """Return files by size and SHA-256; only those of one of `sizes` are read for it."""
+    likely = [(file.stat().st_size, file) for file in files if file.stat().st_size in sizes]
+    return {(size, log_sha256(file)): file for size, file in likely}
+
+
+def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
+    for path in (Path(log.path), *(folder / log.path for folder in folders)):
+        with contextlib.suppress(SeqidError, OSError, ValueError):
+            if path.is_file():  # the name comes from a file: nothing else is opened
+                check_log(path)
+                if log_sha256(path) == log.sha256:
+                    return path
+    return None
+
+
+def _lost_note(lost: Sequence[str]) -> tuple[str, ...]:
+    if not lost:
+        return ()
+    return (
+        f"logs of earlier stages that are no longer there or have changed: {_some(lost)};"
+        " the model is fitted again without them",
+    )
+
+
+def _known_note(known: Sequence[str]) -> tuple[str, ...]:
+    if not known:
+        return ()
+    return (
+        f"held out, although the model that came in was identified from it: {_some(known)};"
+        " the error before is too small",
+    )
+
+
+def _some(paths: Sequence[str]) -> str:
+    names = list(dict.fromkeys(paths))  # a log may belong to two stages
+    rest = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")

@@ -1,0 +1,195 @@
+"""`seqid refine`: the loop closed, from what a model lacks to a model that has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from seqid_cli.commands.job import Account, Job, exit_code, prepare
+from seqid_cli.commands.log_sets import EarlierLogs, find_earlier, held_out_logs
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Logs,
+    MotionSource,
+    Output,
+    Parameters,
+    RobotPath,
+    Strict,
+)
+from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.show_refinement import show_refinement
+from seqid_cli.commands.stages import tell_output
+from seqid_cli.params.document import refined, robot_id
+from seqid_cli.params.files import check_output
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.schema import (
+    ClosedLoop,
+    InputLog,
+    JointRmse,
+    ParameterFile,
+    RefinementRound,
+)
+
+if TYPE_CHECKING:
+    from seqid_cli.discover import results
+    from seqid_cli.discover.options import DiscoverOptions
+    from seqid_cli.logs.recording import Recording
+
+EXAMPLES = (
+    "seqid refine sample_logs/six_joint/inertia --holdout sample_logs/six_joint/validation"
+    " -r sample_logs/six_joint/robot.toml -p inertia.json -o refined.json",
+    "seqid refine sample_logs/six_joint/inertia sample_logs/six_joint/validation/fourier_1.parquet"
+    " --holdout sample_logs/six_joint/validation/point_to_point.parquet"
+    " -r sample_logs/six_joint/robot.toml -p inertia.json --rounds 2 --json",
+)
+_FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
+
+Holdout = Annotated[
+    list[str],
+    typer.Option(
+        "--holdout",
+        metavar="LOG",
+        help="Log, folder or glob that is never fitted, only reported on; repeat it for several.",
+    ),
+]
+Rounds = Annotated[
+    int, typer.Option("--rounds", metavar="N", min=1, max=100, help="At most this many effects.")
+]
+WithUnexplained = Annotated[
+    bool,
+    typer.Option("--with-unexplained", help="Add a smooth term where no known effect explains."),
+]
+
+
+def run(
+    context: typer.Context,
+    logs: Logs,
+    holdout: Holdout,
+    robot: RobotPath,
+    parameters: Parameters,
+    output: Output = None,
+    rounds: Rounds = 4,
+    with_unexplained: WithUnexplained = False,
+    motion: MotionSource = "auto",
+    cutoff: Cutoff = None,
+    time: Clock = "header",
+    strict: Strict = False,
+) -> int:
+    """Add the effects that a model lacks, as long as held-out logs are predicted better.
+
+    The held-out logs are never fitted. With --strict the exit code is 1 if nothing helped.
+    """
+    held_out = held_out_logs(logs, holdout)
+    if output is not None:
+        check_output(output, held_out)
+    job = prepare(
+        screen_of(context),
+        logs,
+        robot,
+        parameters,
+        output=output,
+        time_source=time,
+        needs=("friction", "inertia", *(("imu",) if motion == "imu" else ())),
+    )
+    assert job.previous is not None
+
+    from seqid_cli.discover.options import DiscoverOptions
+    from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.motion.options import MotionOptions
+
+    options = DiscoverOptions(
+        InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=motion),
+        max_effects=rounds,
+        with_unexplained=with_unexplained,
+    )
+    file, partial = _refine(job, job.previous, held_out, options)
+    assert file.closed_loop is not None
+    if job.output is not None:
+        inputs = [*job.files, *held_out, *job.parameters]
+        write_json_atomic(job.output, file, inputs=inputs)
+    job.screen.document(file)
+    show_refinement(job.screen, file.closed_loop, file.stages.effects or [])
+    tell_output(job, _FOLLOWING)
+    return exit_code(untrusted=strict and not file.closed_loop.rounds, partial=partial)
+
+
+def _refine(
+    job: Job, previous: ParameterFile, held_out: Sequence[Path], options: DiscoverOptions
+) -> tuple[ParameterFile, list[str]]:
+    from seqid_cli.discover.refine import refine
+
+    training, kept_out = Account(job), Account(replace(job, files=tuple(held_out)))
+    fitted, unseen = list(training), list(kept_out)
+    found = find_earlier(
+        previous.inputs,
+        [path.parent for path in job.parameters],
+        at_hand={recording.sha256: recording.path for recording in fitted},
+        held_out={recording.sha256: recording.path for recording in unseen},
+    )
+    earlier, partial = _read_earlier(job, found, fitted)
+    count = sum(map(len, earlier.values()))
+    job.screen.detail(
+        f"{len(fitted)} logs to fit, {len(unseen)} held out, {count} of earlier stages"
+    )
+    stages, loop = refine(fitted, unseen, job.robot, previous, earlier=earlier, options=options)
+    file = refined(
+        previous,
+        robot_id(job.robot),
+        training.inputs("effects"),
+        stages,
+        _closed_loop(loop, kept_out.inputs(), found.notes),
+    )
+    return file, [*training.partial, *kept_out.partial, *partial]
+
+
+def _read_earlier(
+    job: Job, found: EarlierLogs, fitted: Sequence[Recording]
+) -> tuple[dict[str, list[Recording]], list[str]]:
+    """Read the logs of earlier stages; one that is fitted anyway is not read a second time."""
+    recordings = {recording.sha256: recording for recording in fitted}
+    files = tuple(path for sha256, path in found.paths.items() if sha256 not in recordings)
+    account = Account(replace(job, files=files))
+    if files:
+        recordings |= {recording.sha256: recording for recording in account}
+    earlier = {
+        stage: [recordings[sha256] for sha256 in logs if sha256 in recordings]
+        for stage, logs in found.by_stage.items()
+    }
+    return earlier, account.partial
+
+
+def _closed_loop(
+    loop: results.ClosedLoop, held_out: list[InputLog], notes: Sequence[str]
+) -> ClosedLoop:
+    return ClosedLoop(
+        rounds=[_round(tried) for tried in loop.rounds if tried.accepted],
+        refused=[_round(tried) for tried in loop.rounds if not tried.accepted],
+        before=_rmse(loop.before),
+        after=_rmse(loop.after),
+        noise_floor=dict(loop.noise_floor),
+        gain_interval={name: list(limits) for name, limits in loop.gain_interval.items()},
+        evaluated_on=list(loop.evaluated_on),
+        held_out=held_out,
+        notes=[*notes, *loop.notes],
+    )
+
+
+def _round(tried: results.Round) -> RefinementRound:
+    return RefinementRound(
+        effect=tried.effect,
+        joint=tried.joint,
+        accepted=tried.accepted,
+        training_gain=tried.training_gain,
+        held_out_gain=tried.held_out_gain,
+        interval=list(tried.interval),
+        reason=tried.reason,
+    )
+
+
+def _rmse(errors: Mapping[str, float]) -> dict[str, JointRmse]:
+    return {name: JointRmse(rmse=value) for name, value in errors.items()}

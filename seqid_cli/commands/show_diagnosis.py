@@ -1,0 +1,165 @@
+"""A diagnosis on the screen: the verdict first, then the evidence, then what stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from seqid_cli.commands.chart import text_chart
+from seqid_cli.commands.render import Screen, number, percent
+from seqid_cli.params.diagnosis_schema import (
+    DiagnosisFile,
+    EventEntry,
+    FindingEntry,
+    HiddenEntry,
+    ResidualEntry,
+    UnexplainedPart,
+)
+
+_EVENTS_SHOWN = 10
+
+
+def show_diagnosis(screen: Screen, file: DiagnosisFile) -> None:
+    """Print a diagnosis."""
+    screen.result(verdict_sentence(file))
+    _findings(screen, file.findings)
+    _unexplained(screen, file.unexplained)
+    _joints(screen, file.joints)
+    _events(screen, file.events)
+    _hidden(screen, file.hidden)
+    for note in file.notes:
+        screen.note(f"note: {note}")
+
+
+def verdict_sentence(file: DiagnosisFile) -> str:
+    """Return the verdict in one sentence."""
+    if file.verdict == "nothing_missing":
+        return "Nothing is missing: what these logs leave of the torque is noise."
+    rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
+    if file.verdict == "unexplained":
+        where = f" ({rest})" if rest else ""
+        return f"Something is missing that no known effect explains{where}."
+    found = ", ".join(effect_at(item.effect, item.joint) for item in file.findings)
+    more = f"; a part stays unexplained ({rest})" if rest else ""
+    return f"The model lacks {found}{more}."
+
+
+def effect_at(effect: str, joint: str | None) -> str:
+    """Return the name of an effect with its place."""
+    return f"{effect} at {joint}" if joint else effect
+
+
+def _findings(screen: Screen, findings: Sequence[FindingEntry]) -> None:
+    columns = ("effect", "joint", "confidence", "explains", "parameters")
+    rows = [
+        (
+            item.effect,
+            item.joint or "whole arm",
+            percent(item.confidence),
+            percent(item.explains),
+            _parameters(item),
+        )
+        for item in findings
+    ]
+    screen.table(columns, rows)
+    for item in findings:
+        name = effect_at(item.effect, item.joint)
+        if item.confusable_with:
+            screen.result(f"{name}: could also be {' or '.join(item.confusable_with)}")
+            if item.separate_by:
+                screen.result(f"  to tell them apart, record: {item.separate_by}")
+        if item.note:
+            screen.note(f"note: {name}: {item.note}")
+
+
+def _parameters(item: FindingEntry) -> str:
+    if not item.parameters:
+        return "not determined by these logs"
+    values = [
+        f"{value.name} {number(value.value)} +- {number(value.std_error, 2)}{_unit(value.unit)}"
+        for value in item.parameters
+    ]
+    named = {value.name for value in item.parameters}
+    units = setting_units(item.effect)
+    values += [
+        f"{name} {number(value)}{_unit(units.get(name, ''))}"
+        for name, value in item.settings.items()
+        if name not in named
+    ]
+    return ", ".join(values)
+
+
+def setting_units(effect: str) -> Mapping[str, str]:
+    """Return the units of what an effect's torque is not linear in."""
+    from seqid_cli.model.effects.registry import CATALOGUE
+
+    if effect not in CATALOGUE:
+        return {}
+    return {setting.name: setting.unit for setting in CATALOGUE[effect].settings}
+
+
+def _unit(unit: str) -> str:
+    return "" if unit in ("", "1") else f" {unit}"
+
+
+def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart]) -> None:
+    rows = [(part.joint, _quantities(part.depends_on), percent(part.share)) for part in parts]
+    screen.table(("joint", "unexplained, depends on", "share"), rows)
+    for part in parts:
+        curve = part.curve
+        if curve is None:
+            continue
+        lines = text_chart(
+            curve.x,
+            curve.torque,
+            x_label=f"{curve.quantity}{_unit(curve.unit)}",
+            y_label=f"unexplained torque of {part.joint} N m",
+        )
+        for line in lines:
+            screen.result(line)
+
+
+def _quantities(names: Sequence[str]) -> str:
+    return ", ".join(names) or "nothing that was logged"
+
+
+def _joints(screen: Screen, joints: Mapping[str, ResidualEntry]) -> None:
+    columns = ("joint", "RMSE N m", "noise floor N m", "ratio", "with findings N m", "white")
+    rows = [
+        (
+            name,
+            number(joint.rmse),
+            number(joint.noise_floor),
+            _ratio(joint),
+            number(joint.rmse_explained),
+            "yes" if joint.white else "no",
+        )
+        for name, joint in joints.items()
+    ]
+    screen.table(columns, rows)
+
+
+def _ratio(joint: ResidualEntry) -> str:
+    if joint.rmse is None or not joint.noise_floor:
+        return "-"
+    return number(joint.rmse / joint.noise_floor)
+
+
+def _events(screen: Screen, events: Sequence[EventEntry]) -> None:
+    shown = events if screen.verbose else events[:_EVENTS_SHOWN]
+    rows = [
+        (event.log, f"{event.start:.2f}", f"{event.end:.2f}", ", ".join(event.joints))
+        for event in shown
+    ]
+    screen.table(("pushed in log", "from s", "to s", "joints"), rows)
+    if len(shown) < len(events):
+        screen.note(f"{len(events) - len(shown)} more such events: -v shows them all.")
+
+
+def _hidden(screen: Screen, hidden: Sequence[HiddenEntry]) -> None:
+    if not hidden:
+        return
+    if not screen.verbose:
+        screen.note(f"{len(hidden)} effects these motions cannot show: -v lists them.")
+        return
+    rows = [(item.effect, item.joint or "whole arm", percent(item.visible)) for item in hidden]
+    screen.table(("hidden from these motions", "joint", "visible"), rows)

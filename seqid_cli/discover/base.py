@@ -1,0 +1,187 @@
+"""The base model as columns: what is free to take up the residual before any effect is blamed.
+
+Per joint the rows are
+
+    tau - modelled = H dpi + F_j df_j + t_j d(modelled)/dt,
+
+deviations of the rigid base parameters (shared by all joints) and of the joint's own friction from
+their values in the parameter file, and a time offset between torque and position. The last one and
+the width over which friction changes its sign are nuisances: left out, clean logs show effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.rows import Rows
+from seqid_cli.identify.least_squares import whitened
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.motion.filtering import differentiate
+from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
+from seqid_cli.robot.base import Basis, base_parameters, base_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Base:
+    """Base columns of every joint's rows.
+
+    `rigid[j]` (M_j, b) shared by all joints, `friction[j]` (M_j, k_j), `timing[j]` (M_j, 1) and the
+    residual of the file's model `y[j]` (M_j,) N m. `prior_rigid` (m, b) and `prior_friction[j]`
+    (m_j, k_j) are rows of unit variance: what the file knows of the deviations being zero.
+    """
+
+    basis: Basis
+    rigid: tuple[Array, ...]
+    friction: tuple[Array, ...]
+    timing: tuple[Array, ...]
+    y: tuple[Array, ...]
+    prior_rigid: Array
+    prior_friction: tuple[Array, ...]
+    whole: tuple[Whole, ...]
+
+    def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
+        """Torque (N, n) N m of the base's deviations at every sample of each scene."""
+        rigid = theta_rigid.astype(np.float32)
+        result = []
+        for whole in self.whole:
+            own = [f @ c for f, c in zip(whole.friction, theta_friction, strict=True)]
+            result.append((whole.H @ rigid).astype(np.float64) + np.stack(own, axis=1))
+        return result
+
+
+@dataclass(frozen=True)
+class Whole:
+    """Base columns of one scene at all of its samples: H (N, n, b), friction[j] (N, k_j)."""
+
+    H: NDArray[np.float32]
+    friction: tuple[Array, ...]
+    residual: Array  # (N, n) N m, of the file's model
+
+
+def base_of(rows: Rows, stages: Stages, measured: Sequence[Array] | None = None) -> Base:
+    """Compute the base columns of all rows.
+
+    Parameters
+    ----------
+    rows : Rows
+    stages : Stages
+        The parameter file's, for what it knows and how friction is described.
+    measured : sequence of (N, n) arrays, optional
+        Torque of each scene to use instead of the measured one, filtered alike.
+    """
+    robot = rows.scenes[0].robot
+    basis = free_basis(robot)
+    H, modelled, timing = [], [], []
+    for scene in rows.scenes:
+        motion = scene.motion
+        H.append(motion.filtered(base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)))
+        torque = modelled_filtered(scene)
+        modelled.append(torque)
+        timing.append(differentiate(torque, motion.rate_hz, motion.valid)[0])
+    given = measured if measured is not None else [_measured(scene) for scene in rows.scenes]
+    left = [tau - torque for tau, torque in zip(given, modelled, strict=True)]
+    friction = [
+        [friction_columns(scene, stages.friction, j) for j in range(robot.n)]
+        for scene in rows.scenes
+    ]
+    own = [rows.of(j, [per_scene[j] for per_scene in friction]) for j in range(robot.n)]
+    return Base(
+        basis=basis,
+        rigid=tuple(rows.of(j, [h[:, j] for h in H]) for j in range(robot.n)),
+        friction=tuple(own),
+        timing=tuple(rows.of(j, [t[:, j : j + 1] for t in timing]) for j in range(robot.n)),
+        y=tuple(rows.of(j, [r[:, j] for r in left]) for j in range(robot.n)),
+        prior_rigid=_rigid_prior(basis, [stages.gravity, stages.inertia]),
+        prior_friction=tuple(
+            _friction_prior(stages.friction, robot.joint_names[j], own[j].shape[1])
+            for j in range(robot.n)
+        ),
+        whole=tuple(
+            Whole(h.astype(np.float32), tuple(f), r)
+            for h, f, r in zip(H, friction, left, strict=True)
+        ),
+    )
+
+
+def free_basis(robot: Robot) -> Basis:
+    """Base parameters of the rigid body, unknown rotor inertias included."""
+    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
+    return base_parameters(robot, rotor=rotor)
+
+
+def modelled_filtered(scene: Scene) -> Array:
+    """Modelled torque (N, n), low-passed like the measured one."""
+    motion = scene.motion
+    return motion.filtered(scene.rigid) + motion.filtered(scene.friction, times=2)
+
+
+def _measured(scene: Scene) -> Array:
+    assert scene.motion.tau is not None
+    return scene.motion.tau
+
+
+def friction_columns(scene: Scene, stage: FrictionStage | None, joint: int) -> Array:
+    """Free friction of one joint: the terms of its surface, or Coulomb, viscous (and offset)."""
+    surface = scene.model.surfaces[joint]
+    if surface is None or stage is None:
+        columns = _simple(scene, joint, 2)
+    else:
+        terms = _simple_terms(stage, scene.robot.joint_names[joint])
+        columns = _simple(scene, joint, terms) if terms else _surface(scene, surface, joint)
+    return scene.motion.filtered(columns, times=2)
+
+
+def _simple_terms(stage: FrictionStage, name: str) -> int:
+    """How many of Coulomb, viscous and offset a simultaneous fit gave; 0 for a surface."""
+    return len(stage.joints[name].parameters)
+
+
+def _simple(scene: Scene, joint: int, terms: int) -> Array:
+    v, sign = scene.motion.dq[:, joint], scene.sign[:, joint]
+    return np.stack([sign, v, np.ones_like(v)], axis=1)[:, :terms]
+
+
+def _surface(scene: Scene, surface: FrictionSurface, joint: int) -> Array:
+    """Terms of the surface, and a drag beyond the fastest speed at which it was identified."""
+    v = scene.motion.dq[:, joint]
+    columns = surface.columns(scene.motion.q[:, joint], v)
+    beyond = np.maximum(np.abs(v) - surface.scaling.speed[1], 0.0) * np.sign(v)
+    return np.column_stack([columns, beyond])
+
+
+def _rigid_prior(basis: Basis, parts: Sequence[RigidStage | None]) -> Array:
+    """Rows (m, b) of unit variance from the stages' covariances."""
+    rows = [np.zeros((0, basis.size))]
+    index = {name: k for k, name in enumerate(basis.names)}
+    for stage in parts:
+        if stage is None or not stage.parameters or not stage.covariance:
+            continue
+        known = [index.get(p.name, -1) for p in stage.parameters]
+        if min(known) < 0:
+            continue
+        L = whitened(np.array(stage.covariance))
+        wide = np.zeros((len(L), basis.size))
+        wide[:, known] = L
+        rows.append(wide)
+    return np.vstack(rows)
+
+
+def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
+    if stage is None or name not in stage.joints:
+        return np.zeros((0, size))
+    joint = stage.joints[name]
+    if joint.parameters:
+        errors = np.array([max(p.std_error, 1e-12) for p in joint.parameters])
+        return np.diag(1.0 / errors)
+    L = whitened(np.array(joint.covariance))
+    wide = np.zeros((len(L), size))
+    wide[:, : L.shape[1]] = L
+    return wide

@@ -1,0 +1,211 @@
+"""Candidates: an effect at a joint with its settings, and its columns on the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.system import Joints, System, Trial
+from seqid_cli.discover.wide import both_bands, full_residual, high_band
+from seqid_cli.model.effects.effect import Effect, Setting
+from seqid_cli.model.effects.scene import Scene
+
+Array = NDArray[np.float64]
+
+GOLDEN = 0.381966
+SEARCH_STEPS = 9
+SHARPENED = 3  # times that settings are moved to where the coefficients say
+TOGETHER = 64  # candidates whose columns are low-passed at once
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a joint (None: the whole arm) with its settings."""
+
+    effect: Effect
+    joint: int | None
+    settings: dict[str, float]
+
+    @property
+    def key(self) -> tuple[str, int | None]:
+        """What it is, whatever the settings."""
+        return self.effect.name, self.joint
+
+    @property
+    def freedom(self) -> int:
+        """Number of parameters that are fitted: coefficients and continuous settings."""
+        searched = sum(setting.continuous for setting in self.effect.settings)
+        return len(self.effect.coefficients(self.settings)) + searched
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate and what it does."""
+
+    candidate: Candidate
+    columns: Joints
+    trial: Trial
+
+
+class Stage:
+    """Where candidates are played: rows and scenes, with the columns made so far kept."""
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows = rows
+        self.high = high_band(rows)
+        self._made: dict[tuple[object, ...], Joints] = {}
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        """The scenes of the rows."""
+        return self.rows.scenes
+
+    def columns(self, candidates: Sequence[Candidate]) -> list[Joints]:
+        """Columns of candidates on the rows of the joints that they touch."""
+        keys = [_key(candidate) for candidate in candidates]
+        missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
+        for key, candidate in missing.items():
+            if candidate.effect.wide:
+                self._made[key] = self._wide(candidate)
+        for passes in (1, 2):
+            narrow = [(k, c) for k, c in missing.items() if not c.effect.wide]
+            some = {k: c for k, c in narrow if c.effect.passes == passes}
+            for first in range(0, len(some), TOGETHER):
+                part = list(some.items())[first : first + TOGETHER]
+                made = self._computed([c for _, c in part], passes)
+                self._made.update(zip([k for k, _ in part], made, strict=True))
+        return [self._made[key] for key in keys]
+
+    def _wide(self, candidate: Candidate) -> Joints:
+        """Columns below and above the cut-off."""
+        effect = candidate.effect
+        per_scene = [
+            effect.columns(scene.full or scene, candidate.joint, candidate.settings)
+            for scene in self.scenes
+        ]
+        return both_bands(self.rows, self.high, per_scene)
+
+    def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Joints]:
+        """Columns of candidates that are low-passed alike, all in one go."""
+        per_scene = []
+        for scene in self.scenes:
+            raw = [c.effect.columns(scene, c.joint, c.settings) for c in candidates]
+            places = [(i, j) for i, columns in enumerate(raw) for j in columns]
+            if not places:
+                continue
+            widths = [raw[i][j].shape[1] for i, j in places]
+            both = scene.motion.filtered(np.hstack([raw[i][j] for i, j in places]), times=passes)
+            pieces = np.split(both, np.cumsum(widths)[:-1], axis=1)
+            per_scene.append(dict(zip(places, pieces, strict=True)))
+        if not per_scene:
+            return [{} for _ in candidates]
+        result: list[dict[int, Array]] = [{} for _ in candidates]
+        for i, j in per_scene[0]:
+            result[i][j] = self.rows.of(j, [pieces[i, j] for pieces in per_scene])
+        return list(result)
+
+    def try_all(self, system: System, candidates: Sequence[Candidate]) -> list[Tried]:
+        """Try candidates by themselves; those without columns are left out."""
+        columns = self.columns(candidates)
+        there = [i for i, c in enumerate(columns) if c and next(iter(c.values())).shape[1]]
+        trials = system.tried([columns[i] for i in there])
+        return [
+            Tried(candidates[i], columns[i], trial) for i, trial in zip(there, trials, strict=True)
+        ]
+
+    def plausible(self, tried: Tried) -> bool:
+        """Whether the coefficients are physical."""
+        c = tried.candidate
+        return c.effect.plausible(self.scenes, c.joint, c.settings, tried.trial.coefficients)
+
+
+def _key(candidate: Candidate) -> tuple[object, ...]:
+    return (*candidate.key, *sorted(candidate.settings.items()))
+
+
+def candidates_of(
+    narrow: Sequence[Scene], effects: Sequence[Effect], left: Sequence[Array]
+) -> Iterator[Candidate]:
+    """Yield every effect at every joint with every setting of its grid.
+
+    `left` (N, n) per scene is the low-passed residual, which guides effects that look for shapes;
+    those that show above the cut-off as well get it at the logs' own rates.
+    """
+    n = narrow[0].robot.n
+    full = [scene.full or scene for scene in narrow]
+    whole = [full_residual(scene, r) for scene, r in zip(narrow, left, strict=True)]
+    for effect in effects:
+        scenes, residual = (full, whole) if effect.wide else (narrow, left)
+        joints: list[int | None] = [None] if effect.arm else list(range(n))
+        if effect.shared and n > 1:
+            joints.append(None)
+        for joint in joints:
+            if effect.available(scenes, joint):
+                for settings in effect.grid(scenes, joint, residual):
+                    yield Candidate(effect, joint, settings)
+
+
+def refined(stage: Stage, system: System, tried: Tried, spacing: float = 2.5) -> Tried:
+    """Search the continuous settings of a candidate near its grid point for the largest gain."""
+    best = tried
+    for setting in tried.candidate.effect.settings:
+        if setting.continuous:
+            best = _searched(stage, system, best, setting, spacing)
+    for _ in range(SHARPENED):
+        candidate = best.candidate
+        settings = candidate.effect.sharpened(candidate.settings, best.trial.coefficients)
+        if settings is None:
+            break
+        found = stage.try_all(system, [replace(candidate, settings=settings)])
+        if not found or found[0].trial.total <= best.trial.total or not stage.plausible(found[0]):
+            break
+        best = found[0]
+    return best
+
+
+def _searched(
+    stage: Stage, system: System, tried: Tried, setting: Setting, spacing: float
+) -> Tried:
+    """Golden-section search over one setting, by ratio where it is logarithmic."""
+    value = tried.candidate.settings[setting.name]
+    low, high = _bracket(setting, value, spacing)
+    best = tried
+
+    def gain(x: float) -> float:
+        nonlocal best
+        at = float(np.exp(x)) if setting.logarithmic else float(x)
+        settings = {**tried.candidate.settings, setting.name: at}
+        found = stage.try_all(system, [replace(tried.candidate, settings=settings)])
+        if not found:
+            return -np.inf
+        if found[0].trial.total > best.trial.total and stage.plausible(found[0]):
+            best = found[0]
+        return found[0].trial.total
+
+    a, b = low, high
+    x, y = a + GOLDEN * (b - a), b - GOLDEN * (b - a)
+    gx, gy = gain(x), gain(y)
+    for _ in range(SEARCH_STEPS):
+        if gx > gy:
+            b, y, gy = y, x, gx
+            x = a + GOLDEN * (b - a)
+            gx = gain(x)
+        else:
+            a, x, gx = x, y, gy
+            y = b - GOLDEN * (b - a)
+            gy = gain(y)
+    return best
+
+
+def _bracket(setting: Setting, value: float, spacing: float) -> tuple[float, float]:
+    """Interval about a grid value; in logarithms where the setting is searched by ratio."""
+    if setting.logarithmic:
+        low, high = value / spacing, value * spacing
+        bounded = max(low, setting.low, 1e-12), min(high, setting.high)
+        return float(np.log(bounded[0])), float(np.log(bounded[1]))
+    reach = 0.5 * max(abs(value), 1e-3)
+    return max(value - reach, setting.low), min(value + reach, setting.high)

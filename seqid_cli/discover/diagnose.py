@@ -1,0 +1,264 @@
+"""Diagnosis: what the model lacks on these logs, with the evidence.
+
+Every effect that an investigation arrives at is compared with all others (see `confusable`) and
+with smooth functions of everything that was measured (see `dependence`): what these explain better
+is not understood, and is said to be so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.candidates import Tried
+from seqid_cli.discover.confusable import certainty, rivalries
+from seqid_cli.discover.dependence import Dependence, dependence
+from seqid_cli.discover.events import Interval
+from seqid_cli.discover.gates import SMOOTH
+from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.results import (
+    Diagnosis,
+    Event,
+    Finding,
+    Hidden,
+    JointResidual,
+    Unexplained,
+    Verdict,
+)
+from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.discover.search import SHAPE, Search
+from seqid_cli.discover.whiteness import white
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+BETTER = 1.25  # times a finding's gain, from which a smooth function is the better account
+BETTER_SHARE = 0.02  # of the joint's squared residual, at the least
+HIDDEN = 0.2  # visible share below which an effect is said to be invisible
+
+
+def diagnose(
+    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
+) -> Diagnosis:
+    """Find what a model lacks on these logs.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque or current.
+    robot : Robot
+    stages : Stages
+        The model: at least friction or a rigid body.
+    options : DiscoverOptions
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    """
+    logs = list(recordings)
+    return described(investigate(logs, robot, stages, options), robot)
+
+
+def described(found: Investigation, robot: Robot) -> Diagnosis:
+    """Turn a search into findings, unexplained parts and a verdict."""
+    findings, rest = [], _left(found, robot)
+    for tried in found.search.accepted:
+        finding, overshadowed = _finding(found, robot, tried)
+        if overshadowed is None:
+            findings.append(finding)
+        else:
+            rest.append(overshadowed)
+    if found.events:
+        findings.append(_contact(found))
+    findings.sort(key=lambda f: -f.explains * f.confidence)
+    rest = _largest_of_each(rest)
+    return Diagnosis(
+        verdict=_verdict(findings, rest),
+        findings=tuple(findings),
+        unexplained=tuple(rest),
+        joints=_joints(found, robot),
+        events=tuple(_event(found, robot, event) for event in found.events),
+        hidden=_hidden(found, robot),
+        notes=(),
+    )
+
+
+def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:
+    """One entry per joint, the largest share first."""
+    ordered = sorted(rest, key=lambda u: -u.share)
+    return list({u.joint: u for u in reversed(ordered)}.values())[::-1]
+
+
+def _contact(found: Investigation) -> Finding:
+    """The finding that stands for all events."""
+    effect = CATALOGUE["external_contact"]
+    inside, gained = _event_energy(found), sum(max(t.trial.total, 0) for t in found.search.accepted)
+    score = max(event.score for event in found.events)
+    return Finding(
+        effect=effect.name,
+        joint=None,
+        confidence=float(1 - np.exp(-2.0 * score / found.gates.event)),
+        explains=float(inside / max(inside + gained, 1e-300)),
+        confusable_with=(),
+        separate_by=effect.separate_by,
+        gain=0.0,
+        clean_gain=0.0,
+        note=f"{len(found.events)} interval(s), left out of all fits",
+    )
+
+
+def _event_energy(found: Investigation) -> float:
+    """Squared residual inside the events above what the rest of the logs has, in noise units."""
+    search = found.search
+    total = 0.0
+    left = search.residual(search.system())
+    for event in found.events:
+        scene = search.stage.scenes[event.scene]
+        t = scene.motion.t - scene.motion.t[0]
+        at = (t >= event.start) & (t <= event.end)
+        scaled = left[event.scene][at] / search.noise[: search.stage.rows.n]
+        thin = SAMPLES_PER_CUTOFF * scene.motion.lowpass.cutoff_hz / scene.motion.rate_hz
+        total += thin * float(np.sum(np.maximum(scaled**2 - 1.0, 0.0)))
+    return total
+
+
+def _event(found: Investigation, robot: Robot, event: Interval) -> Event:
+    return Event(
+        log=str(found.logs[event.scene].path),
+        start=event.start,
+        end=event.end,
+        joints=tuple(robot.joint_names[j] for j in event.joints),
+    )
+
+
+def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained]) -> Verdict:
+    if findings:
+        return "effect_found"
+    return "unexplained" if rest else "nothing_missing"
+
+
+def _finding(
+    found: Investigation, robot: Robot, tried: Tried
+) -> tuple[Finding, Unexplained | None]:
+    """Describe one accepted effect, or say that something smooth explains more than it does."""
+    search = found.search
+    others = search.without(tried)
+    system = others.system()
+    again = search.stage.try_all(system, [tried.candidate])[0]
+    rivals = rivalries(again, others.ranked(tuple(CATALOGUE.values()), system))
+    candidate, trial = tried.candidate, again.trial
+    effect = candidate.effect
+    joint = None if candidate.joint is None else robot.joint_names[candidate.joint]
+    values = effect.values(
+        robot, candidate.joint, candidate.settings, trial.coefficients, trial.covariance
+    )
+    least = found.gates.least(effect.name)
+    finding = Finding(
+        effect=effect.name,
+        joint=joint,
+        confidence=float(certainty(rivals) * (1 - np.exp(-trial.relative / least))),
+        explains=_explains(found, tried),
+        confusable_with=tuple(
+            dict.fromkeys(
+                r.tried.candidate.effect.name
+                for r in rivals
+                if r.confusable and r.tried.candidate.effect.name != effect.name
+            )
+        ),
+        separate_by=effect.separate_by,
+        gain=trial.relative,
+        clean_gain=found.gates.clean.get(effect.name, 0.0),
+        parameters=tuple(values),
+        settings=candidate.settings,
+    )
+    shadow = None
+    if candidate.joint is not None:
+        smooth = dependence(system, candidate.joint, least_gain=found.gates.least(SMOOTH))
+        if smooth.trials:
+            best = smooth.trials[0]
+            loss = float(trial.loss.sum())
+            more = best.total - trial.total
+            if best.total > BETTER * trial.total and more > BETTER_SHARE * loss:
+                shadow = _unexplained(robot, smooth)
+    return finding, shadow
+
+
+def _explains(found: Investigation, tried: Tried) -> float:
+    """Share of the variance above the noise floor that the effect takes away, on left-out folds."""
+    search = found.search
+    joints = [j for j in sorted(tried.columns) if j < search.stage.rows.n]
+    before, after, floor = (
+        search.without(tried).rms()[joints],
+        search.rms()[joints],
+        found.floor.rms[joints],
+    )
+    scale = np.maximum(after, 1e-12)
+    above = float(np.sum((before**2 - np.minimum(floor, after) ** 2) / scale**2))
+    taken = float(np.sum((before**2 - after**2) / scale**2))
+    return float(np.clip(taken / max(above, 1e-300), 0.0, 1.0))
+
+
+def _unexplained(robot: Robot, smooth: Dependence) -> Unexplained:
+    curve = smooth.rivals[0].curve(smooth.trials[0].coefficients)
+    return Unexplained(
+        joint=robot.joint_names[smooth.joint],
+        depends_on=smooth.quantities,
+        share=float(np.clip(smooth.relative, 0.0, 1.0)),
+        curve=None if curve is None else (tuple(curve[0].tolist()), tuple(curve[1].tolist())),
+    )
+
+
+def _left(found: Investigation, robot: Robot) -> list[Unexplained]:
+    """What smooth functions still find after all effects."""
+    return [
+        _unexplained(robot, smooth)
+        for smooth in found.dependences
+        if smooth.quantities
+        and smooth.relative >= found.gates.least(SMOOTH)
+        and not _is_shape(found.search, smooth)
+    ]
+
+
+def _is_shape(search: Search, smooth: Dependence) -> bool:
+    """Whether what is left is small beside what the joint's effects explain."""
+    j = smooth.joint
+    energy = smooth.relative * float((search.noise[j] / search.bare[j]) ** 2)
+    return any(
+        energy < SHAPE * search.energies[a.candidate.key] for a in search.accepted if j in a.columns
+    )
+
+
+def _joints(found: Investigation, robot: Robot) -> dict[str, JointResidual]:
+    search = found.search
+    rows, rms = search.stage.rows, search.rms()
+    left = search.residual(search.system())
+    whites = white(search.stage.scenes, rows, left)
+    return {
+        name: JointResidual(
+            rmse=float(found.start[j]),
+            noise_floor=float(found.floor.rms[j]),
+            white=bool(whites[j]),
+            rmse_explained=float(rms[j]),
+            samples=rows.count(j),
+        )
+        for j, name in enumerate(robot.joint_names)
+    }
+
+
+def _hidden(found: Investigation, robot: Robot) -> tuple[Hidden, ...]:
+    visible: dict[tuple[str, int | None], float] = {}
+    for tried in found.result.ranked:
+        key = tried.candidate.key
+        visible[key] = max(visible.get(key, 0.0), tried.trial.visible)
+    return tuple(
+        Hidden(name, None if joint is None else robot.joint_names[joint], share)
+        for (name, joint), share in sorted(visible.items(), key=lambda item: item[1])
+        if share < HIDDEN
+    )

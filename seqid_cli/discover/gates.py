@@ -1,0 +1,95 @@
+"""How large a gain must be to mean something: what clean data of this robot and log set give.
+
+Significance is not enough: with tens of thousands of samples every imperfection of a log is
+significant. The level is therefore taken from logs as they would be if the model were right
+(parametric bootstrap, `clean`), which pass through the whole screening again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from seqid_cli.discover.base import base_of
+from seqid_cli.discover.candidates import Stage, Tried
+from seqid_cli.discover.clean import CleanLogs
+from seqid_cli.discover.dependence import dependence
+from seqid_cli.discover.events import GATE, event_score
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.search import Search
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.schema import Stages
+
+LEAST = 0.01  # share of a joint's squared residual below which nothing is worth a name
+LEAST_SMOOTH = 0.03  # the same for a smooth function, which has more freedom
+MARGIN = 2.0  # over the largest gain on clean data
+LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
+EVENT_MARGIN = 1.15
+SMOOTH = ""  # the name under which smooth functions are counted
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Largest relative gain of each effect, and of smooth functions, on clean data.
+
+    `event` is the score that an event must reach, in robust sigmas.
+    """
+
+    clean: Mapping[str, float] = field(default_factory=dict)
+    event: float = GATE
+
+    def least(self, name: str) -> float:
+        """Relative gain from which an effect is believed."""
+        floor = LEAST_SMOOTH if name == SMOOTH else LEAST
+        return max(floor, MARGIN * self.clean.get(name, 0.0))
+
+    def passes(self, tried: Tried) -> bool:
+        """Whether a candidate gains more than clean data show, on the folds alike."""
+        enough = tried.trial.relative >= self.least(tried.candidate.effect.name)
+        return enough and steadiness(tried) >= LEAST_STEADY
+
+
+def steadiness(tried: Tried) -> float:
+    """Gain over the root of the folds' summed squares: noise scatters about zero."""
+    gain = tried.trial.gain
+    return float(gain.sum()) / max(float(np.linalg.norm(gain)), 1e-300)
+
+
+def calibrated(
+    logs: Sequence[Recording], search: Search, stages: Stages, options: DiscoverOptions
+) -> Gates:
+    """Screen clean data sets made from what a search has arrived at.
+
+    Parameters
+    ----------
+    logs : sequence of Recording
+        As they were searched.
+    search : Search
+        Its base is taken for the truth, what it leaves for the noise.
+    stages : Stages
+    options : DiscoverOptions
+    """
+    system = search.system()
+    scenes = search.stage.scenes
+    source = CleanLogs.of(logs, scenes, search.residual(system), search.deviation(system))
+    rng = np.random.default_rng(options.seed)
+    clean: dict[str, float] = {}
+    event = GATE
+    for _ in range(options.clean_runs):
+        drawn = scenes_of(source.draw(rng), scenes[0].robot, stages, options=options.motion)
+        rows = rows_of(drawn)
+        fresh = Search.begin(Stage(rows), base_of(rows, stages), kept=search.kept)
+        fresh_system = fresh.system()
+        for tried in fresh.ranked(tuple(CATALOGUE.values()), fresh_system, refine=0):
+            name = tried.candidate.effect.name
+            clean[name] = max(clean.get(name, 0.0), tried.trial.relative)
+        looks = [dependence(fresh_system, j, least_gain=0.0, most=1) for j in range(rows.n)]
+        smooth = max(look.relative for look in looks)
+        clean[SMOOTH] = max(clean.get(SMOOTH, 0.0), smooth)
+        event = max(event, EVENT_MARGIN * event_score(rows, fresh_system.left_out()[: rows.n]))
+    return Gates(clean, event)

@@ -1,0 +1,121 @@
+"""What diagnosis and refinement say; the command layer turns it into documents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from seqid_cli.model.effects.effect import Value
+
+Verdict = Literal["effect_found", "nothing_missing", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that the model lacks.
+
+    `joint` is None for an effect of the whole arm. `explains` is the share of the held-out residual
+    variance above the noise floor that it takes away; `gain` the share of the residual's variance
+    itself, `clean_gain` the largest such share seen on clean data of this kind. `parameters` is
+    empty where these logs do not determine them.
+    """
+
+    effect: str
+    joint: str | None
+    confidence: float
+    explains: float
+    confusable_with: tuple[str, ...]
+    separate_by: str
+    gain: float
+    clean_gain: float
+    parameters: tuple[Value, ...] = ()
+    settings: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """A part of a joint's residual that depends on something, but on no effect of the catalogue.
+
+    `depends_on` as the contract spells quantities, the strongest first; `curve` is the smooth shape
+    of it over the first quantity, if that is a number: x and torque [N m].
+    """
+
+    joint: str
+    depends_on: tuple[str, ...]
+    share: float
+    curve: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+
+
+@dataclass(frozen=True)
+class JointResidual:
+    """Residual of one joint [N m]: as the model stands, its noise floor, and with the findings."""
+
+    rmse: float
+    noise_floor: float
+    white: bool
+    rmse_explained: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Event:
+    """An interval of one log in which something pushed the arm; left out of all fits."""
+
+    log: str
+    start: float  # s since the log's first sample
+    end: float
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect that these motions cannot show: the share of its torque that is not absorbed."""
+
+    effect: str
+    joint: str | None
+    visible: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the model lacks, with the evidence."""
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    unexplained: tuple[Unexplained, ...]
+    joints: Mapping[str, JointResidual]
+    events: tuple[Event, ...] = ()
+    hidden: tuple[Hidden, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of refinement: which effect was tried and what it did to the logs.
+
+    `training_gain` and `held_out_gain` are shares of the residual's variance; the interval of the
+    latter is over blocks of time, 95 %.
+    """
+
+    effect: str
+    joint: str | None
+    accepted: bool
+    training_gain: float
+    held_out_gain: float
+    interval: tuple[float, float]
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Before and after on logs that were never fitted, RMS per joint [N m]."""
+
+    rounds: tuple[Round, ...]
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    noise_floor: Mapping[str, float]
+    gain_interval: Mapping[str, tuple[float, float]]  # of 1 - (after / before)^2, 95 %
+    evaluated_on: tuple[str, ...]
+    notes: tuple[str, ...] = ()

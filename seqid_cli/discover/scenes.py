@@ -1,0 +1,110 @@
+"""From recordings to scenes: filtered motion, the model's word on it, one clock for all logs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import InputError
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.scene import (
+    LONGEST_SESSION_S,
+    Scene,
+    sign_widths,
+    temperature_at,
+)
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.motion import Motion, decimated, estimate_motion
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+SAMPLES_PER_CUTOFF = 24  # enough for steps of friction, whose time is known to half a sample
+
+
+def scenes_of(
+    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+) -> list[Scene]:
+    """Build the scene of every log.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque or current.
+    robot : Robot
+    stages : Stages
+        The model as it stands.
+    options : InertiaOptions
+        Cut-off and source of the motion.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    """
+    model = TorqueModel.from_stages(stages, robot)
+    logs = list(recordings)
+    starts, shared = shared_starts(logs)
+    motions = [_motion(recording, robot, stages, options) for recording in logs]
+    top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
+    width = sign_widths(model, top)
+    scenes = []
+    for number, (recording, motion, start) in enumerate(zip(logs, motions, starts, strict=True)):
+        full = Scene(
+            robot=robot,
+            motion=motion,
+            model=model,
+            sign_width=width,
+            log=number,
+            start=start,
+            shared_clock=shared,
+            period=1.0 / recording.rate_hz,
+            temperature=temperature_at(recording, motion),
+            encoder=recording.q,
+            measured=recording.tau,
+        )
+        scenes.append(thinned(full))
+    return scenes
+
+
+def _motion(recording: Recording, robot: Robot, stages: Stages, options: InertiaOptions) -> Motion:
+    """Motion of a log at its own rate."""
+    if recording.tau is None:
+        raise InputError(
+            "the log has neither joint torque nor motor current",
+            hint="record current (with torque_constant in the robot file) or torque",
+            where=str(recording.path),
+        )
+    encoder = estimate_motion(recording, robot, options.motion)
+    return best_motion(recording, robot, stages.imu, encoder, source=options.source)
+
+
+def thinned(full: Scene) -> Scene:
+    """The scene at the rate at which most effects are looked for, with the full one inside."""
+    motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
+    every = round(full.motion.rate_hz / motion.rate_hz)
+    kept = [None if x is None else x[::every] for x in (full.temperature, full.encoder)]
+    return replace(
+        full, motion=motion, temperature=kept[0], encoder=kept[1], measured=None, full=full
+    )
+
+
+def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
+    """Seconds from the earliest log's start to each log's, and whether the logs tell them.
+
+    Logs whose own clocks all begin at zero, or lie years apart, tell nothing of it.
+    """
+    starts = np.array([recording.start for recording in recordings])
+    lengths = np.array([float(recording.t[-1]) for recording in recordings])
+    order = np.argsort(starts, kind="stable")
+    apart = np.all(np.diff(starts[order]) >= 0.5 * lengths[order][:-1])
+    shared = bool(apart and np.ptp(starts) < LONGEST_SESSION_S)
+    if not shared:
+        return [0.0] * len(starts), False
+    return [float(x) for x in starts - starts.min()], True

@@ -1,0 +1,246 @@
+"""Greedy search for what the base lacks: one effect after the other, each fitted with all others.
+
+The search runs in one of two stances. *Refitted*: the base is free, so that only what it cannot
+absorb counts; right where the effect was there when the model was identified and has biased it.
+*Kept*: the base is held to the parameter file within its uncertainty; right where the arm has
+changed since, which a free base would swallow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.base import Base
+from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined
+from seqid_cli.discover.system import Block, System
+from seqid_cli.model.effects.effect import Effect
+
+Array = NDArray[np.float64]
+
+KEPT_INFLATION = 3.0  # standard errors of the file that the kept base may move by
+OWN_OFFSET = 0.75  # of a sample period: time offset that every drive has, and no effect
+REFINED = 6  # candidates whose settings are searched
+TIE = 0.02  # of the gain, that one more parameter must be worth
+ROUNDS_OF_WEIGHTS = 3
+LEAST_VISIBLE = 0.02
+SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
+
+Gate = Callable[[Tried], bool]
+
+
+@dataclass
+class Search:
+    """Base, accepted effects and noise of one stance; grows by `add`.
+
+    `noise` and `bare` have 2 n entries: the joints' rows below the cut-off, then those above it.
+    """
+
+    stage: Stage
+    base: Base
+    kept: bool
+    noise: Array  # N m
+    bare: Array  # N m, what the base alone leaves
+    accepted: list[Tried] = field(default_factory=list)
+    timed: tuple[bool, ...] = ()
+    energies: dict[tuple[str, int | None], float] = field(default_factory=dict)
+
+    @classmethod
+    def begin(cls, stage: Stage, base: Base, *, kept: bool) -> Search:
+        """Start with the base alone."""
+        rms = [np.sqrt(np.mean(y**2)) if len(y) else 1.0 for y in [*base.y, *stage.high.y]]
+        noise = np.maximum(rms, 1e-12)
+        search = cls(stage, base, kept, noise, noise, [], (True,) * stage.rows.n)
+        search.settle()
+        search.bare = search.noise
+        return search
+
+    def settle(self) -> None:
+        """Weigh joints by what is left, and decide whose time offset is no more than ordinary."""
+        self.timed = (True,) * self.stage.rows.n
+        for _ in range(ROUNDS_OF_WEIGHTS):
+            system = self.system()
+            self.noise = self._left(system)
+        self.timed = tuple(abs(d) <= self._own_offset for d in self._offsets(system))
+        self.noise = self._left(self.system())
+
+    @property
+    def _own_offset(self) -> float:
+        return OWN_OFFSET * max(scene.period for scene in self.stage.scenes)
+
+    def _left(self, system: System) -> Array:
+        left = [np.sqrt(np.mean(r**2)) if len(r) else 1.0 for r in system.residual()]
+        return np.maximum(left, 1e-12)
+
+    def _offsets(self, system: System) -> list[float]:
+        first = 1 + self.stage.rows.n
+        return [float(system.theta[w][0]) for w in system.where[first : first + self.stage.rows.n]]
+
+    def without(self, tried: Tried) -> Search:
+        """The same search with one accepted effect taken back; weights stay."""
+        return replace(self, accepted=[t for t in self.accepted if t is not tried])
+
+    def system(self) -> System:
+        """Normal equations of base and accepted effects."""
+        rows, high = self.stage.rows, self.stage.high
+        y = [*self.base.y, *high.y]
+        weight = [*np.ones(rows.n), *high.weight]
+        noise = [np.full(len(v), s * w) for v, s, w in zip(y, self.noise, weight, strict=True)]
+        blocks = [*self._base_blocks(), *(_block(t) for t in self.accepted)]
+        return System(rows, y, noise, blocks, high)
+
+    def _base_blocks(self) -> list[Block]:
+        base, n = self.base, self.stage.rows.n
+        hold = 1.0 / KEPT_INFLATION if self.kept else 0.0
+        blocks = [Block(dict(enumerate(base.rigid)), hold * base.prior_rigid)]
+        for j in range(n):
+            blocks.append(Block({j: base.friction[j]}, hold * base.prior_friction[j]))
+        for j in range(n):
+            on = 1.0 if self.timed[j] else 0.0
+            blocks.append(Block({j: on * base.timing[j]}, np.zeros((0, 1))))
+        return blocks
+
+    def rms(self) -> Array:
+        """RMS (n,) N m of each joint's residual, below the cut-off, where it was not fitted."""
+        left = self.system().left_out()[: self.stage.rows.n]
+        return np.array(
+            [
+                s * np.sqrt(np.mean(r**2)) if len(r) else 0.0
+                for s, r in zip(self.noise[: len(left)], left, strict=True)
+            ]
+        )
+
+    def deviation(self, system: System) -> list[Array]:
+        """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
+        n, theta = self.stage.rows.n, system.theta
+        friction = [theta[w] for w in system.where[1 : 1 + n]]
+        return self.base.deviation(theta[system.where[0]], friction)
+
+    def residual(self, system: System) -> list[Array]:
+        """What base and accepted effects leave (N, n) N m, at all samples of every scene."""
+        n, theta = self.stage.rows.n, system.theta
+        explained = self.deviation(system)
+        for tried, where in zip(self.accepted, system.where[1 + 2 * n :], strict=True):
+            _add_effect(explained, self.stage, tried.candidate, theta[where])
+        result = []
+        for whole, torque, scene in zip(self.base.whole, explained, self.stage.scenes, strict=True):
+            left = whole.residual - torque
+            left[~scene.motion.usable] = 0.0
+            result.append(left)
+        return result
+
+    def ranked(
+        self, effects: Sequence[Effect], system: System, refine: int = REFINED
+    ) -> list[Tried]:
+        """The best setting of every effect at every joint, the largest gain first.
+
+        The settings of the first `refine` are searched between the grid's values.
+        """
+        residual = self.residual(system)
+        candidates = list(candidates_of(self.stage.scenes, effects, residual))
+        best = best_of_each(self._believed(self.stage.try_all(system, candidates)))
+        head = [refined(self.stage, system, t) for t in best[:refine]]
+        return sorted([*head, *best[refine:]], key=_order)
+
+    def _believed(self, tried: Sequence[Tried]) -> list[Tried]:
+        return [t for t in tried if t.trial.visible > LEAST_VISIBLE and self.stage.plausible(t)]
+
+    def energy(self, tried: Tried) -> float:
+        """Gain as a share of the squared residual that the base alone leaves at its joints."""
+        joints = [j for j in sorted(tried.columns) if j < self.stage.rows.n]
+        return tried.trial.relative * float(np.mean((self.noise / self.bare)[joints] ** 2))
+
+    def is_shape(self, tried: Tried) -> bool:
+        """Whether a candidate may only be the error of an accepted effect's shape."""
+        joints, energy = set(tried.columns), self.energy(tried)
+        return any(
+            energy < SHAPE * self.energies[a.candidate.key]
+            for a in self.accepted
+            if joints & set(a.columns)
+        ) or any(_again(tried, a) for a in self.accepted)
+
+    def add(self, tried: Tried) -> None:
+        """Accept an effect and weigh anew."""
+        self.energies[tried.candidate.key] = self.energy(tried)
+        self.accepted.append(tried)
+        self.settle()
+
+    def polish(self) -> None:
+        """Search every accepted effect's settings once more, with all others in place."""
+        for number, tried in enumerate(self.accepted):
+            others = self.without(tried).system()
+            again = self.stage.try_all(others, [tried.candidate])[0]
+            self.accepted[number] = refined(self.stage, others, again, spacing=1.5)
+        self.settle()
+
+
+def _again(tried: Tried, accepted: Tried) -> bool:
+    """Whether it is the accepted effect once more, and not another line of it."""
+    return tried.candidate.key == accepted.candidate.key and not tried.candidate.effect.wide
+
+
+def _block(tried: Tried) -> Block:
+    size = next(iter(tried.columns.values())).shape[1]
+    return Block(tried.columns, np.zeros((0, size)))
+
+
+def _add_effect(
+    explained: list[Array], stage: Stage, candidate: Candidate, coefficients: Array
+) -> None:
+    effect = candidate.effect
+    for torque, scene in zip(explained, stage.scenes, strict=True):
+        at = scene.full or scene if effect.wide else scene
+        every = round(at.motion.rate_hz / scene.motion.rate_hz)
+        for joint, X in effect.columns(at, candidate.joint, candidate.settings).items():
+            shown = at.motion.filtered(X @ coefficients, times=effect.passes)
+            torque[:, joint] += shown[::every]
+
+
+def best_of_each(tried: Sequence[Tried]) -> list[Tried]:
+    """The best setting of every effect and joint, the largest gain first."""
+    best: dict[tuple[str, int | None], Tried] = {}
+    for t in tried:
+        key = t.candidate.key
+        if key not in best or t.trial.total > best[key].trial.total:
+            best[key] = t
+    return sorted(best.values(), key=_order)
+
+
+def _order(tried: Tried) -> float:
+    return -tried.trial.total
+
+
+def simplest(ranked: Sequence[Tried]) -> Tried:
+    """The leader, or a candidate of fewer parameters that does as well."""
+    leader = ranked[0]
+    for other in ranked[1:]:
+        fewer = leader.candidate.freedom - other.candidate.freedom
+        if fewer > 0 and other.trial.total >= (1 - TIE * fewer) * leader.trial.total:
+            leader = other
+    return leader
+
+
+def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -> list[Tried]:
+    """Add effects while the best one passes the gate; returns the last ranking.
+
+    Parameters
+    ----------
+    search : Search
+        Grows by what is accepted.
+    effects : sequence of Effect
+    gate : callable
+        Whether a candidate's gain is more than clean data show.
+    most : int
+        Largest number of effects.
+    """
+    while True:
+        ranked = search.ranked(effects, search.system())
+        passing = [t for t in ranked if gate(t) and not search.is_shape(t)]
+        if not passing or len(search.accepted) >= most:
+            return ranked
+        search.add(simplest(passing))
+        if len(search.accepted) > 1:
+            search.polish()

@@ -1,0 +1,116 @@
+"""What lies above the cut-off: rows for ripples and lines in time.
+
+There the rigid body and friction have next to nothing to say, so the measured torque itself, less
+its low-passed part, is what a ripple or a line has to explain. These rows are further channels of
+the normal equations, one per joint, that no base column touches; together they count as much as
+the joint's rows below the cut-off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.rows import Rows
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import sliding
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class HighBand:
+    """Rows above the cut-off.
+
+    Attributes
+    ----------
+    used : tuple of (N, n) masks
+        Per scene, at the log's own rate.
+    fold : tuple of (M_j,) index arrays
+        Fold of each row of each joint.
+    y : tuple of (M_j,) arrays
+        Measured torque above the cut-off [N m].
+    weight : (n,) array
+        Factor on each joint's noise.
+    """
+
+    used: tuple[Mask, ...]
+    fold: tuple[Index, ...]
+    y: tuple[Array, ...]
+    weight: Array
+
+    def of(self, joint: int, values: Sequence[Array]) -> Array:
+        """Stack the joint's rows of values (N, ...), one array per scene at its own rate."""
+        return np.concatenate([v[u[:, joint]] for v, u in zip(values, self.used, strict=True)])
+
+
+def high_band(rows: Rows) -> HighBand:
+    """Take the rows above the cut-off where the joints slide, in the blocks that `rows` keeps."""
+    used, folds, high = [], [], []
+    for scene, picked, block in zip(rows.scenes, rows.picked, rows.block, strict=True):
+        full = _full(scene)
+        assert full.measured is not None
+        every = round(full.motion.rate_hz / scene.motion.rate_hz)
+        nearest = np.clip(
+            np.searchsorted(picked * every, np.arange(full.samples), side="right") - 1,
+            0,
+            len(picked) - 1,
+        )
+        stride = int(np.min(np.diff(picked), initial=scene.samples)) * every
+        kept = np.abs(picked[nearest] * every - np.arange(full.samples)) < stride
+        used.append(sliding(full.motion, 2.0 * full.sign_width) & kept[:, None])
+        folds.append(rows.fold[block[nearest]])
+        high.append(full.measured - full.motion.filtered(full.measured, times=2))
+    masks = tuple(used)
+    joints = range(rows.n)
+    fold = [np.concatenate([f[u[:, j]] for f, u in zip(folds, masks, strict=True)]) for j in joints]
+    y = [np.concatenate([h[u[:, j], j] for h, u in zip(high, masks, strict=True)]) for j in joints]
+    weight = [np.sqrt(max(len(y[j]), 1) / max(rows.count(j), 1)) for j in joints]
+    return HighBand(masks, tuple(fold), tuple(y), np.array(weight))
+
+
+def both_bands(
+    rows: Rows, high: HighBand, per_scene: Sequence[Mapping[int, Array]]
+) -> dict[int, Array]:
+    """Split columns at the logs' own rates into rows below and above the cut-off.
+
+    Rows above it belong to channel n + joint.
+    """
+    below: dict[int, list[Array]] = {}
+    above: dict[int, list[Array]] = {}
+    for scene, columns in zip(rows.scenes, per_scene, strict=True):
+        full = _full(scene)
+        every = round(full.motion.rate_hz / scene.motion.rate_hz)
+        for joint, X in columns.items():
+            low = full.motion.filtered(X, times=2)
+            below.setdefault(joint, []).append(low[::every])
+            above.setdefault(joint, []).append(X - low)
+    result = {joint: rows.of(joint, values) for joint, values in below.items()}
+    return result | {rows.n + joint: high.of(joint, values) for joint, values in above.items()}
+
+
+def _full(scene: Scene) -> Scene:
+    return scene if scene.full is None else scene.full
+
+
+def full_residual(scene: Scene, left: Array) -> Array:
+    """Residual (N, n) at the log's own rate: below the cut-off `left`, above it what is measured.
+
+    Parameters
+    ----------
+    scene : Scene
+    left : (N', n) array
+        Low-passed residual at the scene's rate.
+    """
+    full = _full(scene)
+    assert full.measured is not None
+    high = full.measured - full.motion.filtered(full.measured, times=2)
+    slow = [np.interp(full.motion.t, scene.motion.t, left[:, j]) for j in range(left.shape[1])]
+    total = high + np.stack(slow, axis=1)
+    total[~full.motion.usable] = 0.0
+    return total

@@ -1,0 +1,54 @@
+"""The log holds the commanded torque, and the drive follows it with a lag.
+
+    T dtau/dt + tau = tau_command,      so that      tau_logged = tau + T dtau/dt
+
+exactly, T [s] being the drive's time constant. To first order the same as torque logged early by
+T. Khalil, Dombre, "Modeling, identification and control of robots", 2002.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filtering import differentiate
+
+Array = NDArray[np.float64]
+
+
+class ActuatorLag(TorqueMeasurement):
+    """Command minus torque of a first-order drive."""
+
+    name = "actuator_lag"
+    family = "measurement"
+    timing = True
+    alike = ("time_skew", "joint_elasticity")
+    separate_by = (
+        "log the measured current beside the commanded one; or chirps of torque up to the "
+        "frequency 1/(2 pi T), where a lag attenuates and a delay does not"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the time constant."""
+        return (Coefficient("time_constant", "s", low=0.0, high=0.2),)
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Time derivative of the modelled torque."""
+        rate, valid = scene.motion.rate_hz, scene.motion.valid
+        return of_modelled(scene, joint, lambda tau: differentiate(tau, rate, valid)[0])
+
+    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+        """Send the command through the lag, starting settled."""
+        lag = float(c[0])
+        if lag <= 0.0 or not len(tau):
+            return tau.copy()
+        # Exact for torque that is linear between the samples.
+        past = float(np.exp(-1.0 / (rate_hz * lag)))
+        ramp = rate_hz * lag * (1.0 - past)
+        settled = ramp * tau[:1]
+        true: Array = lfilter([1.0 - ramp, ramp - past], [1.0, -past], tau, axis=0, zi=settled)[0]
+        return true

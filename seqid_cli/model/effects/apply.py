@@ -1,0 +1,211 @@
+"""Effects at work: their torque on any log, and logs without them.
+
+Which log is number 3 and when time began is said by the session of an effect; a log that the
+session does not know is placed by its own clock, after the logs that started before it. Without a
+common clock it counts as recorded after all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.fitted import Fitted, FittedEffect
+from seqid_cli.model.effects.measurement import MeasurementEffect
+from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths, temperature_at
+from seqid_cli.model.torque import Added, TorqueModel
+from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import EffectSession, Stages
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+
+def session_of(
+    recordings: Sequence[Recording], starts: Sequence[float], shared: bool
+) -> EffectSession:
+    """Describe the logs that effects are identified from.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        In the order in which the scenes count them.
+    starts : sequence of float
+        Start of each scene, s.
+    shared : bool
+        Whether the logs share a clock.
+    """
+    logs = [recording.sha256 for recording in recordings]
+    if not shared or not recordings:
+        return EffectSession(logs=logs)
+    origin = min(recording.start for recording in recordings)
+    return EffectSession(logs=logs, starts=[float(x) for x in starts], origin=origin)
+
+
+def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion: Motion) -> Scene:
+    """Return the scene of one log by itself: number 0, on a clock of its own.
+
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    model : TorqueModel
+    motion : Motion
+        Of the recording, possibly decimated.
+    """
+    return Scene(
+        robot=robot,
+        motion=motion,
+        model=model,
+        sign_width=sign_widths(model, np.max(np.abs(motion.dq), axis=0)),
+        period=1.0 / recording.rate_hz,
+        temperature=temperature_at(recording, motion),
+    )
+
+
+def placed(scene: Scene, recording: Recording, session: EffectSession | None) -> Scene:
+    """Return the scene as a session counts it: number, start, clock."""
+    if session is None:
+        return scene
+    if recording.sha256 in session.logs:
+        number = session.logs.index(recording.sha256)
+        if not session.starts:
+            return replace(scene, log=number, start=0.0, shared_clock=False)
+        return replace(scene, log=number, start=session.starts[number], shared_clock=True)
+    last = len(session.logs)
+    if session.origin is None or abs(recording.start - session.origin) > LONGEST_SESSION_S:
+        return replace(scene, log=last, start=0.0, shared_clock=False)
+    start = recording.start - session.origin
+    before = [k for k, other in enumerate(session.starts) if other <= start]
+    number = max(before, key=lambda k: session.starts[k]) if before else -1
+    return replace(scene, log=number, start=start, shared_clock=True)
+
+
+def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
+    """Torque (N, n) N m of effects, unfiltered, on a scene that is placed in their session."""
+    total = np.zeros_like(scene.motion.q)
+    for item in fitted:
+        for j, torque in item.torques(scene).items():
+            total[:, j] += torque
+    return total
+
+
+def filtered_effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
+    """Torque (N, n) N m of effects, filtered like `motion.tau`."""
+    total = np.zeros_like(scene.motion.q)
+    for passes in sorted({item.passes for item in fitted}):
+        same = [item for item in fitted if item.passes == passes]
+        total += scene.motion.filtered(effect_torque(scene, same), times=passes)
+    return total
+
+
+def added_torque(
+    scene: Scene, recording: Recording, fitted: Sequence[Fitted], slowest: Array
+) -> Added:
+    """What effects add to the prediction of a log.
+
+    Parameters
+    ----------
+    scene : Scene
+        From `scene_of_log`.
+    recording : Recording
+    fitted : sequence of FittedEffect or FittedTerm
+    slowest : (n,) array
+        Speed at which a joint surely slides: friction there bounds what it holds at rest.
+    """
+    torque, low, high = (np.zeros_like(scene.motion.q) for _ in range(3))
+    for place, items in _by_session(scene, recording, fitted):
+        torque += filtered_effect_torque(place, items)
+        rubbing = [
+            x for x in items if isinstance(x, FittedEffect) and x.effect.family == "friction"
+        ]
+        if rubbing:
+            high += np.maximum(effect_torque(_at_speed(place, slowest), rubbing), 0.0)
+            low += np.minimum(effect_torque(_at_speed(place, -slowest), rubbing), 0.0)
+    return Added(torque, low, high)
+
+
+def _at_speed(scene: Scene, speed: Array) -> Scene:
+    """Return the scene as if every joint moved steadily at a speed (n,), wherever it is."""
+    motion = scene.motion
+    steady = np.broadcast_to(speed, motion.q.shape).copy()
+    return replace(scene, motion=replace(motion, dq=steady, ddq=np.zeros_like(steady)))
+
+
+def _by_session(
+    scene: Scene, recording: Recording, fitted: Sequence[Fitted]
+) -> Iterator[tuple[Scene, list[Fitted]]]:
+    """Split effects by session, each with the scene placed in it."""
+    sessions: list[EffectSession | None] = []
+    for item in fitted:
+        if item.session not in sessions:
+            sessions.append(item.session)
+    for session in sessions:
+        yield placed(scene, recording, session), [x for x in fitted if x.session == session]
+
+
+def without_effects(
+    recording: Recording,
+    robot: Robot,
+    stages: Stages,
+    fitted: Sequence[Fitted],
+    *,
+    motion: MotionOptions,
+    source: str = "auto",
+) -> Recording:
+    """Return a recording as it would be without some effects, at its own rate.
+
+    Effects of the measurement are undone in the channel that they distort: torque is scaled,
+    shifted in time or sent through the drive's lag, an encoder's error is taken off the position.
+    The torque of all other effects, as the model says it, is subtracted.
+
+    Parameters
+    ----------
+    recording : Recording
+        With torque.
+    robot : Robot
+    stages : Stages
+        The model; its own `effects` play no part.
+    fitted : sequence of FittedEffect or FittedTerm
+        What to take out.
+    motion : MotionOptions
+        The cut-off, where the user sets it.
+    source : {"auto", "encoder", "imu"}
+        Where accelerations come from.
+
+    Raises
+    ------
+    InputError
+        If the log carries neither torque nor current.
+    """
+    if recording.tau is None:
+        raise InputError(
+            "the log has neither joint torque nor motor current",
+            hint="record current (with torque_constant in the robot file) or torque",
+            where=str(recording.path),
+        )
+    rest: list[Fitted] = []
+    for item in fitted:
+        if isinstance(item, FittedEffect) and isinstance(item.effect, MeasurementEffect):
+            recording = item.effect.restored(
+                recording, robot, item.joint, item.settings, item.coefficients
+            )
+        else:
+            rest.append(item)
+    if not rest:
+        return recording
+    assert recording.tau is not None
+    encoder = estimate_motion(recording, robot, motion)
+    best = best_motion(recording, robot, stages.imu, encoder, source=source)
+    scene = scene_of_log(recording, robot, TorqueModel.from_stages(stages, robot), best)
+    torque = np.zeros_like(recording.tau)
+    for place, items in _by_session(scene, recording, rest):
+        torque += effect_torque(place, items)
+    return replace(recording, tau=recording.tau - torque)

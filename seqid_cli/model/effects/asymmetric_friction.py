@@ -1,0 +1,50 @@
+"""Friction that is larger in one direction than in the other.
+
+    tau = A |s(v)| + B |v|
+
+A [N m] is half the difference of Coulomb friction between the directions, B [N m s/rad] that of
+viscous friction. At rest A is gone, unlike an offset of the torque channel. A model with a free
+offset per joint holds A already, but for the dips at reversals. Wang et al., "A convex
+optimization-based dynamic model identification package for the da Vinci Research Kit", IEEE
+RA-L 4(4), 2019; Bona, Indri, "Friction compensation in robotics: an overview", CDC 2005.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
+from seqid_cli.model.effects.excitation import moves
+from seqid_cli.model.effects.scene import Scene
+
+
+class AsymmetricFriction(Effect):
+    """Coulomb and viscous friction that depend on the direction of motion."""
+
+    name = "asymmetric_friction"
+    family = "friction"
+    alike = ("torque_bias", "spring", "drift", "gear_efficiency")
+    separate_by = (
+        "10 s with the brakes on or the motors off before and after (an offset of the channel "
+        "stays, this does not), then constant speeds both ways over the whole position range, at "
+        "three speeds"
+    )
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Ask that the joint moves."""
+        return joint is not None and moves(scenes, joint)
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return half the differences between the directions."""
+        return (
+            Coefficient("coulomb_asymmetry", "N m"),
+            Coefficient("viscous_asymmetry", "N m s/rad"),
+        )
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Whether the joint moves, and its speed."""
+        assert joint is not None
+        moving, speed = np.abs(scene.sign[:, joint]), np.abs(scene.motion.dq[:, joint])
+        return {joint: np.stack([moving, speed], axis=1)}

@@ -1,0 +1,45 @@
+"""An offset of the measured torque that wanders in proportion to time.
+
+    tau_measured = tau + A + B t
+
+A [N m], B [N m/s]; t [s] counts from the first log where the logs share a clock, else from the
+start of each. Beyond the recorded session (`duration`) the offset is held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.measurement import touched
+from seqid_cli.model.effects.scene import Scene
+
+
+class Drift(Effect):
+    """Offset and ramp."""
+
+    name = "drift"
+    family = "measurement"
+    passes = 1
+    settings = (Setting("duration", "s", low=0.0, continuous=False),)
+    alike = ("torque_bias", "thermal_friction")
+    separate_by = (
+        "ten seconds at rest with the brakes on at the start and at the end of the session, and "
+        "the first log repeated as the last"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the offset at the start and its rate."""
+        return (Coefficient("offset", "N m"), Coefficient("rate", "N m/s"))
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """The session's end."""
+        return {"duration": [max(float(scene.time[-1]) for scene in scenes)]}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """One and time."""
+        t = np.clip(scene.time, 0.0, settings["duration"])
+        ramp = np.column_stack([np.ones_like(t), t])
+        return dict.fromkeys(touched(scene, joint), ramp)

@@ -1,0 +1,187 @@
+"""What every physical effect offers, so that nothing else needs to know one by name.
+
+An effect is a torque that is linear in a few coefficients once its settings are fixed:
+
+    tau_effect = sum_k c_k X_k(motion; settings).
+
+Coefficients come out of a least squares, settings (a Stribeck speed, a stiffness, a frequency) are
+searched: first over a grid, then by variable projection. The sign convention is that of the
+measured torque: tau_measured = model + tau_effect.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.units import unit_of
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Settings = Mapping[str, float]
+Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
+
+Family = Literal["friction", "transmission", "body", "measurement"]
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A linear parameter: its name, unit and what values are physical.
+
+    `unit` is for a revolute joint, with rad and N m; `low` and `high` bound what is believed.
+    """
+
+    name: str
+    unit: str
+    low: float = -np.inf
+    high: float = np.inf
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A parameter that the torque is not linear in.
+
+    `low` and `high` bound the search between the grid's values; a setting that is not `continuous`
+    (an order, the number of a log) keeps the grid's value. `logarithmic` ones are searched by
+    ratio.
+    """
+
+    name: str
+    unit: str
+    low: float = -np.inf
+    high: float = np.inf
+    continuous: bool = True
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter of an effect as it is reported: value, standard error, unit."""
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+
+
+class Effect(abc.ABC):
+    """A physical effect; subclasses are stateless and live in one file each.
+
+    Class attributes
+    ----------------
+    name : str
+        As the contract spells it.
+    family : str
+    arm : bool
+        True for an effect of the whole arm or of its measurement; its joint is then None.
+    shared : bool
+        Whether an effect of a joint can be one of all joints as well, with the same coefficients:
+        its joint is then None.
+    settings : tuple of Setting
+    passes : int
+        How many times the log's low-pass is to be applied to the columns: 1 for smooth terms in
+        the filtered motion's derivatives, 2 for all that has steps or is finer than the filter.
+    wide : bool
+        Whether the effect shows above the cut-off as well (a ripple, the mains).
+    timing : bool
+        Whether the effect shifts torque in time, so that the free time offset which otherwise
+        belongs to the base model must be taken out of it.
+    change : bool
+        Whether a constant effect of this kind hides in the base parameters once they are free: it
+        is then visible against earlier parameters only.
+    alike : tuple of str
+        Names that this one can be taken for in principle, whatever the motion.
+    separate_by : str
+        What to record to tell it from those, as an instruction.
+    """
+
+    name: ClassVar[str]
+    family: ClassVar[Family]
+    arm: ClassVar[bool] = False
+    shared: ClassVar[bool] = False
+    settings: ClassVar[tuple[Setting, ...]] = ()
+    passes: ClassVar[int] = 2
+    wide: ClassVar[bool] = False
+    timing: ClassVar[bool] = False
+    change: ClassVar[bool] = False
+    alike: ClassVar[tuple[str, ...]] = ()
+    separate_by: ClassVar[str]
+
+    @abc.abstractmethod
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the linear parameters, in the order of the columns."""
+
+    @abc.abstractmethod
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Compute the torque per unit coefficient.
+
+        Parameters
+        ----------
+        scene : Scene
+        joint : int or None
+            Index of the joint; None for an effect of the whole arm or of all joints alike.
+        settings : mapping
+            A value for every setting.
+
+        Returns
+        -------
+        mapping of joint index to (N, k) array
+            For every joint whose torque is touched; unfiltered.
+        """
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Return whether robot file and channels allow to look for the effect at this joint."""
+        return True
+
+    def grid(
+        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
+    ) -> Iterator[dict[str, float]]:
+        """Yield the settings to try.
+
+        Parameters
+        ----------
+        scenes : sequence of Scene
+        joint : int or None
+        residual : sequence of (N, n) arrays
+            Measured minus modelled torque of each scene, low-passed like its motion's torque
+            (unfiltered for `wide` effects); zero where it does not count.
+        """
+        axes = self.axes(scenes, joint)
+        for values in product(*axes.values()):
+            yield dict(zip(axes, values, strict=True))
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Return the grid's values of each setting; the default `grid` is their product."""
+        return {}
+
+    def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
+        """Return settings nearer to what coefficients c (k,) say; None where there are none.
+
+        For columns that are exact only near the effect's true size.
+        """
+        return None
+
+    def values(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return the physical parameters of coefficients c (k,) with their covariance (k, k)."""
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        slides = joint is not None and robot.joints[joint].prismatic
+        return [
+            Value(spec.name, float(x), float(e), unit_of(spec.unit, slides))
+            for spec, x, e in zip(self.coefficients(settings), c, errors, strict=True)
+        ]
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """Return whether coefficients c (k,) are physical; the default asks their bounds."""
+        specs = self.coefficients(settings)
+        return all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))

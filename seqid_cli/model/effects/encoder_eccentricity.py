@@ -1,0 +1,109 @@
+"""A joint's encoder disc sits off centre: the angle it reports wanders once or twice per turn.
+
+    q_measured = q + e_s sin(p) + e_c cos(p),        p = order N q
+    tau_effect = -(d tau / d q, dq, ddq) . (e, de/dt, d2e/dt2)
+
+e [rad] at the joint, N the gear ratio (1 where unknown), `order` in cycles per motor turn: 1 for an
+eccentric disc, 2 for unequal sine and cosine tracks; per turn of the joint that is order N. What
+the model is told it computes from the wrong angle; the effect is what that costs. Its inertial part
+grows with the square of the speed. An eccentricity d of a disc of radius R gives e = d / R on the
+encoder's shaft: Matsuzoe et al., "High-performance absolute rotary encoder using multitrack and
+M-code", Optical Engineering 42(1), 2003.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Setting,
+    Settings,
+    Value,
+)
+from seqid_cli.model.effects.measurement import MeasurementEffect
+from seqid_cli.model.effects.periodic import amplitude_and_phase
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.sensitivity import along
+from seqid_cli.model.effects.units import unit_of
+from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+ORDERS = (1.0, 2.0)
+FINE_GEAR = 5.0  # below it an order of the joint and one of the motor are the same thing
+LARGEST_RAD = 0.05
+
+
+class EncoderEccentricity(MeasurementEffect):
+    """Periodic error of the measured angle, through the whole model."""
+
+    name = "encoder_eccentricity"
+    family = "measurement"
+    settings = (Setting("order", "cycles per motor turn", low=0.0, continuous=False),)
+    alike = ("torque_ripple", "joint_elasticity")
+    separate_by = (
+        "one slow and one fast pass at constant speed: torque from a wrong angle grows with the "
+        "square of the speed, ripple does not"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return sine and cosine parts of the error."""
+        return (
+            Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),
+            Coefficient("error_cos", "rad", -LARGEST_RAD, LARGEST_RAD),
+        )
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Orders 1 and 2 of the motor, and of the joint where that is something else."""
+        assert joint is not None
+        gear = abs(float(scenes[0].gear[joint]))
+        slow = [order / gear for order in ORDERS] if gear > FINE_GEAR else []
+        return {"order": [*ORDERS, *slow]}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Minus the derivative of the modelled torque along the error and its derivatives."""
+        assert joint is not None
+        motion = scene.motion
+        k = settings["order"] * float(scene.gear[joint])
+        p, dp, ddp = (k * x[:, joint] for x in (motion.q, motion.dq, motion.ddq))
+        sin, cos = np.sin(p), np.cos(p)
+        errors = (
+            (sin, cos * dp, cos * ddp - sin * dp**2),
+            (cos, -sin * dp, -sin * ddp - cos * dp**2),
+        )
+
+        def modelled(q: Array, dq: Array, ddq: Array) -> Array:
+            return scene.model.rigid(q, dq, ddq) + scene.model.friction(q, dq)
+
+        torque = np.stack([-along(scene, joint, modelled, error) for error in errors], axis=2)
+        return {j: np.ascontiguousarray(torque[:, j]) for j in range(scene.robot.n)}
+
+    def restored(
+        self,
+        recording: Recording,
+        robot: Robot,
+        joint: int | None,
+        settings: Settings,
+        c: Array,
+    ) -> Recording:
+        """Take the error off the measured angle."""
+        assert joint is not None
+        p = settings["order"] * float(gear_ratios(robot)[joint]) * recording.q[:, joint]
+        q = recording.q.copy()
+        q[:, joint] -= c[0] * np.sin(p) + c[1] * np.cos(p)
+        return replace(recording, q=q)
+
+    def values(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return amplitude and phase of the error."""
+        unit = unit_of("rad", bool(robot.chain.prismatic[joint or 0]))
+        return amplitude_and_phase(c, covariance, unit, name="error")

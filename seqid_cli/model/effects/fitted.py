@@ -1,0 +1,224 @@
+"""Effects with numbers in them: how they stand in a parameter file, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.unexplained import NAME as UNEXPLAINED
+from seqid_cli.model.effects.unexplained import SmoothTerm
+from seqid_cli.params.schema import EffectOfJoint, EffectSession, Parameter, Stages
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FittedEffect:
+    """An effect of the catalogue at a joint (None: of the whole arm, or of all joints alike).
+
+    `coefficients` (k,) and `covariance` (k, k) belong to the columns; `session` says which logs
+    the effect's times and log numbers are of.
+    """
+
+    effect: Effect
+    joint: int | None
+    settings: Mapping[str, float]
+    coefficients: Array
+    covariance: Array
+    session: EffectSession | None = None
+
+    @property
+    def passes(self) -> int:
+        """How many times the low-pass is to be applied."""
+        return self.effect.passes
+
+    @property
+    def rubs(self) -> bool:
+        """Whether it is friction, which at rest is an interval."""
+        return self.effect.family == "friction"
+
+    def torques(self, scene: Scene) -> dict[int, Array]:
+        """Torque (N,) N m of every joint that is touched, unfiltered."""
+        columns = self.effect.columns(scene, self.joint, self.settings)
+        return {j: X @ self.coefficients for j, X in columns.items()}
+
+
+@dataclass(frozen=True)
+class FittedTerm:
+    """A smooth term that no effect explains, behaving like a fitted effect."""
+
+    term: SmoothTerm
+    session: EffectSession | None = None
+
+    @property
+    def passes(self) -> int:
+        """How many times the low-pass is to be applied."""
+        return self.term.passes
+
+    @property
+    def rubs(self) -> bool:
+        """Whether it is friction, which at rest is an interval."""
+        return self.term.factor == "direction"
+
+    def torques(self, scene: Scene) -> dict[int, Array]:
+        """Torque (N,) N m of its joint, unfiltered."""
+        return {self.term.joint: self.term.torque(scene)}
+
+
+Fitted = FittedEffect | FittedTerm
+
+
+def fitted_effects(
+    stages: Stages, robot: Robot, *, unexplained: bool = False
+) -> list[FittedEffect | FittedTerm]:
+    """Restore the effects of a parameter file.
+
+    Parameters
+    ----------
+    stages : Stages
+    robot : Robot
+    unexplained : bool
+        Whether smooth terms of no known cause are wanted as well; they are left out otherwise.
+
+    Raises
+    ------
+    ConfigError
+        If an effect is not known, or its joint, settings or coefficients are not what it takes;
+        the message names the key.
+    """
+    found: list[Fitted] = []
+    for index, entry in enumerate(stages.effects or []):
+        if entry.effect != UNEXPLAINED:
+            found.append(_restored(f"$.stages.effects[{index}]", entry, robot))
+        elif unexplained:
+            found.append(FittedTerm(SmoothTerm.from_stage(entry, robot), entry.session))
+    return found
+
+
+def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
+    """Write an effect down; `fitted_effects` restores it exactly."""
+    effect, settings = fitted.effect, fitted.settings
+    joint = None if fitted.joint is None else robot.joint_names[fitted.joint]
+    physical = effect.values(robot, fitted.joint, settings, fitted.coefficients, fitted.covariance)
+    return EffectOfJoint(
+        effect=effect.name,
+        joint=joint,
+        parameters=[
+            Parameter(
+                name=value.name,
+                value=float(value.value),
+                std_error=float(value.std_error),
+                unit=value.unit,
+                joint=joint or "",
+            )
+            for value in physical
+        ],
+        settings={name: float(value) for name, value in settings.items()},
+        coefficients=[float(x) for x in fitted.coefficients],
+        covariance=np.asarray(fitted.covariance, dtype=float).tolist(),
+        session=fitted.session,
+    )
+
+
+def _restored(key: str, entry: EffectOfJoint, robot: Robot) -> FittedEffect:
+    effect = CATALOGUE.get(entry.effect)
+    if effect is None:
+        raise ConfigError(
+            f"{key}.effect: no effect named {entry.effect!r} is known to this version",
+            hint="A newer seqid wrote the file: update, or take the effect out of the file.",
+        )
+    settings = _settings(key, effect, entry)
+    coefficients = _coefficients(key, effect, entry, settings)
+    count = len(coefficients)
+    covariance = np.array(entry.covariance) if entry.covariance else np.zeros((count, count))
+    if covariance.shape != (count, count):
+        raise _damaged(f"{key}.covariance", f"must have {count} rows of {count} numbers")
+    joint = _joint(key, effect, entry, robot)
+    return FittedEffect(effect, joint, settings, coefficients, covariance, entry.session)
+
+
+def _joint(key: str, effect: Effect, entry: EffectOfJoint, robot: Robot) -> int | None:
+    if entry.joint is None:
+        if not (effect.arm or effect.shared):
+            raise _damaged(f"{key}.joint", f"{effect.name} is an effect of one joint: name it")
+        return None
+    if effect.arm:
+        raise _damaged(f"{key}.joint", f"{effect.name} is of the whole arm: must be null")
+    if entry.joint not in robot.joint_names:
+        known = ", ".join(robot.joint_names)
+        raise _damaged(f"{key}.joint", f"{entry.joint!r} is none of the robot's joints: {known}")
+    return robot.joint_names.index(entry.joint)
+
+
+def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float]:
+    known = [setting.name for setting in effect.settings]
+    for name in entry.settings:
+        if name not in known:
+            takes = ", ".join(known) or "none"
+            raise _damaged(f"{key}.settings.{name}", f"{effect.name} takes {takes}")
+    found = {}
+    for setting in effect.settings:
+        value = entry.settings.get(setting.name)
+        where = f"{key}.settings.{setting.name}"
+        if value is None:
+            raise _damaged(where, f"is missing, and {effect.name} needs it")
+        if isinstance(value, str | bool) or not np.isfinite(value):
+            raise _damaged(where, f"must be a number, is {value!r}")
+        if not setting.low <= value <= setting.high:
+            limits = f"{setting.low:g} to {setting.high:g}"
+            raise _damaged(where, f"must lie within {limits}, is {value!r}")
+        found[setting.name] = float(value)
+    return found
+
+
+def _coefficients(
+    key: str, effect: Effect, entry: EffectOfJoint, settings: Mapping[str, float]
+) -> Array:
+    """Coefficients as written, or the parameters of the same names where none were."""
+    names = [spec.name for spec in effect.coefficients(settings)]
+    if entry.coefficients:
+        if len(entry.coefficients) != len(names):
+            count = f"{len(names)} numbers, has {len(entry.coefficients)}"
+            raise _damaged(f"{key}.coefficients", f"{effect.name} takes {count}")
+        return np.array(entry.coefficients, dtype=float)
+    values = {parameter.name: parameter.value for parameter in entry.parameters}
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise _damaged(f"{key}.coefficients", f"{effect.name} lacks {', '.join(missing)}")
+    return np.array([values[name] for name in names], dtype=float)
+
+
+def _damaged(key: str, what: str) -> ConfigError:
+    hint = "The file was edited or damaged: run seqid refine again, which wrote it."
+    return ConfigError(f"{key}: {what}", hint=hint)
+
+
+def effect_notes(stages: Stages, robot: Robot, *, unexplained: bool = False) -> list[str]:
+    """Say which effects of a parameter file take part in a prediction, and what is left out."""
+    notes = []
+    effects = fitted_effects(stages, robot, unexplained=unexplained)
+    if effects:
+        named = ", ".join(_name(item, robot) for item in effects)
+        notes.append(f"effects in the prediction: {named}")
+    smooth = [entry.joint or "" for entry in stages.effects or [] if entry.effect == UNEXPLAINED]
+    if smooth and not unexplained:
+        notes.append(
+            "a smooth term of no known cause is left out (--with-unexplained takes it in): "
+            + ", ".join(smooth)
+        )
+    return notes
+
+
+def _name(fitted: Fitted, robot: Robot) -> str:
+    if isinstance(fitted, FittedTerm):
+        return f"{UNEXPLAINED} ({robot.joint_names[fitted.term.joint]})"
+    where = "all joints" if fitted.joint is None else robot.joint_names[fitted.joint]
+    return f"{fitted.effect.name} ({where})"

@@ -1,0 +1,62 @@
+"""Friction that is no longer what the parameter file says: wear, new grease, a tightened bearing.
+
+    tau = dF_c s(v) + dF_v v
+
+dF_c [N m] and dF_v [N m s/rad] are what Coulomb and viscous friction have gained since the
+friction stage was recorded. Where friction is identified anew with everything else the change is in
+it, so this shows against the earlier parameters only. Bittencourt, Axelsson, "Modeling and
+experiment design for identification of wear in a robot joint under load and temperature
+uncertainties based on friction data", IEEE/ASME Trans. Mechatronics 19(5), 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Settings
+from seqid_cli.model.effects.excitation import moves
+from seqid_cli.model.effects.scene import Scene
+
+
+class FrictionChange(Effect):
+    """A constant change of Coulomb and viscous friction."""
+
+    name = "friction_change"
+    family = "friction"
+    change = True
+    alike = ("thermal_friction", "load_dependent_friction", "nonlinear_viscous", "torque_constant")
+    separate_by = (
+        "the recordings of the friction stage again, at the temperature of the first time: at "
+        "once after a cold start and once after ten minutes of motion"
+    )
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Ask that the joint moves and that its friction was known."""
+        if joint is None or not moves(scenes, joint):
+            return False
+        return all(scene.model.surfaces[joint] is not None for scene in scenes)
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the changes."""
+        return (
+            Coefficient("coulomb_change", "N m"),
+            Coefficient("viscous_change", "N m s/rad"),
+        )
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Direction and velocity."""
+        assert joint is not None
+        return {joint: np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)}
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """Ask that friction, the change included, still takes power from the motion."""
+        assert joint is not None
+        power = 0.0
+        for scene in scenes:
+            torque = scene.friction[:, joint] + self.columns(scene, joint, settings)[joint] @ c
+            power += float(torque @ scene.motion.dq[:, joint]) / scene.motion.rate_hz
+        return power >= 0.0

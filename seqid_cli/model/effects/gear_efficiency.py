@@ -1,0 +1,73 @@
+"""Gear efficiency that differs between driving and being driven.
+
+    tau = |tau_L| s(v) [k_d 1(tau_L v > 0) + k_b 1(tau_L v < 0)],   k_d = 1 / eta_d - 1,
+                                                                    k_b = 1 - eta_b
+
+tau_L [N m] is the torque that the gear passes to the link, without the joint's own rotor; eta_d and
+eta_b [-] the efficiencies while power flows from motor to link (lifting) and from link to motor
+(lowering). Equal losses, k_d = k_b, are load-dependent friction. Pennestri, Freudenstein, "The
+mechanical efficiency of epicyclic gear trains", J. Mech. Des. 115(3), 1993; Duclusaud et al.,
+"Extended friction models for the physics simulation of servo actuators", arXiv 2410.08650, 2024.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import (
+    Array,
+    Coefficient,
+    Columns,
+    Effect,
+    Settings,
+    Value,
+)
+from seqid_cli.model.effects.excitation import has_rigid_body, moves
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.robot.types import Robot
+
+
+class GearEfficiency(Effect):
+    """Losses in proportion to the transmitted torque, of their own in either power direction."""
+
+    name = "gear_efficiency"
+    family = "friction"
+    alike = ("load_dependent_friction", "torque_saturation", "asymmetric_friction")
+    separate_by = (
+        "lift and lower the same load at the same constant speed, then with another payload: the "
+        "half-sum of both torques keeps a share of the load only where the two losses differ"
+    )
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Ask that the joint moves and that the model knows its load."""
+        return joint is not None and moves(scenes, joint) and has_rigid_body(scenes)
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return both losses; the bounds are efficiencies of 0.4 and 0."""
+        return (
+            Coefficient("driving_loss", "1", low=0.0, high=1.5),
+            Coefficient("backdriving_loss", "1", low=0.0, high=1.0),
+        )
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Magnitude of the load times direction, where the gear drives and where it is driven."""
+        assert joint is not None
+        load, sign = scene.load[:, joint], scene.sign[:, joint]
+        loss = np.abs(load) * sign
+        drives = load * sign > 0.0
+        return {joint: np.stack([np.where(drives, loss, 0.0), np.where(drives, 0.0, loss)], axis=1)}
+
+    def values(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return the losses and, behind them, the efficiencies that they stand for."""
+        losses = super().values(robot, joint, settings, c, covariance)
+        driving, driven = losses
+        inverse = 1.0 / max(1.0 + driving.value, 0.1)
+        return [
+            *losses,
+            Value("driving_efficiency", inverse, inverse**2 * driving.std_error, "1"),
+            Value("backdriving_efficiency", 1.0 - driven.value, driven.std_error, "1"),
+        ]

@@ -1,0 +1,175 @@
+"""The gear twists under load: the link is not where the motor's encoder says, or the other way.
+
+Encoder on the motor (encoder_side 0): with x = q_link - q_measured the joint's twist,
+
+    M x'' + D x' + K x = -tau_L,        tau_effect = (d tau / d q, dq, ddq) . (x, x', x'')
+
+Encoder on the link (encoder_side 1): rotor and motor friction feel dq_m = dq + tau_L' / K,
+
+    tau_effect = N^2 J tau_L'' / K + (d tau_friction / d dq) tau_L' / K
+
+tau_L [N m] is what the gear passes on, M [kg m^2] the links' inertia about the joint with the
+others held, K [N m/rad] the stiffness, D damping well above a gear's own: a
+resonance then forgets how the log began. Well below the
+resonance x = -tau_L / K, and only the compliance 1/K matters, which is the coefficient; nearer to
+it the shape depends on K too, which is the setting `trial_stiffness`: both must agree. Spong,
+"Modeling and control of elastic joint robots", J. Dyn. Sys. Meas. Control 109(4), 1987; Gautier,
+Jubien, Janot, "New iterative learning identification and model based control of robots using only
+actual motor torque data", IROS 2013.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dtbsv
+
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Setting,
+    Settings,
+    Value,
+)
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
+from seqid_cli.model.effects.units import unit_of
+from seqid_cli.motion.filtering import differentiate, runs
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+DAMPING = 0.15  # of critical
+SOFTEST, STIFFEST = 0.25, 6.0  # resonance of the grid's ends over the low-pass's cut-off
+POINTS = 8
+AGREEMENT = 4.0  # of compliance and trial stiffness, as a ratio
+LOWEST_RESONANCE = 0.4  # over the cut-off, of a joint whose shape is that of a stiff one
+
+
+class JointElasticity(Effect):
+    """Twist of a compliant joint."""
+
+    name = "joint_elasticity"
+    family = "transmission"
+    settings = (
+        Setting("trial_stiffness", "N m/rad", low=1e-2, high=1e8, logarithmic=True),
+        Setting("encoder_side", "1", low=0.0, high=1.0, continuous=False),
+    )
+    passes = 1
+    timing = True
+    alike = ("time_skew", "actuator_lag", "encoder_eccentricity")
+    separate_by = (
+        "steps of acceleration without a reversal, and a chirp towards the resonance; a sensor on "
+        "the link shows the twist itself"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the compliance."""
+        return (Coefficient("compliance", "rad/(N m)", low=0.0),)
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """The model must know what loads the joint."""
+        return scenes[0].model.phi is not None
+
+    def grid(
+        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
+    ) -> Iterator[dict[str, float]]:
+        """Yield resonances around the cut-off for either side of the encoder."""
+        assert joint is not None
+        inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
+        cutoff = scenes[0].motion.lowpass.cutoff_hz
+        share = np.geomspace(SOFTEST, STIFFEST, POINTS)
+        stiffness = inertia * (2 * np.pi * cutoff * share) ** 2
+        yield from ({"trial_stiffness": float(k), "encoder_side": 0.0} for k in stiffness)
+        yield from ({"trial_stiffness": float(k), "encoder_side": 1.0} for k in stiffness[::2])
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Torque per unit compliance, on all joints (link's side: on its own)."""
+        assert joint is not None
+        if settings["encoder_side"] > 0.5:
+            return _of_the_motor(scene, joint, settings["trial_stiffness"])
+        torque = link_deviation(scene, joint, twist(scene, joint, settings["trial_stiffness"]))
+        return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
+
+    def values(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return the stiffness 1 / c, its error by the delta method."""
+        compliance = max(float(c[0]), 1e-12)
+        error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
+        unit = unit_of("N m/rad", bool(robot.chain.prismatic[joint or 0]))
+        return [Value("stiffness", 1.0 / compliance, error, unit)]
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """The compliance agrees with the stiffness that shaped it, where that shows in the band."""
+        assert joint is not None
+        if c[0] <= 0.0 or settings["encoder_side"] > 0.5:
+            return bool(c[0] > 0.0)
+        inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
+        band = inertia * (2 * np.pi * scenes[0].motion.lowpass.cutoff_hz) ** 2  # N m/rad
+        if settings["trial_stiffness"] < band:
+            ratio = float(c[0]) * settings["trial_stiffness"]
+            return bool(1.0 / AGREEMENT < ratio < AGREEMENT)
+        return bool(1.0 / c[0] > LOWEST_RESONANCE**2 * band)
+
+
+def twist(scene: Scene, joint: int, stiffness: float) -> Array:
+    """Twist K x (N,) N m of a joint of given stiffness, driven by the measured motion.
+
+    Trapezoidal (average acceleration) steps, stable however stiff the joint is; before the first
+    sample of each stretch without a gap the twist is taken for quasi-static.
+    """
+    load = scene.load[:, joint]
+    mass = np.maximum(link_inertia(scene, joint)[:, joint], 1e-9) / stiffness
+    damping = 2.0 * DAMPING * np.sqrt(mass)
+    result = -load
+    for start, stop in runs(scene.motion.valid, scene.samples):
+        if stop - start > 3:
+            at = slice(start, stop)
+            result[at] = _oscillator(load[at], mass[at], damping[at], scene.motion.rate_hz)
+    return result
+
+
+def _oscillator(load: Array, mass: Array, damping: Array, rate_hz: float) -> Array:
+    """Solve mass z'' + damping z' + z = -load; the time steps form a triangular band."""
+    a, d = mass[1:-1] * rate_hz**2, 0.5 * damping[1:-1] * rate_hz
+    band = np.zeros((3, len(load)))
+    band[0, :2] = 1.0
+    band[0, 2:] = a + d + 0.25
+    band[1, 1:-1] = 0.5 - 2.0 * a
+    band[2, :-2] = a - d + 0.25
+    right = -load
+    right[2:] = -0.25 * (load[2:] + 2.0 * load[1:-1] + load[:-2])
+    solved: Array = dtbsv(2, band, right, lower=1)
+    return solved
+
+
+def _of_the_motor(scene: Scene, joint: int, stiffness: float) -> Columns:
+    """Rotor inertia and friction on the motor's motion, per unit compliance.
+
+    Friction's slope is the secant between the link's and the motor's speed, or over as much as a
+    sample resolves: of the step at a reversal the area counts.
+    """
+    motion = scene.motion
+    speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
+    lead = speed / stiffness
+    per_sample = 2.0 * np.abs(motion.ddq[:, joint]) / motion.rate_hz
+    half = np.maximum(np.maximum(scene.sign_width[joint], per_sample), 0.5 * np.abs(lead))
+    ahead, behind = motion.dq.copy(), motion.dq.copy()
+    ahead[:, joint] += 0.5 * lead + half
+    behind[:, joint] += 0.5 * lead - half
+    friction = scene.model.friction(motion.q, ahead) - scene.model.friction(motion.q, behind)
+    slope = friction[:, joint] / (2 * half)
+    return {joint: (_own_rotor(scene, joint) * acceleration + slope * speed)[:, None]}
+
+
+def _own_rotor(scene: Scene, joint: int) -> float:
+    """Rotor inertia of a joint on its own side of the gear, kg m^2."""
+    known = scene.robot.joints[joint].rotor_inertia or 0.0
+    rotor = known if scene.model.rotor is None else float(scene.model.rotor[joint])
+    return rotor * float(scene.gear[joint]) ** 2

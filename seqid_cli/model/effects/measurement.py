@@ -1,0 +1,91 @@
+"""What effects of the drive and of its measurement have in common.
+
+They act on the joint's whole torque, tau_measured = F(tau), so that their columns are built from
+the modelled torque, and a recording can be freed of them exactly by the inverse of F.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.effect import Columns, Effect, Settings
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+
+class MeasurementEffect(Effect):
+    """An effect that a recording can be freed of by correcting the channel that it distorts."""
+
+    @abc.abstractmethod
+    def restored(
+        self,
+        recording: Recording,
+        robot: Robot,
+        joint: int | None,
+        settings: Settings,
+        c: Array,
+    ) -> Recording:
+        """Return the recording as it would be without the effect.
+
+        Parameters
+        ----------
+        recording : Recording
+            With torque.
+        robot : Robot
+        joint : int or None
+            Index of the joint; None where all joints share the effect.
+        settings : mapping
+        c : (k,) array
+            Coefficients.
+        """
+
+
+class TorqueMeasurement(MeasurementEffect):
+    """One that distorts torque: `true_torque` inverts it, sample by sample or in time."""
+
+    passes = 1  # what has steps is low-passed once in the columns already
+
+    @abc.abstractmethod
+    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+        """Return the torque (N, k) N m that was measured as tau (N, k) at `rate_hz`."""
+
+    def restored(
+        self,
+        recording: Recording,
+        robot: Robot,
+        joint: int | None,
+        settings: Settings,
+        c: Array,
+    ) -> Recording:
+        """Replace the torque of the joint, or of all."""
+        assert recording.tau is not None
+        which = slice(None) if joint is None else slice(joint, joint + 1)
+        tau = recording.tau.copy()
+        tau[:, which] = self.true_torque(tau[:, which], recording.rate_hz, settings, c)
+        return replace(recording, tau=tau)
+
+
+def touched(scene: Scene, joint: int | None) -> list[int]:
+    """Joints that an effect of one joint, or of all, touches."""
+    return list(range(scene.robot.n)) if joint is None else [joint]
+
+
+def of_modelled(scene: Scene, joint: int | None, function: Callable[[Array], Array]) -> Columns:
+    """Columns function(tau) of the modelled torque, ready for one more low-pass.
+
+    Rigid torque comes from motion that was low-passed once, friction has steps: what friction adds
+    to the column is low-passed once here, so that one pass more treats both like measured torque.
+    """
+    which = touched(scene, joint)
+    smooth = function(scene.rigid[:, which])
+    stepped = scene.motion.filtered(function(scene.modelled[:, which]) - smooth)
+    total = smooth + stepped
+    return {j: total[:, [k]] for k, j in enumerate(which)}

@@ -1,0 +1,161 @@
+"""Lines in a residual's spectrum over position, found in bins of position."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BINS_PER_CYCLE = 4
+MOST_BINS = 1 << 17
+PADDING = 4  # of the Fourier transform, so that a line cannot fall between two of its values
+TREND = 5  # terms of the smooth dependence on position that is taken out first
+FLOOR_WINDOW = 64  # values of the spectrum over which its level is taken
+GOLDEN = 0.5 * (5**0.5 - 1)
+REFINEMENTS = 16
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A residual r with its multiplier m, summed up over position.
+
+    Attributes
+    ----------
+    x : (B,) array
+        Mean position of each bin, turns.
+    rm, mm : (B,) arrays
+        Sums of r m and of m m in each bin.
+    span : float
+        Range of position, turns.
+    highest : float
+        Cycles per turn up to which the bins resolve lines.
+    """
+
+    x: Array
+    rm: Array
+    mm: Array
+    span: float
+    highest: float
+
+    @classmethod
+    def of(
+        cls, x: Sequence[Array], r: Sequence[Array], m: Sequence[Array], highest: float
+    ) -> Self | None:
+        """Sum up samples x (N,) turns, r and m (N,) of all logs; None if there are none.
+
+        Samples whose residual is exactly zero do not count.
+        """
+        X, R, M = (np.concatenate(list(parts)) for parts in (x, r, m))
+        counts = R != 0.0
+        X, R, M = X[counts], R[counts], M[counts]
+        if len(X) < 100 or np.ptp(X) <= 0.0:
+            return None
+        start, span = float(X.min()), float(np.ptp(X))
+        bins = min(max(int(BINS_PER_CYCLE * highest * span), 16), MOST_BINS)
+        at = np.minimum(((X - start) / span * bins).astype(np.intp), bins - 1)
+        number = np.bincount(at, minlength=bins)
+        centre = start + (np.arange(bins) + 0.5) * span / bins
+        mean = np.bincount(at, weights=X, minlength=bins) / np.maximum(number, 1)
+        mm = np.bincount(at, weights=M * M, minlength=bins).astype(np.float64)
+        rm = np.bincount(at, weights=R * M, minlength=bins).astype(np.float64)
+        position = np.where(number > 0, mean, centre)
+        rm = _without_trend(2 * (position - start) / span - 1, rm, mm)
+        return cls(position, rm, mm, span, min(highest, bins / (BINS_PER_CYCLE * span)))
+
+    def gain(self, order: float) -> float:
+        """Squared residual that a sine of `order` cycles per turn explains, its phase free."""
+        p = 2 * np.pi * order * self.x
+        sin, cos = np.sin(p), np.cos(p)
+        cross = float(self.mm @ (sin * cos))
+        A = np.array([[self.mm @ (sin * sin), cross], [cross, self.mm @ (cos * cos)]])
+        b = np.array([self.rm @ sin, self.rm @ cos])
+        trace = float(np.trace(A))
+        if np.linalg.det(A) < 1e-3 * trace**2:
+            return 0.0
+        return float(b @ np.linalg.solve(A, b))
+
+    def spectrum(self) -> tuple[Array, Array]:
+        """Orders and the gain that a well spread range of positions would give there."""
+        size = PADDING * len(self.rm)
+        lines = np.abs(np.fft.rfft(self.rm, size)) ** 2
+        orders = np.arange(len(lines)) / (PADDING * self.span)
+        return orders, 2.0 * lines / max(float(self.mm.sum()), 1e-300)
+
+
+def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
+    """Orders of the strongest lines and of those clearest above their surroundings.
+
+    Parameters
+    ----------
+    profile : Profile
+    lowest : float
+        Cycles per turn below which nothing is looked for.
+    count : int
+        How many orders at most; half of them by each rule.
+
+    Returns
+    -------
+    list of float
+        Cycles per turn.
+    """
+    orders, power = profile.spectrum()
+    inside = (orders >= lowest) & (orders <= profile.highest)
+    orders, power = orders[inside], power[inside]
+    if len(power) < 3:
+        return []
+    clear = power / np.maximum(_floor(power), 1e-300)
+    top = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
+    chosen: list[int] = []
+    for score in (clear, power):
+        found = 0
+        for k in top[np.argsort(-score[top], kind="stable")]:
+            if found == (count + 1) // 2:
+                break
+            if all(abs(k - other) > 2 * PADDING for other in chosen):
+                chosen.append(int(k))
+                found += 1
+    width = 1.0 / profile.span / PADDING
+    return [_refined(profile, float(orders[k]), width) for k in chosen]
+
+
+def _without_trend(x: Array, rm: Array, mm: Array) -> Array:
+    """Take a smooth dependence on position out of r; x is scaled to [-1, 1]."""
+    basis = chebvander(x, TREND - 1)
+    weighted = basis * mm[:, None]
+    c = np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
+    left: Array = rm - weighted @ c
+    return left
+
+
+def _floor(power: Array) -> Array:
+    """Level of the spectrum around each value: medians of windows, joined by lines."""
+    window = min(FLOOR_WINDOW, len(power))
+    count = max(1, len(power) // window)
+    parts = np.array_split(np.arange(len(power)), count)
+    at = np.array([part.mean() for part in parts])
+    level = np.array([np.median(power[part]) for part in parts])
+    floor: Array = np.interp(np.arange(len(power)), at, level)
+    return floor
+
+
+def _refined(profile: Profile, order: float, width: float) -> float:
+    """Best order within `width` of a peak, by golden section."""
+    low, high = order - width, order + width
+    a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    gain_a, gain_b = profile.gain(a), profile.gain(b)
+    for _ in range(REFINEMENTS):
+        if gain_a > gain_b:
+            high, b, gain_b = b, a, gain_a
+            a = high - GOLDEN * (high - low)
+            gain_a = profile.gain(a)
+        else:
+            low, a, gain_a = a, b, gain_b
+            b = low + GOLDEN * (high - low)
+            gain_b = profile.gain(b)
+    return 0.5 * (low + high)

@@ -1,0 +1,61 @@
+"""A body at the flange that the parameters do not know of: put on, taken off, or changed.
+
+    tau = Y_n(q, dq, ddq) phi    from log `from_log` on, 0 before it
+
+Y_n are the columns of the last link in the regressor of Eq. 3, phi = (m, mx, my, mz, Ixx, Ixy, Iyy,
+Ixz, Iyz, Izz) the ten inertial parameters of what was added [kg, kg m, kg m^2], in the frame of the
+last joint, inertia about its origin. A payload that is in all logs cannot be told from the last
+link once the latter is free. Compare Khalil, Gautier, Lemoine, "Identification of the payload
+inertial parameters of industrial manipulators", ICRA 2007.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.robot.base import STANDARD, parameter_unit
+from seqid_cli.robot.regressor import PER_LINK, torque_regressor
+
+Array = NDArray[np.float64]
+
+
+class Payload(Effect):
+    """Ten inertial parameters added to the last link."""
+
+    name = "payload"
+    family = "body"
+    arm = True
+    settings = (Setting("from_log", "1", low=0.0, continuous=False),)
+    passes = 1
+    change = True
+    alike = ("base_tilt", "torque_constant", "spring")
+    separate_by = (
+        "the same motion with and without the payload, and poses that turn the last link against "
+        "gravity"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return mass, first moments and inertias; of a body taken off they are negative."""
+        return tuple(
+            Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD
+        )
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """From any log on."""
+        return {"from_log": sorted({float(scene.log) for scene in scenes})}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Last link's columns of the regressor, for every joint."""
+        motion, n = scene.motion, scene.robot.n
+        if scene.log < settings["from_log"]:
+            return {j: np.zeros((scene.samples, PER_LINK)) for j in range(n)}
+        last = list(range(PER_LINK * (n - 1), PER_LINK * n))
+        Y = torque_regressor(
+            scene.robot.chain, scene.robot.gravity, motion.q, motion.dq, motion.ddq, columns=last
+        )
+        return {j: np.ascontiguousarray(Y[:, j]) for j in range(n)}

@@ -1,0 +1,146 @@
+"""A line at a fixed frequency of time: the mains, a fan, a pump.
+
+    tau = A sin(2 pi f t + p) = a sin(2 pi f t) + b cos(2 pi f t)
+
+A [N m], f [Hz]. Where the logs share a clock, t counts from the first log and one phase p serves
+all; the frequency is then known to a small part of one over the time that the logs span. Otherwise
+t counts from each log's start and every log has a phase of its own (`clocks` says how many): such
+a line is known to be there, but cannot be predicted for another log.
+
+A line is not taken for a disturbance if the motion makes it: if it is missing in some of the logs,
+if its phase wanders, or if the modelled torque has a line there of comparable size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Setting,
+    Settings,
+    Value,
+)
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.spectral_lines import Signal, amplitude, refined, strongest_lines
+from seqid_cli.model.effects.units import unit_of
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+LOWEST_HZ = 1.0
+LINES = 6  # looked at
+COHERENT = 0.6
+SAME = 0.4  # smallest share of the median amplitude that a log may show
+OF_MOTION = 0.3  # share of the modelled torque's line below which the line is the model's error
+
+
+class PeriodicDisturbance(Effect):
+    """Sine and cosine of time."""
+
+    name = "periodic_disturbance"
+    family = "measurement"
+    settings = (
+        Setting("frequency", "Hz", low=0.0, continuous=False),
+        Setting("clocks", "1", low=0.0, continuous=False),
+        Setting("span", "s", low=0.0, continuous=False),
+    )
+    wide = True
+    alike = ("torque_ripple",)
+    separate_by = (
+        "the same motion at two speeds: a disturbance keeps its frequency, what the motion makes "
+        "moves with the speed; a motion whose period is no multiple of the disturbance's"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return a sine and a cosine, for each log if each has its own clock."""
+        logs = round(settings["clocks"])
+        if logs == 0:
+            return (Coefficient("sine", "N m"), Coefficient("cosine", "N m"))
+        return tuple(
+            Coefficient(f"{part}_{log + 1}", "N m")
+            for log in range(logs)
+            for part in ("sine", "cosine")
+        )
+
+    def grid(
+        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
+    ) -> Iterator[dict[str, float]]:
+        """Lines of the residual that keep amplitude and phase and are not made by the motion."""
+        assert joint is not None
+        shared = all(scene.shared_clock for scene in scenes)
+        signals = [
+            Signal(r[:, joint], scene.motion.rate_hz, scene.start)
+            for scene, r in zip(scenes, residual, strict=True)
+        ]
+        made = [
+            Signal(scene.modelled[:, joint], scene.motion.rate_hz, scene.start) for scene in scenes
+        ]
+        ends = [scene.time[[0, -1]] for scene in scenes]
+        fixed = {"clocks": 0.0 if shared else float(len(scenes)), "span": float(np.ptp(ends))}
+        for near in strongest_lines(signals, LOWEST_HZ, LINES):
+            frequency, coherence = refined(signals, near) if shared else _by_log(signals, near)
+            if coherence >= COHERENT and _of_time(signals, made, frequency):
+                yield {"frequency": frequency, **fixed}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Sine and cosine; zero for a log whose phase is not known."""
+        assert joint is not None
+        logs = round(settings["clocks"])
+        phase = 2.0 * np.pi * settings["frequency"] * scene.time
+        line = np.column_stack([np.sin(phase), np.cos(phase)])
+        if logs == 0:
+            return {joint: line if scene.shared_clock else np.zeros_like(line)}
+        wide = np.zeros((scene.samples, 2 * logs))
+        if 0 <= scene.log < logs and not scene.shared_clock:
+            wide[:, 2 * scene.log : 2 * scene.log + 2] = line
+        return {joint: wide}
+
+    def values(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Amplitude, and phase where all logs share it."""
+        slides = joint is not None and robot.joints[joint].prismatic
+        amplitudes, errors = _amplitudes(c, covariance)
+        weight = 1.0 / np.maximum(errors, 1e-300) ** 2
+        mean = float(np.sum(weight * amplitudes) / np.sum(weight))
+        error = float(np.sum(weight) ** -0.5)
+        # The Cramer-Rao bound of a line's frequency, over the time that one phase was followed.
+        sharp = np.sqrt(3.0) / np.pi / max(settings["span"], 1e-9) * error / max(mean, 1e-300)
+        found = [
+            Value("amplitude", mean, error, unit_of("N m", slides)),
+            Value("frequency", settings["frequency"], min(float(sharp), 1e3), "Hz"),
+        ]
+        if round(settings["clocks"]) == 0:
+            error = float(errors[0] / max(amplitudes[0], 1e-300))
+            found.append(Value("phase", float(np.arctan2(c[1], c[0])), min(error, np.pi), "rad"))
+        return found
+
+
+def _amplitudes(c: Array, covariance: Array) -> tuple[Array, Array]:
+    """Amplitudes of sine-cosine pairs with their standard errors."""
+    variance = np.maximum(np.diag(covariance), 0.0).reshape(-1, 2)
+    pairs = np.asarray(c, dtype=float).reshape(-1, 2)
+    size = np.hypot(pairs[:, 0], pairs[:, 1])
+    return size, np.sqrt(variance.mean(axis=1))
+
+
+def _by_log(signals: Sequence[Signal], near: float) -> tuple[float, float]:
+    """Frequency and coherence if only the phases within each log are known."""
+    found = np.array([refined([signal], near) for signal in signals])
+    weight = np.array([signal.length_s**3 for signal in signals])
+    frequency = float(np.sum(weight * found[:, 0]) / np.sum(weight))
+    return frequency, float(np.median(found[:, 1]))
+
+
+def _of_time(signals: Sequence[Signal], made: Sequence[Signal], frequency: float) -> bool:
+    """Whether a line is there in all logs alike, and larger than what the motion makes of it."""
+    here = np.array([amplitude(signal, frequency) for signal in signals])
+    motion = np.array([amplitude(signal, frequency) for signal in made])
+    alike = here.min() >= SAME * np.median(here)
+    return bool(alike and np.median(here) > OF_MOTION * np.median(motion))

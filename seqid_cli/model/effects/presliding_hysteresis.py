@@ -1,0 +1,105 @@
+"""Presliding hysteresis: friction builds up over a distance after a reversal, not at once.
+
+    tau = F_p (x - s(v)),   x' = (v - |v| x) / z_max,   x = z / z_max
+
+z is the bristles' deflection in Dahl's model (LuGre's with constant breakaway), z_max [rad] the
+distance over which it settles, F_p [N m] the part of Coulomb friction that is passed on by them;
+the step s(v) of the base model is taken off. x depends on the way, not on the speed. While the
+joint moves one way by dq it is, in closed form,
+
+    x <- d + (x - d) exp(-|dq| / z_max),   d = sign(dq),
+
+and at rest it stays, so that a stuck joint holds what it was left with. Dahl, "A solid friction
+model", Aerospace Corp. TOR-0158, 1968; Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for
+control of systems with friction", IEEE Trans. Autom. Control 40(3), 1995.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import moves, travel
+from seqid_cli.model.effects.scene import Scene
+
+DISTANCES = 11
+SHORTEST, LONGEST = 1e-4, 0.2  # of the joint's travel, at most of 1 rad
+NOTHING = 1e-30  # share of the past that is forgotten; keeps products out of the denormals
+
+
+class PreslidingHysteresis(Effect):
+    """Bristle deflection after reversals."""
+
+    name = "presliding_hysteresis"
+    family = "friction"
+    settings = (Setting("presliding_distance", "rad", low=1e-7, high=0.5, logarithmic=True),)
+    alike = ("stribeck", "joint_elasticity", "backlash", "actuator_lag")
+    separate_by = (
+        "small triangles of half to five presliding distances at three accelerations, at two "
+        "postures: the distance over which the torque builds up keeps its size in position, "
+        "whatever the acceleration"
+    )
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Ask that the joint moves."""
+        return joint is not None and moves(scenes, joint)
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the friction that builds up so."""
+        return (Coefficient("presliding_torque", "N m", low=0.0),)
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Distances from a ten-thousandth to a fifth of the way, by ratios of about two."""
+        assert joint is not None
+        scale = min(travel(scenes, joint), 1.0)
+        distances = np.maximum(np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale, 1e-7)
+        return {"presliding_distance": [float(x) for x in distances]}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Deflection less the step that the base model has."""
+        assert joint is not None
+        x = deflection(scene.motion.q[:, joint], settings["presliding_distance"])
+        return {joint: (x - scene.sign[:, joint])[:, None]}
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """Ask for friction that settles within the way: else it would be a spring."""
+        assert joint is not None
+        settles = settings["presliding_distance"] < 0.5 * travel(scenes, joint)
+        return settles and super().plausible(scenes, joint, settings, c)
+
+
+def deflection(q: Array, distance: float) -> Array:
+    """Deflection of Dahl's bristles as a share of their largest.
+
+    Each sample maps the deflection before it affinely, x <- keep x + gain. Maps are composed by
+    doubling, in log2(N) sweeps over all samples, so there is no loop over time.
+
+    Parameters
+    ----------
+    q : (N,) array
+        Positions [rad]; taken as monotonic between samples.
+    distance : float
+        z_max [rad].
+
+    Returns
+    -------
+    (N,) array
+        Between -1 and 1, starting at 0.
+    """
+    way = np.diff(q, prepend=q[:1]) / distance
+    keep = np.exp(-np.abs(way))
+    gain = -np.sign(way) * np.expm1(-np.abs(way))
+    shift = 1
+    while shift < len(q):
+        gain[shift:] += keep[shift:] * gain[:-shift]
+        keep[shift:] = keep[shift:] * keep[:-shift]
+        keep[keep < NOTHING] = 0.0
+        if not keep[shift:].any():
+            break
+        shift *= 2
+    bounded: Array = np.clip(gain, -1.0, 1.0)  # rounding
+    return bounded

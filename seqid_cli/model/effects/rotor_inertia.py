@@ -1,0 +1,76 @@
+"""A motor's rotor is not as heavy as the robot file says, or turns the link that carries it.
+
+    tau_j = dJ N_j^2 ddq_j                                        (coupling 0)
+    tau   = J d(rotor torque)/dJ, all of its joints               (coupling 1)
+
+dJ [kg m^2] is the error of the inertia J on the motor side, N the gear ratio. With coupling 1 the
+rotor's spin also acts on the link that it rides on, N_j (ddq_j z_j + dq_j w x z_j), z_j its axis, w
+that link's angular velocity (rotor_regressor, "gyroscopic", without the diagonal term).
+Murphy, Wen, Saridis, "Simulation and analysis of flexibly jointed manipulators", CDC 1990; Modelica
+Rotor1D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.robot.regressor import rotor_regressor
+
+Array = NDArray[np.float64]
+
+
+class RotorInertia(Effect):
+    """Inertia of one motor beyond the file's."""
+
+    name = "rotor_inertia"
+    family = "body"
+    settings = (Setting("coupling", "1", low=0.0, high=1.0, continuous=False),)
+    passes = 1
+    alike = ("payload", "torque_constant")
+    separate_by = (
+        "fast moves of this joint with the others still, in poses that change the links' inertia "
+        "about it: the rotor's does not change"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the inertia: missing (coupling 0) or whole (coupling 1)."""
+        if settings["coupling"] > 0.5:
+            return (Coefficient("rotor_inertia", "kg m^2", low=0.0),)
+        return (Coefficient("rotor_inertia_error", "kg m^2"),)
+
+    def grid(
+        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
+    ) -> Iterator[dict[str, float]]:
+        """The diagonal term where the file fixes it; the coupling where the model lacks it."""
+        assert joint is not None
+        scene = scenes[0]
+        if scene.robot.joints[joint].rotor_inertia is not None:
+            yield {"coupling": 0.0}
+        carried = joint > 0 and not scene.robot.chain.prismatic[joint]
+        if carried and scene.model.coupling == "diagonal":
+            yield {"coupling": 1.0}
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """No rotor is left with a negative inertia."""
+        assert joint is not None
+        known = scenes[0].robot.joints[joint].rotor_inertia or 0.0
+        return bool(c[0] >= (0.0 if settings["coupling"] > 0.5 else -known))
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Acceleration times the square of the gear ratio, or the couplings alone."""
+        assert joint is not None
+        motion = scene.motion
+        if settings["coupling"] <= 0.5:
+            return {joint: (scene.gear[joint] ** 2 * motion.ddq[:, joint])[:, None]}
+        torque = rotor_regressor(
+            scene.robot.chain, motion.q, motion.dq, motion.ddq, scene.gear, "gyroscopic"
+        )[:, :, joint].copy()
+        torque[:, joint] -= scene.gear[joint] ** 2 * motion.ddq[:, joint]
+        return {j: torque[:, j : j + 1] for j in range(joint + 1)}

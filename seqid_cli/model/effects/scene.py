@@ -1,0 +1,132 @@
+"""One log as the effects see it: its motion, its clock, and what the model says about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.torque import TorqueModel, known_rotors
+from seqid_cli.motion.motion import Motion
+from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+LONGEST_SESSION_S = 30 * 86400.0
+DEFAULT_SIGN_SHARE = 0.01  # of a joint's top speed
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that an effect's columns may be built from.
+
+    Attributes
+    ----------
+    robot : Robot
+    motion : Motion
+        At the log's own rate or at least 24 samples per period of the cut-off; q, dq, ddq (N, n)
+        have been filtered once.
+    model : TorqueModel
+        The model so far, whose torques stand for what nobody measures (the load of a gear).
+    sign_width : (n,) array
+        Speed [rad/s; m/s where prismatic] over which the sign of each joint's velocity changes.
+    log : int
+        Number of the log, in the order in which they were given.
+    start : float
+        Time of the first sample [s], on a clock that all logs share if `shared_clock`; else 0.
+    shared_clock : bool
+        Whether `start` tells how long after each other the logs were recorded.
+    period : float
+        Sample period of the log itself [s].
+    temperature : (N, n) array or None
+        degC, as logged.
+    encoder : (N, n) array or None
+        Positions as the encoder reports them, not filtered.
+    measured : (N, n) array or None
+        Measured torque [N m; N where prismatic], not filtered.
+    full : Scene or None
+        The same log at its own rate, where this one has been decimated.
+    """
+
+    robot: Robot
+    motion: Motion
+    model: TorqueModel
+    sign_width: Array
+    log: int = 0
+    start: float = 0.0
+    shared_clock: bool = False
+    period: float = 0.0
+    temperature: Array | None = None
+    encoder: Array | None = None
+    measured: Array | None = None
+    full: Scene | None = None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples N."""
+        return self.motion.samples
+
+    @property
+    def angle(self) -> Array:
+        """Positions (N, n) for what is finer than the low-pass: the encoder's where there are."""
+        return self.motion.q if self.encoder is None else self.encoder
+
+    @cached_property
+    def time(self) -> Array:
+        """Time (N,) s on the shared clock."""
+        return self.start + self.motion.t
+
+    @cached_property
+    def sign(self) -> Array:
+        """Direction of motion (N, n), between -1 and 1."""
+        return np.tanh(self.motion.dq / self.sign_width)
+
+    @cached_property
+    def gear(self) -> Array:
+        """Gear ratios (n,), 1 where the robot file gives none."""
+        return gear_ratios(self.robot)
+
+    @cached_property
+    def rigid(self) -> Array:
+        """Modelled rigid-body torque (N, n), rotors included."""
+        motion = self.motion
+        return self.model.rigid(motion.q, motion.dq, motion.ddq)
+
+    @cached_property
+    def load(self) -> Array:
+        """Modelled torque (N, n) that the gear passes to the link: without its own rotor."""
+        rotor = known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
+        return self.rigid - self.gear**2 * rotor * self.motion.ddq
+
+    @cached_property
+    def friction(self) -> Array:
+        """Modelled friction torque (N, n)."""
+        return self.model.friction(self.motion.q, self.motion.dq)
+
+    @cached_property
+    def modelled(self) -> Array:
+        """Modelled torque (N, n): rigid body, rotors and friction."""
+        return self.rigid + self.friction
+
+
+def sign_widths(model: TorqueModel, top_speed: Array) -> Array:
+    """Speeds (n,) over which friction changes its sign: the file's, or a share of the top speed."""
+    default = np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6)
+    return np.array(
+        [
+            default[j] if surface is None else surface.sign_width
+            for j, surface in enumerate(model.surfaces)
+        ]
+    )
+
+
+def temperature_at(recording: Recording, motion: Motion) -> Array | None:
+    """Logged temperature at the scene's samples, (N, n) degC."""
+    if recording.temperature is None:
+        return None
+    picked: Array = recording.temperature[:: round(recording.rate_hz / motion.rate_hz)]
+    return picked

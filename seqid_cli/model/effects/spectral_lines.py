@@ -1,0 +1,129 @@
+"""Lines at a fixed frequency of time in several logs: found by power, refined by phase.
+
+Power, summed over the logs, finds a line to within one over the longest log. Where the logs share
+a clock, the phases that the line has in them fix its frequency to a fraction of one over the time
+that they span: demodulated to a few values per log, that search costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+PEAK = 12.0  # power over that of the neighbourhood, below which nothing is looked at
+NEIGHBOURHOOD_HZ = 1.5
+PIECES = 8  # values that a log is demodulated to
+STEPS = 6.0  # frequencies per one over the span
+MOST_STEPS = 200_000
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One log's values (N,) at `rate_hz`, the first at time `start` s."""
+
+    values: Array
+    rate_hz: float
+    start: float = 0.0
+
+    @property
+    def time(self) -> Array:
+        """Time (N,) s."""
+        return self.start + np.arange(len(self.values)) / self.rate_hz
+
+    @property
+    def length_s(self) -> float:
+        """Duration."""
+        return len(self.values) / self.rate_hz
+
+
+def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> list[float]:
+    """Return frequencies (Hz) at which the logs' summed power stands out, the highest peak first.
+
+    Parameters
+    ----------
+    signals : sequence of Signal
+    low_hz : float
+        Nothing is looked for below.
+    count : int
+        At most so many.
+    """
+    longest = max((signal.length_s for signal in signals), default=0.0)
+    top = 0.45 * min((signal.rate_hz for signal in signals), default=0.0)
+    low = max(low_hz, 8.0 / longest) if longest > 0.0 else np.inf
+    if low >= top:
+        return []
+    grid = np.arange(low, top, 0.25 / longest)
+    power = np.sum([np.interp(grid, *_periodogram(signal)) for signal in signals], axis=0)
+    width = max(9, int(NEIGHBOURHOOD_HZ / (0.25 / longest)))
+    floor = median_filter(power, size=min(width, len(grid)), mode="nearest")
+    ratio = power / np.maximum(floor, 1e-12 * max(float(power.max()), 1e-300))
+    found: list[float] = []
+    for k in np.argsort(-ratio):
+        if ratio[k] < PEAK or len(found) == count:
+            break
+        if all(abs(grid[k] - f) > 4.0 / longest for f in found):
+            found.append(float(grid[k]))
+    return found
+
+
+def amplitude(signal: Signal, frequency: float) -> float:
+    """Amplitude of the signal's line at a frequency."""
+    return float(2.0 * np.abs(np.mean(_demodulated(signal, frequency)[0])))
+
+
+def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
+    """Sharpen a line's frequency by its phases; the logs share the clock of their starts.
+
+    Returns
+    -------
+    tuple of float
+        Frequency (Hz) and coherence: 1 if amplitude and phase are the same all the time.
+    """
+    parts = [_demodulated(signal, near) for signal in signals]
+    z = np.concatenate([part[0] for part in parts])
+    t = np.concatenate([part[1] for part in parts])
+    longest = max(signal.length_s for signal in signals)
+    reach, step = 0.75 / longest, 1.0 / (STEPS * max(float(np.ptp(t)), longest))
+    half = min(int(np.ceil(reach / step)), MOST_STEPS)
+    offsets = step * np.arange(-half, half + 1)
+    score = _coherence(z, t, np.asarray(offsets, dtype=np.float64))
+    centre = offsets[int(np.argmax(score))]
+    for _ in range(3):  # each closes in by a factor of eight
+        close = centre + step * np.linspace(-1.0, 1.0, 33)
+        score = _coherence(z, t, close)
+        centre, step = close[int(np.argmax(score))], step / 8.0
+    return near + float(centre), float(score.max())
+
+
+def _coherence(z: Complex, t: Array, offsets: Array) -> Array:
+    total = float(np.sum(np.abs(z) ** 2)) * len(z)
+    chunks = np.array_split(offsets, max(1, len(offsets) * len(t) // 2_000_000))
+    sums = [np.abs(np.exp(-2j * np.pi * np.outer(part, t)) @ z) ** 2 for part in chunks]
+    return np.concatenate(sums) / max(total, 1e-300)
+
+
+def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array]:
+    """Means of the signal, turned back by the frequency, over equal pieces; their mid-times."""
+    turned = signal.values * np.exp(-2j * np.pi * frequency * signal.time)
+    pieces = np.array_split(np.arange(len(turned)), max(1, min(PIECES, len(turned))))
+    z = np.array([np.mean(turned[piece]) for piece in pieces])
+    return z, np.array([float(np.mean(signal.time[piece])) for piece in pieces])
+
+
+def _periodogram(signal: Signal) -> tuple[Array, Array]:
+    """Frequencies and power of the windowed signal, by four per resolution."""
+    length = len(signal.values)
+    window = np.hanning(length + 2)[1:-1]
+    size = 4 * length
+    spectrum = np.fft.rfft((signal.values - np.mean(signal.values)) * window, n=size)
+    scale = 2.0 / max(float(window.sum()), 1e-300)
+    frequencies: Array = np.linspace(0.0, 1.0, size // 2 + 1) * (size // 2 * signal.rate_hz / size)
+    power: Array = np.abs(scale * spectrum) ** 2
+    return frequencies, power

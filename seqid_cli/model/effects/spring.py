@@ -1,0 +1,83 @@
+"""A spring, counterbalance or cable that acts on a joint beside gravity.
+
+    tau = k (q - q0) + k3 q^3
+
+k [N m/rad], q0 [rad] where it is slack, k3 [N m/rad^3] (a cable or hose stiffens; 0 unless
+`cubic`). A motor holds against a spring that pulls back with tau > 0 ahead of q0, so k > 0; a
+counterbalance that helps away from its dead centre has k < 0. With the cubic term q0 is where the
+linear part vanishes. For compensators see Klimchik et al., "Identification of geometrical and
+elastostatic parameters of heavy industrial robots", ICRA 2013.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Setting,
+    Settings,
+    Value,
+)
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.units import unit_of
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+
+class Spring(Effect):
+    """Conservative torque of one joint's own position."""
+
+    name = "spring"
+    family = "transmission"
+    settings = (Setting("cubic", "1", low=0.0, high=1.0, continuous=False),)
+    passes = 1
+    alike = ("torque_bias", "payload", "base_tilt")
+    separate_by = (
+        "slow sweeps of this joint over its whole range, both ways, with the other joints in two "
+        "poses that turn gravity on it round: a spring does not follow"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return stiffness, torque at q = 0 and, where asked, the cubic stiffness."""
+        linear = (Coefficient("stiffness", "N m/rad"), Coefficient("torque_at_zero", "N m"))
+        if settings["cubic"] > 0.5:
+            return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"))
+        return linear
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Try it without and with the cubic term."""
+        return {"cubic": (0.0, 1.0)}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Position, one, and its cube."""
+        assert joint is not None
+        q = scene.motion.q[:, joint]
+        terms = [q, np.ones_like(q)]
+        if settings["cubic"] > 0.5:
+            terms.append(q**3)
+        return {joint: np.stack(terms, axis=1)}
+
+    def values(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return stiffness, rest position -c_1 / c_0 (delta method) and cubic stiffness."""
+        found = super().values(robot, joint, settings, c, covariance)
+        if c[0] == 0.0:
+            return found
+        slope = np.zeros(len(c))
+        slope[:2] = c[1] / c[0] ** 2, -1.0 / c[0]
+        error = float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
+        found[1] = Value(
+            "rest_position",
+            float(-c[1] / c[0]),
+            error,
+            unit_of("rad", bool(robot.chain.prismatic[joint or 0])),
+        )
+        return found

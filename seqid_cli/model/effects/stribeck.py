@@ -1,0 +1,71 @@
+"""Stribeck friction: more friction at low speed than Coulomb and viscous friction say.
+
+    tau = F_s exp(-(|v| / v_s)^delta) s(v)
+
+F_s [N m] is what is added at the slowest speeds, v_s [rad/s] the Stribeck speed, delta [-] its
+exponent (0.5 to 1 after Bo and Pavelescu, 2 for a Gaussian hump). Armstrong-Helouvry, Dupont,
+Canudas de Wit, "A survey of models, analysis tools and compensation methods for the control of
+machines with friction", Automatica 30(7), 1994.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import moves, top_speed
+from seqid_cli.model.effects.scene import Scene
+
+EXPONENTS = (0.5, 1.0, 2.0)
+SPEEDS = 7
+SLOWEST_SHARE, FASTEST_SHARE = 0.02, 0.5  # of the top speed
+
+
+class Stribeck(Effect):
+    """A hump of friction at low speed."""
+
+    name = "stribeck"
+    family = "friction"
+    settings = (
+        Setting("stribeck_speed", "rad/s", low=1e-6, high=100.0, logarithmic=True),
+        Setting("exponent", "1", low=0.5, high=2.0, continuous=False),
+    )
+    alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
+    separate_by = (
+        "constant speeds, both ways, from a third of the Stribeck speed up to the joint's limit, "
+        "at least two of them per doubling; then slow reversals at two accelerations, where "
+        "speeding up and slowing down must give the same torque at the same speed"
+    )
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Ask that the joint moves."""
+        return joint is not None and moves(scenes, joint)
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the height of the hump."""
+        return (Coefficient("stribeck_torque", "N m", low=0.0),)
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Speeds from the sign's width to half the top speed, by ratios of about two."""
+        assert joint is not None
+        top = top_speed(scenes, joint)
+        slow = min(2.0 * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
+        speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
+        return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Hump times direction."""
+        assert joint is not None
+        ratio = np.abs(scene.motion.dq[:, joint]) / settings["stribeck_speed"]
+        hump = np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint]
+        return {joint: hump[:, None]}
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """Ask for more friction at low speed, and that the hump ends within the speeds seen."""
+        assert joint is not None
+        ends = settings["stribeck_speed"] < top_speed(scenes, joint)
+        return ends and super().plausible(scenes, joint, settings, c)

@@ -1,0 +1,115 @@
+"""Friction that changes with temperature: grease thins while the gear warms up.
+
+    tau = h (a_c s(v) + a_v v),   h = T - T_0 where temperature is logged, exp(-t / T_w) otherwise
+
+T [degC] is the logged temperature, T_0 its mean over the logs, a_c [N m/K] and a_v [N m s/(rad K)]
+how Coulomb and viscous friction change with it. Without a sensor the gear warms up with the time
+constant T_w [s] on the clock that the logs share, t [s] since the first of them began, and a_c
+[N m], a_v [N m s/rad] is what a cold start adds. Logs that share no clock count as begun equally
+cold. Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of industrial
+manipulators", Robotica 37(5), 2019; Bittencourt, Gunnarsson, "Static friction in a robot joint:
+modeling and identification of load and temperature effects", J. Dyn. Sys. Meas. Control 134(5),
+2012.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import moves, session
+from seqid_cli.model.effects.scene import Scene
+
+LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
+LEAST_SESSION_S, LEAST_LOG_S = 60.0, 120.0
+SHORTEST_S, LONGEST_S = 5.0, 1e5
+TIME_CONSTANTS = 8
+
+
+class ThermalFriction(Effect):
+    """Coulomb and viscous friction that follow the temperature."""
+
+    name = "thermal_friction"
+    family = "friction"
+    settings = (
+        Setting("warm_up_time", "s", low=SHORTEST_S, high=LONGEST_S, logarithmic=True),
+        Setting("logged", "1", low=0.0, high=1.0, continuous=False),
+        Setting("reference_temperature", "degC", low=-60.0, high=200.0, continuous=False),
+    )
+    alike = ("torque_constant", "drift", "friction_change")
+    separate_by = (
+        "the same trajectory cold, after five and after twenty minutes of motion, with motor "
+        "temperature logged if the drive offers it; payload and mounting untouched"
+    )
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Ask for a temperature that changes, or for logs that last long enough for a warm-up."""
+        if joint is None or not moves(scenes, joint):
+            return False
+        if _logged(scenes, joint):
+            return True
+        shared = all(scene.shared_clock for scene in scenes)
+        return session(scenes) >= (LEAST_SESSION_S if shared else LEAST_LOG_S)
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the change of Coulomb and of viscous friction."""
+        if settings["logged"]:
+            return (
+                Coefficient("coulomb_per_kelvin", "N m/K"),
+                Coefficient("viscous_per_kelvin", "N m s/(rad K)"),
+            )
+        return (
+            Coefficient("coulomb_when_cold", "N m"),
+            Coefficient("viscous_when_cold", "N m s/rad"),
+        )
+
+    def grid(
+        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
+    ) -> Iterator[dict[str, float]]:
+        """Time constants around the length of the session; one point where temperature is logged.
+
+        There `warm_up_time` does nothing.
+        """
+        assert joint is not None
+        span = session(scenes)
+        if _logged(scenes, joint):
+            mean = float(np.mean(np.concatenate([_celsius(s, joint) for s in scenes])))
+            times, logged = [float(np.clip(span, SHORTEST_S, LONGEST_S))], 1.0
+        else:
+            times = [float(x) for x in np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)]
+            mean, logged = 0.0, 0.0
+        for time in times:
+            yield {
+                "warm_up_time": float(np.clip(time, SHORTEST_S, LONGEST_S)),
+                "logged": logged,
+                "reference_temperature": mean,
+            }
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Direction and velocity, each times the temperature or the warm-up."""
+        assert joint is not None
+        if settings["logged"]:
+            heat = _celsius(scene, joint) - settings["reference_temperature"]
+        else:
+            heat = np.exp(-scene.time / settings["warm_up_time"])
+        both = np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
+        return {joint: heat[:, None] * both}
+
+
+def _celsius(scene: Scene, joint: int) -> Array:
+    """Logged temperature (N,) degC; zero where there is none."""
+    if scene.temperature is None:
+        return np.zeros(scene.samples)
+    return np.nan_to_num(scene.temperature[:, joint], nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _logged(scenes: Sequence[Scene], joint: int) -> bool:
+    """Whether every log has this joint's temperature, within reason, and it changes enough."""
+    if any(scene.temperature is None for scene in scenes):
+        return False
+    logged = np.concatenate([s.temperature[:, joint] for s in scenes if s.temperature is not None])
+    if not np.all((logged > -60.0) & (logged < 200.0)):
+        return False
+    return float(np.ptp(logged)) >= LEAST_KELVIN

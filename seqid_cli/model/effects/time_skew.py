@@ -1,0 +1,88 @@
+"""Torque is logged late or early against the positions.
+
+    tau_logged(t) = tau(t - d)
+
+d [s] is the delay. To first order the logged torque differs by -d dtau/dt; the setting `around`
+(d_0) makes the column exact near d = d_0:
+
+    X = (tau(t - d_0) - tau(t)) / d_0.
+
+Friction's steps are shifted with the rest, which is what tells a delay from an elastic joint.
+A delay and a lag agree to first order and part in the second, d^2/2 against T^2 times the second
+derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import shift
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
+from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filtering import differentiate
+
+Array = NDArray[np.float64]
+
+LARGEST_S = 0.1
+# Free base parameters take up part of a delay, so that the residual's own comes out too short.
+CONSISTENT = 1.5  # ratio of d to d_0 beyond which the column does not belong to the coefficient
+SMALL_S = 1e-6  # below it the derivative is exact enough
+
+
+class TimeSkew(TorqueMeasurement):
+    """Modelled torque, shifted, minus itself; of one joint, or one delay of all (joint None)."""
+
+    name = "time_skew"
+    family = "measurement"
+    settings = (Setting("around", "s", low=-LARGEST_S, high=LARGEST_S, continuous=False),)
+    timing = True
+    shared = True
+    alike = ("actuator_lag", "joint_elasticity")
+    separate_by = (
+        "fast reversals and steps of acceleration; stamp positions and torques with one clock, or "
+        "log a common trigger"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the delay, positive where torque is late."""
+        return (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Around none; `sharpened` does the rest."""
+        return {"around": [0.0]}
+
+    def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
+        """Around the delay that was found."""
+        return {"around": float(np.clip(c[0], -LARGEST_S, LARGEST_S))}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Change of the modelled torque per second of delay."""
+        rate, valid, around = scene.motion.rate_hz, scene.motion.valid, settings["around"]
+        if abs(around) < SMALL_S:
+            return of_modelled(scene, joint, lambda tau: -differentiate(tau, rate, valid)[0])
+        return of_modelled(scene, joint, lambda tau: (delayed(tau, around, rate) - tau) / around)
+
+    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+        """Shift back."""
+        return delayed(tau, -float(c[0]), rate_hz)
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """Ask for a delay that its column belongs to; a lag is not to pass for a delay."""
+        d, around = float(c[0]), settings["around"]
+        if abs(d) > LARGEST_S:
+            return False
+        return around == 0.0 or 1.0 / CONSISTENT <= d / around <= CONSISTENT
+
+
+def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:
+    """Values (N, k) as they were `delay_s` before, held at the ends, by cubic splines."""
+    if not len(values):
+        return values.copy()
+    late: Array = shift(values, (delay_s * rate_hz, 0.0), order=3, mode="nearest")
+    return late

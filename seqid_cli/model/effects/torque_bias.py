@@ -1,0 +1,43 @@
+"""A constant offset of the measured torque: the current sensor's zero.
+
+    tau_measured = tau + A
+
+A [N m] is there in every state, at rest too. On a joint whose range is small it is almost the
+same as a gravity parameter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.measurement import TorqueMeasurement, touched
+from seqid_cli.model.effects.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+class TorqueBias(TorqueMeasurement):
+    """A constant."""
+
+    name = "torque_bias"
+    family = "measurement"
+    change = True
+    alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
+    separate_by = (
+        "ten seconds with the brakes on or the motors without current, before and after, and a "
+        "slow sweep over the joint's whole range"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the offset."""
+        return (Coefficient("offset", "N m"),)
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Ones."""
+        return {j: np.ones((scene.samples, 1)) for j in touched(scene, joint)}
+
+    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+        """Subtract the offset."""
+        return tau - float(c[0])

@@ -1,0 +1,44 @@
+"""A joint's true torque per ampere differs from the robot file's, or its drive's gain does.
+
+    tau_measured = (1 + e) tau
+
+e [-] is how much too large the nominal torque constant is. A factor that all joints share is
+invisible: it scales every inertial parameter. Gautier, Briot, "New method for global identification
+of the joint drive gains of robots using a known payload mass", IROS 2011.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
+from seqid_cli.model.effects.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+class TorqueConstant(TorqueMeasurement):
+    """Torque in proportion to the modelled one."""
+
+    name = "torque_constant"
+    family = "measurement"
+    change = True
+    alike = ("payload", "torque_saturation", "load_dependent_friction")
+    separate_by = (
+        "the same motion with and without a payload of known mass, as far out as the arm reaches: "
+        "the known mass fixes the absolute gain of each joint that carries it"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the relative error of the torque constant."""
+        return (Coefficient("relative_error", "1", low=-0.5, high=1.0),)
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Modelled torque."""
+        return of_modelled(scene, joint, lambda tau: tau)
+
+    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+        """Divide by the factor, unless it is no factor at all."""
+        return tau / max(1.0 + float(c[0]), 1e-3)

@@ -1,0 +1,143 @@
+"""Torque that repeats with the angle: cogging, commutation, the strain wave, a gear's mesh.
+
+    tau = m (c_s sin(p) + c_c cos(p)),        p = order N q
+
+`order` is in cycles per motor turn (N the gear ratio; per joint turn where the robot file gives
+none, N = 1). The multiplier m is the law by which the ripple scales:
+
+    law 0, constant:   m = 1            cogging, also without current [N m]
+    law 1, torque:     m = tau_model    commutation, phase gains, mesh under load [-]
+    law 2, direction:  m = s(v)         friction that varies round the turn [N m]
+
+Candidate orders are the peaks of the residual's least-squares spectrum over position. Cogging:
+Piccoli, Yim, "Anticogging: torque ripple suppression, modeling, and parameter selection", IJRR
+35(1-3), 2016; strain wave: Ghorbel, Gandhi, "On the kinematic error in harmonic drive gears", J.
+Mech. Des. 123(1), 2001.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Setting,
+    Settings,
+    Value,
+)
+from seqid_cli.model.effects.orders import Profile, peaks
+from seqid_cli.model.effects.periodic import amplitude_and_phase
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.units import unit_of
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+LAWS = ("constant", "torque", "direction")
+PEAKS = 4  # per law
+LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
+HIGHEST = 4000.0
+CYCLES_IN_RANGE = 2.0
+WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
+SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
+
+
+class TorqueRipple(Effect):
+    """A sine of the angle, constant or scaled by torque or direction."""
+
+    name = "torque_ripple"
+    family = "transmission"
+    settings = (
+        Setting("order", "cycles per motor turn", low=0.0, continuous=False),
+        Setting("law", "1", low=0.0, high=2.0, continuous=False),
+    )
+    wide = True
+    alike = ("encoder_eccentricity", "periodic_disturbance")
+    separate_by = (
+        "slow passes at two constant speeds and two loads, both ways: ripple keeps its place in "
+        "angle; what grows with load, direction or speed tells which kind it is"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return sine and cosine parts."""
+        unit = "1" if settings["law"] == 1.0 else "N m"
+        return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Angles repeat at revolute joints."""
+        assert joint is not None
+        return not scenes[0].robot.chain.prismatic[joint]
+
+    def grid(
+        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
+    ) -> Iterator[dict[str, float]]:
+        """Yield the strongest and the clearest lines of every law."""
+        assert joint is not None
+        gear = abs(float(scenes[0].gear[joint]))
+        highest = highest_order(scenes, joint)
+        for law in range(len(LAWS)):
+            profile = Profile.of(
+                [scene.angle[:, joint] / (2 * np.pi) for scene in scenes],
+                [r[:, joint] for r in residual],
+                [multiplier(scene, joint, law) for scene in scenes],
+                highest,
+            )
+            if profile is None:
+                continue
+            lowest = max(LOWEST, CYCLES_IN_RANGE / profile.span)
+            orders = (self._named(profile, k / gear, gear) for k in peaks(profile, lowest, PEAKS))
+            for order in dict.fromkeys(orders):
+                yield {"order": order, "law": float(law)}
+
+    def _named(self, profile: Profile, order: float, gear: float) -> float:
+        """A whole number of cycles per motor turn where it explains as much."""
+        whole = float(round(order))
+        enough = WHOLE_IF_SPARSE if gear * profile.span > SPARSE else WHOLE
+        if whole >= 1.0 and profile.gain(whole * gear) >= enough * profile.gain(order * gear):
+            return whole
+        return order
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Sine and cosine of the angle, times the law's multiplier."""
+        assert joint is not None
+        p = settings["order"] * scene.gear[joint] * scene.angle[:, joint]
+        m = multiplier(scene, joint, int(settings["law"]))
+        return {joint: np.stack([m * np.sin(p), m * np.cos(p)], axis=1)}
+
+    def values(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return amplitude (N m; law 1: share of the torque) and phase."""
+        unit = self.coefficients(settings)[0].unit
+        return amplitude_and_phase(
+            c, covariance, unit_of(unit, bool(robot.chain.prismatic[joint or 0]))
+        )
+
+
+def multiplier(scene: Scene, joint: int, law: int) -> Array:
+    """What the ripple scales with, (N,)."""
+    if law == 0:
+        return np.ones(scene.samples)
+    if law == 1:
+        return scene.modelled[:, joint]
+    return scene.sign[:, joint]
+
+
+def highest_order(scenes: Sequence[Scene], joint: int) -> float:
+    """Most cycles per joint turn that speed, sampling rate and encoder can tell apart."""
+    limits = [HIGHEST]
+    for scene in scenes:
+        speed = np.abs(scene.motion.dq[:, joint])
+        moving = speed[scene.motion.moving[:, joint]]
+        step = float(scene.motion.cutoff.encoder_step[joint])
+        if step > 0.0:
+            limits.append(1.0 / step)
+        if len(moving):
+            slow = max(float(np.quantile(moving, 0.25)), 1e-6)
+            limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / slow)
+    return min(limits)

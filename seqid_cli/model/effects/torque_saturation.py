@@ -1,0 +1,96 @@
+"""The torque constant falls with current: iron saturates.
+
+    tau = tau_measured (1 - b tau_measured^2),      tau_measured = k_t N i
+
+b [1/(N m)^2] is the share of torque lost per torque squared. To first order the measured torque
+exceeds the true one by b tau^3; the setting `around` (b_0) makes the column exact near b = b_0:
+
+    X = (m(tau; b_0) - tau) / b_0,      m (1 - b_0 m^2) = tau.
+
+The cubic law is the first term of any saturation that is odd in the current. Pillay, Krishnan,
+"Modeling, simulation, and analysis of permanent-magnet motor drives, part I", IEEE Trans. Ind.
+Appl. 25(2), 1989, has the linear law that it departs from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
+from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
+from seqid_cli.model.effects.scene import Scene
+
+Array = NDArray[np.float64]
+
+LOSSES_AT_PEAK = (0.0, 0.1)  # b_0 tau_peak^2
+CONSISTENT = 4.0  # ratio of b to b_0 beyond which the column does not belong to the coefficient
+
+
+class TorqueSaturation(TorqueMeasurement):
+    """Torque constant that falls with the square of the current."""
+
+    name = "torque_saturation"
+    family = "measurement"
+    settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False),)
+    alike = ("load_dependent_friction", "gear_efficiency", "torque_constant")
+    separate_by = (
+        "the same high torque at both directions of motion: hold or lift slowly the largest load "
+        "and lower it again; saturation is the same both ways, gear losses change sign"
+    )
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the share of torque lost per torque squared."""
+        return (Coefficient("saturation", "1/(N m)^2", low=0.0),)
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Up to a fifth of the modelled peak torque lost."""
+        peak = max(_peak(scene, joint) for scene in scenes)
+        return {"around": [loss / peak**2 for loss in LOSSES_AT_PEAK] if peak > 0.0 else [0.0]}
+
+    def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
+        """Around the loss that was found."""
+        return {"around": max(float(c[0]), 0.0)}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Measured minus true torque per unit of b."""
+        around = settings["around"]
+        return of_modelled(scene, joint, lambda tau: _excess(tau, around))
+
+    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+        """Apply the law, held where it would fall again."""
+        b = max(float(c[0]), 0.0)
+        top = 1.0 / np.sqrt(3.0 * b) if b > 0.0 else np.inf
+        held = np.clip(tau, -top, top)
+        true: Array = held * (1.0 - b * held**2)
+        return true
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """Ask for a loss, and for a column that belongs to it."""
+        b, around = float(c[0]), settings["around"]
+        if around == 0.0:
+            return b >= 0.0
+        return around / CONSISTENT <= b <= around * CONSISTENT
+
+
+def _peak(scene: Scene, joint: int | None) -> float:
+    usable = scene.motion.usable
+    torque = np.abs(scene.modelled[usable] if joint is None else scene.modelled[usable, joint])
+    return float(np.max(torque, initial=0.0))
+
+
+def _excess(tau: Array, b: float) -> Array:
+    """Measured minus true torque per unit of b; beyond the law's largest torque it is held."""
+    x = 1.5 * np.sqrt(3.0 * b) * tau
+    if b == 0.0 or np.max(np.abs(x), initial=0.0) < 1e-4:
+        cube: Array = tau**3
+        return cube
+    inside = np.clip(x, -1.0, 1.0)
+    measured = 2.0 / np.sqrt(3.0 * b) * np.sin(np.arcsin(inside) / 3.0)
+    true = inside / (1.5 * np.sqrt(3.0 * b))
+    excess: Array = (measured - true) / b
+    return excess

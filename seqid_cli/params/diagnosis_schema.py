@@ -1,0 +1,118 @@
+"""The diagnosis file, `seqid/diagnosis@1`: what a model lacks on some logs, with the evidence."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.schema import InputLog, RobotId, Struct, Tool
+
+DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
+
+
+class EffectParameter(Struct, kw_only=True):
+    """One physical parameter of an effect."""
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+
+
+class FindingEntry(Struct, kw_only=True):
+    """One effect that the model lacks; `joint` is null for an effect of the whole arm.
+
+    `confidence` is a probability. `explains` is the share of the held-out residual variance above
+    the noise floor that the effect takes away, `gain` the share of the residual variance itself,
+    `clean_gain` the largest such share on clean data of this kind. `confusable_with` names the
+    effects that these logs do not tell from it, `separate_by` what to record to tell. `parameters`
+    is empty where the logs do not determine them; `settings` are what the effect's torque is not
+    linear in.
+    """
+
+    effect: str
+    joint: str | None
+    confidence: float
+    explains: float
+    confusable_with: list[str]
+    separate_by: str
+    gain: float
+    clean_gain: float
+    parameters: list[EffectParameter] = []
+    settings: dict[str, float] = {}
+    note: str = ""
+
+
+class Curve(Struct, kw_only=True):
+    """Smooth shape of an unexplained residual over one quantity (its unit: `unit`)."""
+
+    quantity: str
+    unit: str
+    x: list[float]
+    torque: list[float]  # N m (N where prismatic)
+
+
+class UnexplainedPart(Struct, kw_only=True):
+    """A part of a joint's residual that depends on quantities, but on no effect of the catalogue.
+
+    `depends_on` names the strongest first, out of position, velocity, direction, acceleration,
+    load, temperature, time, time_frequency, other_joint:<name>; `share` is of the residual variance
+    above the noise floor.
+    """
+
+    joint: str
+    depends_on: list[str]
+    share: float
+    curve: Curve | None = None
+
+
+class ResidualEntry(Struct, kw_only=True):
+    """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
+
+    Numbers are null where no sample counts. `white` says that nothing but noise is left.
+    """
+
+    rmse: float | None
+    noise_floor: float | None
+    white: bool
+    rmse_explained: float | None
+    samples: int
+
+
+class EventEntry(Struct, kw_only=True):
+    """An interval of one log (s since its start) in which something pushed the arm."""
+
+    log: str
+    start: float
+    end: float
+    joints: list[str]
+
+
+class HiddenEntry(Struct, kw_only=True):
+    """An effect that these motions cannot show.
+
+    `visible` is the share of its torque that the model's own parameters do not absorb.
+    """
+
+    effect: str
+    joint: str | None
+    visible: float
+
+
+class DiagnosisFile(Struct, kw_only=True):
+    """The whole document; `findings` are ordered, the most certain first."""
+
+    schema: str
+    created: str
+    tool: Tool
+    robot: RobotId
+    inputs: list[InputLog]
+    parameters: list[FileId]
+    stages: list[str]  # names of the stages that took part
+    verdict: Literal["effect_found", "nothing_missing", "unexplained"]
+    findings: list[FindingEntry]
+    unexplained: list[UnexplainedPart]
+    joints: dict[str, ResidualEntry]
+    events: list[EventEntry] = []
+    hidden: list[HiddenEntry] = []
+    notes: list[str] = []

@@ -1,0 +1,278 @@
+"""`seqid diagnose` around a fake diagnosis: what it passes on, writes, prints and returns."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from types import ModuleType
+
+import jsonschema
+import pytest
+
+from seqid_cli.commands.render import Screen
+from seqid_cli.commands.show_diagnosis import show_diagnosis, verdict_sentence
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.results import (
+    Diagnosis,
+    Event,
+    Finding,
+    Hidden,
+    JointResidual,
+    Unexplained,
+)
+from seqid_cli.errors import InputError
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.effect import Value
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
+from seqid_cli.params.generate import json_schema
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+from tests.commands.conftest import Reader, Rig
+from tests.params.documents import diagnosis_file, friction_file, gravity_file, inertia_file
+
+BASE = ["diagnose", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
+
+STRIBECK = Finding(
+    effect="stribeck",
+    joint="elbow",
+    confidence=0.97,
+    explains=0.81,
+    confusable_with=("presliding_hysteresis", "quadratic_drag"),
+    separate_by="slow reversals at two accelerations",
+    gain=0.7,
+    clean_gain=0.01,
+    parameters=(Value("stribeck_torque", 1.5, 0.05, "N m"),),
+    settings={"stribeck_speed": 0.05, "exponent": 2.0},
+    note="a remark on it",
+)
+PAYLOAD = Finding(
+    effect="payload",
+    joint=None,
+    confidence=0.6,
+    explains=0.1,
+    confusable_with=(),
+    separate_by="",
+    gain=0.05,
+    clean_gain=0.02,
+)
+CURVE = Unexplained(
+    joint="shoulder",
+    depends_on=("position", "other_joint:elbow"),
+    share=0.4,
+    curve=((-1.0, 0.0, 1.0), (0.5, -0.5, 0.5)),
+)
+JOINTS = {
+    "shoulder": JointResidual(0.3, 0.1, False, 0.12, 400),
+    "elbow": JointResidual(float("nan"), float("nan"), True, float("nan"), 0),
+}
+FOUND = Diagnosis(
+    verdict="effect_found",
+    findings=(STRIBECK, PAYLOAD),
+    unexplained=(CURVE,),
+    joints=JOINTS,
+    events=tuple(Event("a.parquet", float(k), k + 0.5, ("elbow",)) for k in range(12)),
+    hidden=(Hidden("base_tilt", None, 0.02), Hidden("spring", "elbow", 0.001)),
+    notes=("a remark",),
+)
+NOTHING = Diagnosis("nothing_missing", (), (), JOINTS)
+OPEN = Diagnosis("unexplained", (), (CURVE, Unexplained("elbow", (), 0.3)), JOINTS)
+
+
+@dataclass
+class Library:
+    """Stands in for the diagnosis: reads all recordings and returns what it was given."""
+
+    result: Diagnosis | Exception = FOUND
+    calls: list[object] = field(default_factory=list)
+
+    def diagnose(
+        self,
+        recordings: Iterable[Recording],
+        robot: Robot,
+        stages: Stages,
+        *,
+        options: DiscoverOptions,
+    ) -> Diagnosis:
+        self.calls.append((len(list(recordings)), robot, stages, options))
+        if isinstance(self.result, Exception):
+            raise self.result
+        return self.result
+
+
+@pytest.fixture
+def library(rig: Rig, reader: Reader, monkeypatch: pytest.MonkeyPatch) -> Library:
+    fake = Library()
+    module = ModuleType("seqid_cli.discover.diagnose")
+    module.diagnose = fake.diagnose  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    rig.params("p.json", inertia_file())
+    return fake
+
+
+def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
+    options = ["--motion", "imu", "--cutoff", "12", "--time", "log"]
+    assert rig.run(*BASE, *options).code == 0
+    ((count, robot, stages, given),) = library.calls  # type: ignore[misc]
+    assert count == 2
+    assert robot.joint_names == ("shoulder", "elbow")
+    assert stages.inertia is not None
+    assert given == DiscoverOptions(InertiaOptions(MotionOptions(12.0), "imu"))
+    assert reader.time_source == "log"
+
+
+def test_the_document(rig: Rig, library: Library) -> None:
+    done = rig.run(*BASE, "-o", "out.json", "--json")
+    assert done.code == 0
+    assert done.out == (rig.folder / "out.json").read_text()
+    document = json.loads(done.out)
+    jsonschema.validate(document, json_schema(DIAGNOSIS_SCHEMA))
+    assert [item["effect"] for item in document["findings"]] == ["stribeck", "payload"]
+    first = document["findings"][0]
+    assert first["confidence"] == 0.97
+    assert first["confusable_with"] == ["presliding_hysteresis", "quadratic_drag"]
+    assert first["parameters"] == [
+        {"name": "stribeck_torque", "value": 1.5, "std_error": 0.05, "unit": "N m"}
+    ]
+    assert document["findings"][1]["joint"] is None
+    assert document["unexplained"][0]["curve"] == {
+        "quantity": "position",
+        "unit": "rad",
+        "x": [-1.0, 0.0, 1.0],
+        "torque": [0.5, -0.5, 0.5],
+    }
+    assert document["joints"]["shoulder"]["rmse"] == 0.3
+    assert document["joints"]["elbow"]["rmse"] is None
+    assert document["stages"] == ["friction", "gravity", "imu", "inertia"]
+    assert [log["path"] for log in document["inputs"]] == ["a.parquet", "b.parquet"]
+    assert document["parameters"][0]["path"] == "p.json"
+    assert len(document["events"]) == 12
+    assert document["hidden"][0] == {"effect": "base_tilt", "joint": None, "visible": 0.02}
+
+
+def test_what_the_user_sees(rig: Rig, library: Library) -> None:
+    done = rig.run(*BASE, "-o", "out.json")
+    lines = done.out.splitlines()
+    assert lines[0] == (
+        "The model lacks stribeck at elbow, payload; a part stays unexplained"
+        " (shoulder: position, other_joint:elbow)."
+    )
+    assert lines[1].split() == ["effect", "joint", "confidence", "explains", "parameters"]
+    assert "stribeck_torque 1.5 +- 0.05 N m, stribeck_speed 0.05 rad/s, exponent 2" in lines[2]
+    assert lines[3].split()[:3] == ["payload", "whole", "arm"]
+    assert lines[3].endswith("not determined by these logs")
+    assert lines[4] == "stribeck at elbow: could also be presliding_hysteresis or quadratic_drag"
+    assert lines[5] == "  to tell them apart, record: slow reversals at two accelerations"
+    assert "payload: could also be" not in done.out
+    assert "unexplained torque of shoulder N m" in done.out
+    assert "position rad" in done.out
+    joint = lines[next(k for k, line in enumerate(lines) if "noise floor" in line) + 1].split()
+    assert joint == ["shoulder", "0.3", "0.1", "3", "0.12", "no"]
+    assert "note: stribeck at elbow: a remark on it" in done.err
+    assert "note: a remark" in done.err
+    assert "next: seqid refine LOG... --holdout LOG... -r robot.toml -p p.json -o" in done.err
+
+
+def test_long_lists_are_for_those_who_ask(rig: Rig, library: Library) -> None:
+    brief = rig.run(*BASE)
+    assert brief.out.count("a.parquet") == 10
+    assert "2 more such events: -v" in brief.err
+    assert "2 effects these motions cannot show: -v lists them." in brief.err
+    assert "base_tilt" not in brief.out
+    whole = rig.run(*BASE, "-v")
+    assert whole.out.count("a.parquet") == 12
+    assert "base_tilt" in whole.out
+
+
+@pytest.mark.parametrize(
+    ("found", "sentence", "following"),
+    [
+        (NOTHING, "Nothing is missing: what these logs leave of the torque is noise.", None),
+        (
+            OPEN,
+            "Something is missing that no known effect explains (shoulder: position,"
+            " other_joint:elbow; elbow: nothing that was logged).",
+            "-p p.json --with-unexplained -o refined.json",
+        ),
+        (
+            replace(FOUND, unexplained=()),
+            "The model lacks stribeck at elbow, payload.",
+            "-p p.json",
+        ),
+    ],
+)
+def test_verdicts_as_sentences(
+    rig: Rig, library: Library, found: Diagnosis, sentence: str, following: str | None
+) -> None:
+    library.result = found
+    done = rig.run(*BASE)
+    assert done.out.splitlines()[0] == sentence
+    if following is None:
+        assert "next:" not in done.err
+    else:
+        assert following in done.err
+
+
+@pytest.mark.parametrize(("found", "strict"), [(FOUND, 1), (OPEN, 1), (NOTHING, 0)])
+def test_strict_is_about_the_verdict(
+    rig: Rig, library: Library, found: Diagnosis, strict: int
+) -> None:
+    library.result = found
+    assert rig.run(*BASE).code == 0
+    assert rig.run(*BASE, "--strict").code == strict
+
+
+def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:
+    reader.partial = "the last 12 of 40 chunks are damaged"
+    assert rig.run(*BASE).code == 3
+    assert rig.run(*BASE, "--strict").code == 1
+
+
+def test_a_log_without_torque(rig: Rig, library: Library) -> None:
+    library.result = InputError("neither torque nor current", hint="Record it.", where="a.parquet")
+    done = rig.run(*BASE, "-o", "out.json")
+    assert done.code == 2
+    assert "seqid diagnose: error: a.parquet: neither torque nor current" in done.err
+    assert not (rig.folder / "out.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "message"),
+    [
+        (friction_file, [], "p.json: there is no inertia stage"),
+        (gravity_file, [], "p.json: there is no inertia stage"),
+        (friction_file, ["--motion", "imu"], "there is no inertia stage"),
+    ],
+)
+def test_a_missing_stage(
+    rig: Rig, library: Library, make: type, options: list[str], message: str
+) -> None:
+    rig.params("p.json", make())
+    done = rig.run(*BASE, *options)
+    assert done.code == 2
+    assert message in done.err
+    assert "Run seqid inertia first" in done.err
+    assert library.calls == []
+
+
+def test_another_robot(rig: Rig, library: Library) -> None:
+    file = inertia_file()
+    file.robot.joints = file.robot.joints[::-1]
+    rig.params("p.json", file)
+    done = rig.run(*BASE)
+    assert done.code == 2
+    assert "p.json: is about robot 'arm' with joints elbow, shoulder" in done.err
+
+
+def test_an_empty_diagnosis_shows_nothing_but_its_verdict(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = diagnosis_file()
+    file.verdict, file.findings, file.unexplained = "nothing_missing", [], []
+    file.joints, file.events, file.hidden, file.notes = {}, [], [], []
+    show_diagnosis(Screen("diagnose"), file)
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == (verdict_sentence(file) + "\n", "")

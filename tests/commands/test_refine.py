@@ -1,0 +1,334 @@
+"""`seqid refine` around a fake refinement: which logs go where, documents, screen, exit codes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
+
+import jsonschema
+import pytest
+
+from seqid_cli.commands.log_sets import find_earlier, held_out_logs
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.results import ClosedLoop, Round
+from seqid_cli.errors import InputError, UsageError
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.generate import json_schema
+from seqid_cli.params.io import read_parameters
+from seqid_cli.params.schema import (
+    SCHEMA,
+    EffectOfJoint,
+    InputLog,
+    Parameter,
+    ParameterFile,
+    Stages,
+)
+from seqid_cli.robot.types import Robot
+from tests.commands.conftest import Reader, Rig
+from tests.params.documents import friction_file, inertia_file
+
+BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
+LOOP = ClosedLoop(
+    rounds=(
+        Round("stribeck", "elbow", True, 0.62, 0.6, (0.55, 0.64)),
+        Round("payload", None, False, 0.01, -0.002, (-0.01, 0.004), "the interval holds zero"),
+    ),
+    before={"shoulder": 0.2, "elbow": 0.4},
+    after={"shoulder": 0.2, "elbow": 0.2},
+    noise_floor={"shoulder": 0.15, "elbow": 0.18},
+    gain_interval={"shoulder": (-0.01, 0.01), "elbow": (0.7, 0.8)},
+    evaluated_on=("b.parquet",),
+    notes=("a remark",),
+)
+NOTHING = replace(LOOP, rounds=LOOP.rounds[1:], after=LOOP.before)
+EFFECT = EffectOfJoint(
+    effect="stribeck",
+    joint="elbow",
+    parameters=[Parameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")],
+    settings={"stribeck_speed": 0.05, "exponent": 2.0},
+)
+
+
+def content(number: int) -> bytes:
+    return b"PAR1" + bytes([number]) * 16 + b"PAR1"
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+@dataclass
+class Library:
+    """Stands in for the refinement; keeps what it was called with."""
+
+    loop: ClosedLoop = LOOP
+    effects: list[EffectOfJoint] | None = field(default_factory=lambda: [EFFECT])
+    training: list[str] = field(default_factory=list)
+    held_out: list[str] = field(default_factory=list)
+    earlier: dict[str, list[str]] = field(default_factory=dict)
+    shared: int = 0
+    options: DiscoverOptions | None = None
+
+    def refine(
+        self,
+        training: Sequence[Recording],
+        held_out: Sequence[Recording],
+        robot: Robot,
+        file: ParameterFile,
+        *,
+        earlier: Mapping[str, Sequence[Recording]],
+        options: DiscoverOptions,
+    ) -> tuple[Stages, ClosedLoop]:
+        self.training = [str(log.path) for log in training]
+        self.held_out = [str(log.path) for log in held_out]
+        self.earlier = {stage: [str(log.path) for log in logs] for stage, logs in earlier.items()}
+        self.shared = sum(
+            log is other for logs in earlier.values() for log in logs for other in training
+        )
+        self.options = options
+        return replace_effects(file.stages, self.effects), self.loop
+
+
+def replace_effects(stages: Stages, effects: list[EffectOfJoint] | None) -> Stages:
+    return Stages(
+        friction=stages.friction,
+        gravity=stages.gravity,
+        imu=stages.imu,
+        inertia=stages.inertia,
+        effects=effects,
+    )
+
+
+@pytest.fixture
+def library(rig: Rig, reader: Reader, monkeypatch: pytest.MonkeyPatch) -> Library:
+    fake = Library()
+    module = ModuleType("seqid_cli.discover.refine")
+    module.refine = fake.refine  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    # Recordings carry the digest of the file, as those of the real reader do.
+    read = reader.read_recordings
+
+    def digested(paths: Sequence[Path], robot: Robot, *, time_source: str) -> object:
+        for recording in read(paths, robot, time_source=time_source):
+            yield replace(recording, sha256=sha256(recording.path.read_bytes()))
+
+    monkeypatch.setattr(sys.modules["seqid_cli.logs.read"], "read_recordings", digested)
+    for number, name in enumerate(("a.parquet", "b.parquet", "c.parquet", "d.parquet")):
+        (rig.folder / name).write_bytes(content(number))
+    rig.params("p.json", inertia_file())
+    return fake
+
+
+def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
+    options = ["--rounds", "2", "--with-unexplained", "--motion", "encoder", "--cutoff", "9"]
+    holdout = ["--holdout", "c.*", "--time", "log"]
+    assert rig.run(*BASE, "d.parquet", *holdout, *options).code == 0
+    assert library.training == ["a.parquet", "d.parquet"]
+    assert library.held_out == ["b.parquet", "c.parquet"]
+    assert library.options == DiscoverOptions(
+        InertiaOptions(MotionOptions(9.0), "encoder"), max_effects=2, with_unexplained=True
+    )
+    assert reader.time_source == "log"
+
+
+def test_the_document(rig: Rig, library: Library) -> None:
+    done = rig.run(*BASE, "-o", "out.json", "--json")
+    assert done.code == 0
+    assert done.out == (rig.folder / "out.json").read_text()
+    document = json.loads(done.out)
+    jsonschema.validate(document, json_schema(SCHEMA))
+    loop = document["closed_loop"]
+    assert [(item["effect"], item["joint"]) for item in loop["rounds"]] == [("stribeck", "elbow")]
+    assert [(item["effect"], item["joint"]) for item in loop["refused"]] == [("payload", None)]
+    assert loop["refused"][0]["reason"] == "the interval holds zero"
+    assert loop["before"] == {"shoulder": {"rmse": 0.2}, "elbow": {"rmse": 0.4}}
+    assert loop["after"]["elbow"] == {"rmse": 0.2}
+    assert loop["noise_floor"]["elbow"] == 0.18
+    assert loop["gain_interval"]["elbow"] == [0.7, 0.8]
+    assert loop["evaluated_on"] == ["b.parquet"]
+    assert [(log["path"], log["sha256"]) for log in loop["held_out"]] == [
+        ("b.parquet", sha256(content(1)))
+    ]
+    file = read_parameters(rig.folder / "out.json")
+    assert file.stages.effects == [EFFECT]
+    assert [(log.path, log.stage) for log in file.inputs] == [
+        ("a", "friction"),
+        ("b", "gravity"),
+        ("c", "imu"),
+        ("d", "inertia"),
+        ("a.parquet", "effects"),
+    ]
+
+
+def test_a_refined_file_is_taken_wherever_an_inertia_file_is(rig: Rig, library: Library) -> None:
+    assert rig.run(*BASE, "-o", "out.json").code == 0
+    again = [*BASE[:-1], "out.json", "-o", "again.json"]
+    assert rig.run(*again).code == 0
+    assert read_parameters(rig.folder / "again.json").stages.effects == [EFFECT]
+    assert library.earlier == {"effects": ["a.parquet"]}
+
+
+def test_what_the_user_sees(rig: Rig, library: Library) -> None:
+    done = rig.run(*BASE, "-o", "out.json")
+    lines = done.out.splitlines()
+    assert lines[0] == "Added: stribeck at elbow."
+    assert " ".join(lines[2].split()) == "stribeck elbow 62.0 % 60.0 % 55.0 % to 64.0 % added"
+    assert lines[3].endswith("refused: the interval holds zero")
+    assert "whole arm" in lines[3]
+    (elbow,) = (" ".join(line.split()) for line in lines if line.startswith("elbow"))
+    assert elbow == "elbow 0.4 0.2 0.18 75.0 % 70.0 % to 80.0 %"
+    assert "stribeck_torque" in done.out
+    (speed,) = (line.split() for line in lines if "stribeck_speed" in line)
+    assert speed[-3:] == ["0.05", "-", "rad/s"]
+    assert "note: a remark" in done.err
+    assert "errors are on held-out logs: b.parquet" in done.err
+    assert "next: seqid predict LOG... -r robot.toml -p out.json -o prediction.json" in done.err
+
+
+def test_nothing_added_is_a_result(rig: Rig, library: Library) -> None:
+    library.loop, library.effects = NOTHING, None
+    done = rig.run(*BASE, "-o", "out.json")
+    assert done.code == 0
+    assert done.out.startswith("Nothing was added: no effect predicts the held-out logs better.\n")
+    file = read_parameters(rig.folder / "out.json")
+    assert file.stages.effects == []
+    assert file.closed_loop is not None
+    assert file.closed_loop.rounds == []
+    assert rig.run(*BASE, "--strict").code == 1
+    library.loop = replace(NOTHING, rounds=())
+    assert rig.run(*BASE).out.startswith("Nothing was added: nothing was found.\n")
+
+
+def test_exit_codes(rig: Rig, reader: Reader, library: Library) -> None:
+    assert rig.run(*BASE, "--strict").code == 0
+    reader.partial = "the end is missing"
+    assert rig.run(*BASE).code == 3
+    library.loop = NOTHING
+    assert rig.run(*BASE, "--strict").code == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["refine", "a.parquet", "-r", "robot.toml", "-p", "p.json"],
+            "seqid refine: error: Missing option '--holdout'",
+        ),
+        ([*BASE, "--holdout", "no.parquet"], "no.parquet: does not exist"),
+        ([*BASE, "--holdout", "a.parquet"], "a.parquet: is given both to fit and to hold out"),
+        ([*BASE, "--holdout", "./a.parquet"], "a.parquet: is given both to fit and to hold out"),
+        ([*BASE, "--holdout", "copy.parquet"], "copy.parquet (a.parquet): is given both"),
+        ([*BASE, "--holdout", "*.parquet"], "a.parquet: is given both to fit and to hold out"),
+        ([*BASE, "--holdout", "robot.toml"], "robot.toml: is neither Parquet nor MCAP"),
+        ([*BASE, "--rounds", "0"], "0 is not in the range 1<=x<=100"),
+        ([*BASE, "-o", "b.parquet"], "b.parquet: is an input of this command"),
+        ([*BASE[:-1], "swapped.json"], "swapped.json: is about robot 'arm' with joints elbow,"),
+        ([*BASE[:-1], "f.json"], "f.json: there is no inertia stage"),
+    ],
+)
+def test_what_cannot_run(rig: Rig, library: Library, arguments: list[str], message: str) -> None:
+    (rig.folder / "copy.parquet").write_bytes(content(0))
+    rig.params("f.json", friction_file())
+    swapped = inertia_file()
+    swapped.robot.joints = swapped.robot.joints[::-1]
+    rig.params("swapped.json", swapped)
+    done = rig.run(*arguments)
+    assert done.code == 2
+    assert message in done.err
+    assert "  hint: " in done.err
+    assert library.training == []
+
+
+def earlier_file(rig: Rig, paths: Mapping[str, tuple[str, bytes]]) -> None:
+    """Write p.json as identified from logs of the given stages, paths and contents."""
+    file = inertia_file()
+    file.inputs = [
+        InputLog(path=path, sha256=sha256(data), samples=5, stage=stage)
+        for stage, (path, data) in paths.items()
+    ]
+    rig.params("p.json", file)
+
+
+def test_logs_of_earlier_stages_are_read_again(rig: Rig, library: Library) -> None:
+    (rig.folder / "moved").mkdir()
+    (rig.folder / "moved" / "f.parquet").write_bytes(content(9))
+    earlier_file(
+        rig,
+        {
+            "friction": ("f.parquet", content(9)),
+            "gravity": ("c.parquet", content(2)),
+            "imu": ("gone.parquet", content(7)),
+            "inertia": ("d.parquet", content(99)),  # another log has its name now
+        },
+    )
+    (rig.folder / "p.json").rename(rig.folder / "moved" / "p.json")
+    done = rig.run(*BASE[:-1], "moved/p.json", "-o", "out.json")
+    assert done.code == 0
+    assert library.earlier == {"friction": ["moved/f.parquet"], "gravity": ["c.parquet"]}
+    note = (
+        "logs of earlier stages that are no longer there or have changed: gone.parquet, d.parquet;"
+        " the model is fitted again without them"
+    )
+    assert f"note: {note}" in done.err
+    loop = read_parameters(rig.folder / "out.json").closed_loop
+    assert loop is not None
+    assert loop.notes == [note, "a remark"]
+
+
+def test_a_log_that_is_fitted_again_is_read_once(rig: Rig, library: Library) -> None:
+    earlier_file(rig, {"inertia": ("elsewhere/a.parquet", content(0))})
+    done = rig.run(*BASE)
+    assert library.earlier == {"inertia": ["a.parquet"]}
+    assert library.shared == 1
+    assert "no longer there" not in done.err
+
+
+def test_a_held_out_log_is_never_fitted_as_an_earlier_one(rig: Rig, library: Library) -> None:
+    earlier_file(
+        rig,
+        {"inertia": ("b.parquet", content(1)), "gravity": ("c.parquet", content(2))},
+    )
+    done = rig.run(*BASE)
+    assert library.earlier == {"gravity": ["c.parquet"]}
+    assert "the model that came in was identified from it: b.parquet" in done.err
+
+
+@pytest.mark.parametrize("path", ["", ".", "/dev/zero", "robot.toml", "a\0b", "x" * 5000, ".."])
+def test_paths_of_a_parameter_file_are_not_trusted(tmp_path: Path, path: str) -> None:
+    log = InputLog(path=path, sha256="0" * 64, samples=1, stage="friction")
+    found = find_earlier([log], [tmp_path], at_hand={}, held_out={})
+    assert found.paths == {}
+    assert len(found.notes) == 1
+
+
+def test_a_note_names_three_logs_and_counts_the_rest(tmp_path: Path) -> None:
+    logs = [
+        InputLog(path=f"{k}.parquet", sha256=str(k), samples=1, stage=stage)
+        for k in range(5)
+        for stage in ("friction", "gravity")
+    ]
+    (note,) = find_earlier(logs, [tmp_path], at_hand={}, held_out={}).notes
+    assert "0.parquet, 1.parquet, 2.parquet and 2 more;" in note
+
+
+def test_two_lists_of_logs_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for number, name in enumerate(("a", "b", "c")):
+        Path(f"{name}.parquet").write_bytes(content(number))
+    assert held_out_logs(["a.parquet"], ["b.parquet", "c.parquet", "./b.parquet"]) == (
+        Path("b.parquet"),
+        Path("c.parquet"),
+    )
+    Path("link.parquet").symlink_to("a.parquet")
+    with pytest.raises(UsageError, match="both to fit and to hold out"):
+        held_out_logs(["a.parquet"], ["link.parquet"])
+    Path("empty.parquet").touch()
+    with pytest.raises(InputError, match="is empty"):
+        held_out_logs(["a.parquet"], ["empty.parquet"])

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.floor import NoiseFloor, fitted, noise_floor, rms
+from tests.discover.drawn_logs import (
+    RATE_HZ,
+    low_passed,
+    periodic,
+    recording,
+    resting,
+    scenes,
+    smooth_torque,
+    wander,
+)
+from tests.plants.sensors import noise, quantise
+
+Array = NDArray[np.float64]
+
+STD = np.array([1.0, 0.3])  # N m, of the raw torque
+LOOSE = 3.0  # what the residual is larger by than noise
+
+
+def ratio(
+    logs: list[Array], *, coloured: float, step: float, seed: int
+) -> tuple[Array, NoiseFloor]:
+    """Floor over the true RMS of low-passed noise (n,)."""
+    rng = np.random.default_rng(seed)
+    signal = [smooth_torque(q) for q in logs]
+    raw = [noise(rng, len(q), STD, coloured=coloured, rate_hz=RATE_HZ) for q in logs]
+    total = [quantise(s + e, step * STD) for s, e in zip(signal, raw, strict=True)]
+    recordings = [recording(q, tau) for q, tau in zip(logs, total, strict=True)]
+    found, rows = scenes(recordings)
+    left = [low_passed(t - s, x) for t, s, x in zip(total, signal, found, strict=True)]
+    truth = np.array([rms(rows.of(j, [r[:, j] for r in left])) for j in range(2)])
+    # What a model of the motion misses repeats with it, and so is above the floor.
+    missed = [np.cos(3 * x.motion.q) for x in found]
+    scale = LOOSE * truth
+    floor = noise_floor(
+        recordings, found, rows, [r + scale * m for r, m in zip(left, missed, strict=True)]
+    )
+    return floor.rms / truth, floor
+
+
+@pytest.mark.parametrize(("coloured", "step"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.5)])
+def test_repeated_periods_give_the_noise(coloured: float, step: float) -> None:
+    found, floor = ratio([periodic(60.0)], coloured=coloured, step=step, seed=1)
+    assert floor.ways == ("repeats", "repeats")
+    np.testing.assert_allclose(found, 1.0, atol=0.15)
+
+
+def test_repeated_logs_give_the_noise() -> None:
+    q = wander(30.0, 3)
+    found, floor = ratio([q, q[100:], q[:-200]], coloured=0.1, step=0.0, seed=2)
+    assert floor.ways == ("repeats", "repeats")
+    np.testing.assert_allclose(found, 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize(("coloured", "step"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.5)])
+def test_rests_give_the_noise_on_average(coloured: float, step: float) -> None:
+    drawn = [ratio([resting(80.0, 6.0, s)], coloured=coloured, step=step, seed=s) for s in range(4)]
+    assert all(floor.ways == ("rests", "rests") for _, floor in drawn)
+    assert abs(np.mean([found for found, _ in drawn]) - 1.0) < 0.15
+
+
+def test_torque_that_never_changes_at_rest_still_has_its_quantisation() -> None:
+    coarse = 6.0
+    _, floor = ratio([resting(80.0, 6.0, 5)], coloured=0.0, step=coarse, seed=3)
+    expected = coarse * STD / np.sqrt(12.0) * np.sqrt(2 * 7.3 / RATE_HZ)
+    assert floor.ways == ("rests", "rests")
+    np.testing.assert_allclose(floor.rms, expected, rtol=0.25)
+
+
+def test_white_noise_shows_above_the_cutoff_of_any_motion() -> None:
+    found, floor = ratio([wander(60.0, 4)], coloured=0.0, step=0.0, seed=4)
+    assert floor.ways == ("spectrum", "spectrum")
+    np.testing.assert_allclose(found, 1.0, atol=0.15)
+
+
+def test_flicker_hidden_below_the_cutoff_only_lowers_the_floor() -> None:
+    found, _ = ratio([wander(60.0, 4)], coloured=0.1, step=0.0, seed=4)
+    assert np.all((found > 0.35) & (found < 1.15))
+
+
+def test_the_floor_is_never_above_the_residual() -> None:
+    q = wander(30.0, 6)
+    tau = np.random.default_rng(0).standard_normal(q.shape)
+    log = recording(q, tau)
+    found, rows = scenes([log])
+    small = [1e-3 * low_passed(tau, found[0])]
+    floor = noise_floor([log], found, rows, small)
+    np.testing.assert_allclose(
+        floor.rms, [rms(rows.of(j, [small[0][:, j]])) for j in range(2)], rtol=1e-12
+    )
+
+
+def test_white_and_flicker_noise_are_told_apart() -> None:
+    rng = np.random.default_rng(7)
+    frequency = np.linspace(0.5, 250.0, 500)
+    shape = 2.0 + 30.0 / frequency
+    drawn = shape * rng.gamma(10, 0.1, 500)
+    white, flicker, exponent = fitted(frequency, drawn, (1.0, 0.5, 1.5), averaged=10)
+    assert exponent == 1.0
+    assert white == pytest.approx(2.0, rel=0.1)
+    assert flicker == pytest.approx(30.0, rel=0.2)
+    alone = fitted(frequency, 2.0 * rng.gamma(10, 0.1, 500), (1.0, 0.5, 1.5), averaged=10)
+    assert alone[1] == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,65 @@
+"""Ripple by angle: which order, which law, how much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.torque_ripple import LAWS, TorqueRipple
+from tests.model.effects.fitting import Array
+from tests.model.effects.scenes import GEAR, scene_of, two_joint_robot, wander
+
+SIN, COS = 0.6, 0.8
+
+
+def rippling(order: float, law: int, *, seed: int, gear: float = GEAR[1]) -> tuple[Scene, Array]:
+    """Return a scene and its unfiltered residual: ripple, noise and a bump of position."""
+    robot = two_joint_robot()
+    joints = (robot.joints[0], replace(robot.joints[1], gear_ratio=None if gear == 1.0 else gear))
+    scene = scene_of(wander(30.0, seed=seed, amplitude=1.5), robot=replace(robot, joints=joints))
+    q, rng = scene.motion.q[:, 1], np.random.default_rng(seed)
+    size = (1.0, 0.05 * scene.modelled[:, 1], np.sign(scene.motion.dq[:, 1]))[law]
+    p = order * gear * q
+    torque = size * (SIN * np.sin(p) + COS * np.cos(p))
+    other = 0.5 * np.exp(-((q - 0.4) ** 2)) + rng.normal(size=len(q))
+    residual = np.stack([rng.normal(size=len(q)), torque + other], axis=1)
+    residual[~scene.motion.usable] = 0.0
+    return scene, residual
+
+
+@pytest.mark.parametrize("law", range(len(LAWS)), ids=LAWS)
+@pytest.mark.parametrize(("order", "gear"), [(2.0, GEAR[1]), (6.0, GEAR[1]), (13.7, 1.0)])
+def test_order_law_and_size_come_back(order: float, gear: float, law: int) -> None:
+    """A whole number of cycles per motor turn is named as such."""
+    effect = TorqueRipple()
+    scenes, residual = zip(*(rippling(order, law, seed=k, gear=gear) for k in (0, 1)), strict=True)
+    y = np.concatenate([r[:, 1] for r in residual])
+    tried = []
+    for settings in effect.grid(scenes, 1, residual):
+        X = np.concatenate([effect.columns(scene, 1, settings)[1] for scene in scenes])
+        c = np.linalg.lstsq(X[y != 0.0], y[y != 0.0])[0]
+        tried.append((float(np.sum((y - X @ c)[y != 0.0] ** 2)), settings, c))
+    _, best, c = min(tried, key=lambda item: item[0])
+    assert best["law"] == law
+    assert best["order"] == pytest.approx(order, abs=0.0 if gear != 1.0 else 0.02)
+    scale = 0.05 if law == 1 else 1.0
+    values = effect.values(scenes[0].robot, 1, best, c, 1e-6 * np.eye(2))
+    assert values[0].value == pytest.approx(scale, rel=0.1)
+    assert values[0].unit == ("1" if law == 1 else "N m")
+    assert values[1].value == pytest.approx(np.arctan2(COS, SIN), abs=0.15)
+    assert len(tried) <= 15
+
+
+def test_a_joint_that_does_not_move_has_no_orders() -> None:
+    scene = scene_of(wander(10.0, still=(1,)))
+    residual = [np.ones((scene.samples, 2))]
+    for settings in TorqueRipple().grid([scene], 1, residual):
+        assert np.isfinite(settings["order"])
+
+
+def test_slides_do_not_turn() -> None:
+    robot = two_joint_robot(prismatic=True)
+    assert not TorqueRipple().available([scene_of(wander(6.0), robot=robot)], 1)

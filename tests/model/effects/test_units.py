@@ -1,0 +1,36 @@
+"""Units of revolute joints become those of slides."""
+
+from __future__ import annotations
+
+import pytest
+
+from seqid_cli.model.effects.units import unit_of
+
+PAIRS = {
+    "N m": "N",
+    "rad": "m",
+    "rad/s": "m/s",
+    "N m s/rad": "N s/m",
+    "N m s^2/rad^2": "N s^2/m^2",
+    "N m/rad": "N/m",
+    "N m/K": "N/K",
+    "N m s/(rad K)": "N s/(m K)",
+    "N m/A": "N/A",
+    "1/rad": "1/m",
+}
+UNTOUCHED = ("1", "s", "Hz", "kg m^2", "kg m", "degC", "m/s^2", "A", "N mm", "N m^2", "mrad")
+
+
+@pytest.mark.parametrize("unit", PAIRS)
+def test_of_a_slide(unit: str) -> None:
+    assert unit_of(unit, prismatic=True) == PAIRS[unit]
+
+
+@pytest.mark.parametrize("unit", PAIRS)
+def test_of_a_revolute_joint(unit: str) -> None:
+    assert unit_of(unit, prismatic=False) == unit
+
+
+@pytest.mark.parametrize("unit", UNTOUCHED)
+def test_units_without_the_joint_in_them_stay(unit: str) -> None:
+    assert unit_of(unit, prismatic=True) == unit

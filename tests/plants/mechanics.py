@@ -1,0 +1,232 @@
+"""One control period of an arm, rigid (leapfrog) or with springs in its joints (substeps)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.plants.friction import Friction, Law, stick_slip
+from tests.plants.hidden import Hidden, Spring, TorqueSource
+from tests.plants.rigid import Arm, Rigid
+
+Array = NDArray[np.float64]
+FINEST = 0.5  # rad of the fastest vibration per substep
+
+
+class Row(NamedTuple):
+    """Truth at one instant: link motion, friction at the drive, angle that the log sees, (n,)."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    friction: Array
+    angle: Array
+
+
+class Mechanics(Protocol):
+    """Keeps the state between control periods."""
+
+    def reading_angle(self) -> Array:
+        """Angle of the drives, which the controller reads now, (n,) rad."""
+        ...
+
+    def step(self, t: float, tau: Array) -> Row:
+        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
+        ...
+
+
+class RigidJoints:
+    """Drives and links move as one; friction may act on combinations of the joints' rates."""
+
+    def __init__(
+        self,
+        rigid: Rigid,
+        law: Law,
+        sources: tuple[TorqueSource, ...],
+        hidden: Hidden,
+        start: Array,
+        dt: float,
+    ) -> None:
+        self._rigid, self._law, self._sources, self._dt = rigid, law, sources, dt
+        self._reflected = rigid.arm.reflected
+        self._a = hidden.coupling
+        self._extra = np.zeros((len(start), len(start)))
+        if self._a is not None:
+            self._back = np.linalg.inv(self._a)
+            if hidden.coupled_rotors:
+                turned = self._a.T @ np.diag(self._reflected) @ self._a
+                self._extra = turned - np.diag(self._reflected)
+        self._q, self._half = start.copy(), np.zeros(len(start))
+        self._ddq, self._load, self._sign = (np.zeros(len(start)) for _ in range(3))
+        self._first = True
+
+    def reading_angle(self) -> Array:
+        """Angle of the drives, which the controller reads now, (n,) rad."""
+        return self._q
+
+    def step(self, t: float, tau: Array) -> Row:
+        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
+        dt, q = self._dt, self._q
+        dq = self._half + 0.5 * dt * self._ddq
+        mass, bias = self._rigid.terms(q, dq)
+        push = tau - bias
+        for source in self._sources:
+            push = push + source(t, q, dq)
+        ddq, friction = self._slip(t, q, dq, mass, push)
+        if self._first:
+            self._half = -0.5 * dt * ddq  # so that it is the first row that is at rest
+            self._first = False
+        self._load = tau - friction - self._reflected * ddq
+        row = Row(q, self._half + 0.5 * dt * ddq, ddq, friction, q)
+        self._ddq = ddq
+        self._half = self._half + dt * ddq
+        self._q = q + dt * self._half
+        return row
+
+    def _slip(self, t: float, q: Array, dq: Array, mass: Array, push: Array) -> tuple[Array, Array]:
+        """Acceleration and friction torque at the joints, (n,) each."""
+        if self._a is None:
+            dry = self._law(t, q, dq, self._load)
+            force = push - dry.smooth
+            ddq, rub, self._sign = stick_slip(mass, force, self._half, self._dt, dry, self._sign)
+            return ddq, rub + dry.smooth
+        a, back = self._a, self._back
+        dry = self._law(t, a @ q, a @ dq, self._load)
+        turned = back.T @ (mass + self._extra) @ back
+        force = back.T @ push - dry.smooth
+        rates = a @ self._half
+        spin, rub, self._sign = stick_slip(turned, force, rates, self._dt, dry, self._sign)
+        return back @ spin, a.T @ (rub + dry.smooth)
+
+
+class ElasticJoints:
+    """Some drives turn apart from their links; drives' own coordinates come after the links'.
+
+    One period runs from half a period before the row's instant to half a period after it, so that
+    position, torque and acceleration of one row belong together, as in the rigid arm. The
+    controller has read the encoders at the period's begin. Friction of a joint with a spring acts
+    on its drive.
+    """
+
+    def __init__(
+        self,
+        rigid: Rigid,
+        law: Law,
+        sources: tuple[TorqueSource, ...],
+        hidden: Hidden,
+        start: Array,
+        dt: float,
+    ) -> None:
+        if hidden.coupling is not None:
+            raise ValueError("a plant with springs cannot have coupled transmissions as well")
+        self._rigid, self._law, self._sources = rigid, law, sources
+        self._springs, self._at_link = hidden.springs, hidden.link_encoders
+        self._joints = np.array([spring.joint for spring in hidden.springs])
+        self._n = n = len(start)
+        self._reflected = rigid.arm.reflected
+        self._drive = np.arange(n)  # which coordinate a joint's friction and motor act on
+        self._drive[self._joints] = n + np.arange(len(self._joints))
+        self._dt = dt
+        self._parts = substeps(rigid, hidden, start, dt)
+        self._x = self._at_rest(start)
+        self._v, self._a = np.zeros_like(self._x), np.zeros_like(self._x)
+        self._sign, self._load = np.zeros_like(self._x), np.zeros(n)
+
+    def _at_rest(self, start: Array) -> Array:
+        """Coordinates at rest with the drives at `start` and the springs carrying gravity."""
+        q, drive = start.copy(), start[self._joints]
+        for _ in range(20):
+            load = self._rigid.gravity_torque(q)
+            wind = np.array([spring.wind_at(float(load[spring.joint])) for spring in self._springs])
+            q[self._joints] = drive - wind
+        return np.concatenate([q, drive])
+
+    def reading_angle(self) -> Array:
+        """Angle of the drives, which the controller reads now, (n,) rad."""
+        return self._x[self._drive]
+
+    def step(self, t: float, tau: Array) -> Row:
+        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
+        n, h, drive = self._n, self._dt / self._parts, self._drive
+        now = self._v + 0.5 * h * self._a
+        mass = np.zeros((len(self._x), len(self._x)))
+        mass[:n, :n], bias = self._rigid.terms(self._x[:n], now[:n])
+        own = self._joints
+        mass[own, own] -= self._reflected[own]
+        mass[drive[own], drive[own]] = self._reflected[own]
+        inverse = np.asarray(np.linalg.inv(mass))
+        dry = self._law(t, self._x[drive], now[drive], self._load)
+        slow = np.zeros_like(self._x)
+        slow[drive] = tau - dry.smooth
+        slow[:n] -= bias
+        for source in self._sources:
+            slow[:n] += source(t, self._x[:n], now[:n])
+        levels = Friction(*(np.zeros_like(self._x) for _ in range(3)))
+        levels.forward[drive], levels.backward[drive] = dry.forward, dry.backward
+        for part in range(self._parts):
+            rub = self._substep(h, mass, inverse, slow, levels)
+            if part == self._parts // 2:
+                row = self._row(h, rub[drive] + dry.smooth)
+            self._v = self._v + h * self._a
+            self._x = self._x + h * self._v
+        self._load = tau - row.friction - self._reflected * self._a[drive]
+        return row
+
+    def _substep(
+        self, h: float, mass: Array, inverse: Array, slow: Array, levels: Friction
+    ) -> Array:
+        """Update the acceleration; return the dry friction of every coordinate."""
+        force, n = slow.copy(), self._n
+        x, v, a = self._x, self._v, self._a
+        for k, spring in enumerate(self._springs, start=n):
+            i = spring.joint
+            rate = v[k] - v[i] + 0.5 * h * (a[k] - a[i])
+            torque = spring.torque(float(x[k] - x[i]), float(rate))
+            force[i] += torque
+            force[k] -= torque
+        sign, drive = self._sign, self._drive
+        rub = np.where(sign > 0, levels.forward, -levels.backward)
+        guess = inverse @ (force - rub)
+        slipping = sign[drive]
+        if not slipping.all() or ((v + h * guess)[drive] * slipping).min() < 0:
+            guess, rub, self._sign = stick_slip(mass, force, v, h, levels, sign)
+        self._a = guess
+        return rub
+
+    def _row(self, h: float, friction: Array) -> Row:
+        """Truth at this substep's instant."""
+        n, rate = self._n, self._v + 0.5 * h * self._a
+        q = self._x[:n].copy()
+        seen = q if self._at_link else self._x[self._drive]
+        return Row(q, rate[:n], self._a[:n].copy(), friction, seen)
+
+
+def substeps(rigid: Rigid, hidden: Hidden, start: Array, dt: float) -> int:
+    """Even number of substeps that resolves the fastest vibration of the springs."""
+    rates = [vibration(rigid, spring, start) for spring in hidden.springs]
+    parts = int(np.ceil(max(rates) * dt / FINEST))
+    return max(2, parts + parts % 2)
+
+
+def vibration(rigid: Rigid, spring: Spring, q: Array) -> float:
+    """Fastest vibration of drive against link with the other joints free, rad/s."""
+    return float(np.sqrt(spring.steepest / swung(rigid, spring.joint, q)))
+
+
+def swung(rigid: Rigid, joint: int, q: Array) -> float:
+    """Inertia of drive and link against each other with the other joints free, kg m^2."""
+    reflected = rigid.arm.reflected
+    mass, _ = rigid.terms(q, np.zeros_like(q))
+    mass = mass.copy()
+    mass[joint, joint] -= reflected[joint]
+    return float(1.0 / (np.linalg.inv(mass)[joint, joint] + 1.0 / reflected[joint]))
+
+
+def mechanics(
+    arm: Arm, law: Law, sources: tuple[TorqueSource, ...], hidden: Hidden, start: Array, dt: float
+) -> Mechanics:
+    """Choose how the arm's joints are modelled."""
+    kind = ElasticJoints if hidden.springs else RigidJoints
+    return kind(Rigid(arm), law, sources, hidden, start, dt)

@@ -1,0 +1,134 @@
+"""The registry of undeclared effects: what a study puts into a plant, and the right answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from tests.plants import injections_arm as arm
+from tests.plants import injections_drive as drive
+from tests.plants import injections_friction as friction
+from tests.plants.simulate import Plant
+
+Maker = Callable[[Plant, int, float], Plant]
+Place = Literal["joint", "arm"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One kind of undeclared effect.
+
+    `kind` is the catalogue's name, None outside of it; `place` says whether it belongs to one joint
+    or to the whole arm; `depends_on` is for those outside, `other_joint` without the name; `first`
+    is the first joint that can have it.
+    """
+
+    kind: str | None
+    make: Maker
+    place: Place = "joint"
+    depends_on: tuple[str, ...] = ()
+    first: int = 0
+
+
+@dataclass(frozen=True)
+class Injection:
+    """A plant with one undeclared effect more than `declared`, which is what its robot file says.
+
+    `joint` is None for an effect of the whole arm or of its measurement.
+    """
+
+    name: str
+    kind: str | None
+    joint: int | None
+    size: float
+    depends_on: tuple[str, ...]
+    declared: Plant
+    plant: Plant
+
+
+REGISTRY: Mapping[str, Entry] = {
+    # the catalogue, each by its own name
+    "stribeck": Entry("stribeck", friction.stribeck),
+    "asymmetric_friction": Entry("asymmetric_friction", friction.asymmetric),
+    "load_dependent_friction": Entry("load_dependent_friction", friction.load_dependent),
+    "gear_efficiency": Entry("gear_efficiency", friction.gear_efficiency),
+    "thermal_friction": Entry("thermal_friction", friction.thermal),
+    "quadratic_drag": Entry("quadratic_drag", friction.quadratic_drag),
+    "nonlinear_viscous": Entry("nonlinear_viscous", friction.cubic_viscous),
+    "presliding_hysteresis": Entry("presliding_hysteresis", friction.presliding),
+    "torque_ripple": Entry("torque_ripple", drive.ripple),
+    "joint_elasticity": Entry("joint_elasticity", drive.elastic),
+    "backlash": Entry("backlash", drive.backlash),
+    "transmission_coupling": Entry("transmission_coupling", drive.coupling, first=1),
+    "encoder_eccentricity": Entry("encoder_eccentricity", drive.encoder),
+    "spring": Entry("spring", friction.spring),
+    "payload": Entry("payload", arm.payload, "arm"),
+    "base_tilt": Entry("base_tilt", arm.base_tilt, "arm"),
+    "rotor_inertia": Entry("rotor_inertia", arm.rotor_inertia),
+    "torque_constant": Entry("torque_constant", drive.gain),
+    "torque_saturation": Entry("torque_saturation", drive.saturation),
+    "torque_bias": Entry("torque_bias", drive.bias),
+    "time_skew": Entry("time_skew", drive.skew_all, "arm"),
+    "actuator_lag": Entry("actuator_lag", drive.lag),
+    "periodic_disturbance": Entry("periodic_disturbance", drive.mains),
+    "drift": Entry("drift", drive.drift),
+    "external_contact": Entry("external_contact", arm.contact, "arm"),
+    # the same effects by another law or in another place
+    "stribeck.soft": Entry("stribeck", friction.stribeck_soft),
+    "thermal_friction.unlogged": Entry("thermal_friction", friction.thermal_unlogged),
+    "nonlinear_viscous.root": Entry("nonlinear_viscous", friction.root_viscous),
+    "torque_ripple.cogging_6": Entry("torque_ripple", drive.cogging_6),
+    "torque_ripple.cogging_12": Entry("torque_ripple", drive.cogging_12),
+    "torque_ripple.torque": Entry("torque_ripple", drive.torque_ripple),
+    "torque_ripple.direction": Entry("torque_ripple", friction.flipping_ripple),
+    "joint_elasticity.two_stiffnesses": Entry("joint_elasticity", drive.elastic_two),
+    "joint_elasticity.link_encoder": Entry("joint_elasticity", drive.elastic_link_encoder),
+    "transmission_coupling.rotors": Entry("transmission_coupling", drive.coupling_rotors, first=1),
+    "spring.cable": Entry("spring", friction.cable),
+    "time_skew.early": Entry("time_skew", drive.skew_early, "arm"),
+    "time_skew.one_joint": Entry("time_skew", drive.skew_one),
+    "actuator_lag.all": Entry("actuator_lag", drive.lag_all, "arm"),
+    "periodic_disturbance.60_hz": Entry("periodic_disturbance", drive.mains_60),
+    "periodic_disturbance.fan": Entry("periodic_disturbance", drive.hum_odd),
+    # outside the catalogue
+    "outside.bump": Entry(None, arm.bump, depends_on=("position",)),
+    "outside.other_speed": Entry(None, arm.other_speed, depends_on=("other_joint",)),
+    "outside.level_wave": Entry(None, friction.level_wave, depends_on=("position", "direction")),
+    "outside.acceleration_cube": Entry(None, arm.acceleration_cube, depends_on=("acceleration",)),
+    "outside.two_positions": Entry(None, arm.two_positions, depends_on=("position", "other_joint")),
+}
+CATALOGUE = tuple(name for name, entry in REGISTRY.items() if entry.kind == name)
+OTHER_LAWS = tuple(name for name in REGISTRY if "." in name and not name.startswith("outside."))
+OUTSIDE = tuple(name for name, entry in REGISTRY.items() if entry.kind is None)
+
+
+def inject(name: str, plant: Plant, joint: int, size: float = 1.0) -> Injection:
+    """Put one effect into a plant.
+
+    Parameters
+    ----------
+    name : str, key of `REGISTRY`
+    plant : Plant; it may have undeclared effects already
+    joint : int, 0-based; without meaning where the effect is the whole arm's
+    size : float, 1.0 is clear and 0.4 small; what that is says the maker's docstring
+    """
+    entry = REGISTRY[name]
+    if not entry.first <= joint < plant.arm.n:
+        raise ValueError(f"{name} cannot be on joint {joint} of {plant.arm.n}")
+    partner = plant.arm.names[arm.other(plant, joint)] if plant.arm.n > 1 else ""
+    depends = tuple(f"{x}:{partner}" if x == "other_joint" else x for x in entry.depends_on)
+    return Injection(
+        name=name,
+        kind=entry.kind,
+        joint=joint if entry.place == "joint" else None,
+        size=size,
+        depends_on=depends,
+        declared=plant,
+        plant=entry.make(plant, joint, size),
+    )
+
+
+def clean(plant: Plant) -> Injection:
+    """Nothing undeclared: the study's control."""
+    return Injection("clean", None, None, 0.0, (), plant, plant)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,11 +24,16 @@ TOGETHER = 64  # candidates whose columns are low-passed at once
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at a joint (None: the whole arm) with its settings."""
+    """An effect at a joint (None: the whole arm) with its settings.
+
+    A `below` one is told by the rows below the cut-off alone, though it would show above it: what
+    is faster than the position loop moves the arm, and the measured torque does not follow.
+    """
 
     effect: Effect
     joint: int | None
     settings: dict[str, float]
+    below: bool = False
 
     @property
     def key(self) -> tuple[str, int | None]:
@@ -82,6 +87,9 @@ class Stage:
 
     def _wide(self, candidate: Candidate) -> Joints:
         """Columns below and above the cut-off."""
+        if candidate.below:
+            both = self.columns([replace(candidate, below=False)])[0]
+            return {joint: X for joint, X in both.items() if joint < self.rows.n}
         effect = candidate.effect
         per_scene = [
             effect.columns(scene.full or scene, candidate.joint, candidate.settings)
@@ -92,20 +100,22 @@ class Stage:
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Joints]:
         """Columns of candidates that are low-passed alike, all in one go."""
         per_scene = []
-        for scene in self.scenes:
+        for number, scene in enumerate(self.scenes):
             raw = [c.effect.columns(scene, c.joint, c.settings) for c in candidates]
             places = [(i, j) for i, columns in enumerate(raw) for j in columns]
             if not places:
                 continue
             widths = [raw[i][j].shape[1] for i, j in places]
-            both = scene.motion.filtered(np.hstack([raw[i][j] for i, j in places]), times=passes)
+            every = np.hstack([raw[i][j] for i, j in places])
+            both = self.rows.sieve(number, passes) @ every
             pieces = np.split(both, np.cumsum(widths)[:-1], axis=1)
             per_scene.append(dict(zip(places, pieces, strict=True)))
         if not per_scene:
             return [{} for _ in candidates]
         result: list[dict[int, Array]] = [{} for _ in candidates]
         for i, j in per_scene[0]:
-            result[i][j] = self.rows.of(j, [pieces[i, j] for pieces in per_scene])
+            kept = zip(per_scene, self.rows.used, strict=True)
+            result[i][j] = np.concatenate([pieces[i, j][used[:, j]] for pieces, used in kept])
         return list(result)
 
     def try_all(self, system: System, candidates: Sequence[Candidate]) -> list[Tried]:
@@ -124,44 +134,57 @@ class Stage:
 
 
 def _key(candidate: Candidate) -> tuple[object, ...]:
-    return (*candidate.key, *sorted(candidate.settings.items()))
+    return (*candidate.key, candidate.below, *sorted(candidate.settings.items()))
 
 
 def candidates_of(
-    narrow: Sequence[Scene], effects: Sequence[Effect], left: Sequence[Array]
+    narrow: Sequence[Scene],
+    effects: Sequence[Effect],
+    left: Sequence[Array],
+    near: Collection[int] | None = None,
 ) -> Iterator[Candidate]:
     """Yield every effect at every joint with every setting of its grid.
 
     `left` (N, n) per scene is the low-passed residual, which guides effects that look for shapes;
-    those that show above the cut-off as well get it at the logs' own rates.
+    those that show above the cut-off as well get it at the logs' own rates. With `near`, effects of
+    other joints than these are left out.
     """
     n = narrow[0].robot.n
     full = [scene.full or scene for scene in narrow]
     whole = [full_residual(scene, r) for scene, r in zip(narrow, left, strict=True)]
     for effect in effects:
         scenes, residual = (full, whole) if effect.wide else (narrow, left)
-        joints: list[int | None] = [None] if effect.arm else list(range(n))
+        own = [j for j in range(n) if near is None or j in near]
+        joints: list[int | None] = [None] if effect.arm else list(own)
         if effect.shared and n > 1:
             joints.append(None)
         for joint in joints:
             if effect.available(scenes, joint):
                 for settings in effect.grid(scenes, joint, residual):
                     yield Candidate(effect, joint, settings)
+                    if effect.wide:
+                        yield Candidate(effect, joint, settings, below=True)
 
 
 def refined(stage: Stage, system: System, tried: Tried, spacing: float = 2.5) -> Tried:
-    """Search the continuous settings of a candidate near its grid point for the largest gain."""
+    """Search the continuous settings of a candidate near its grid point for the largest gain.
+
+    The first sharpening stands though it gains less: what a column gains away from the effect's
+    true size is not the effect's (a lag would pass for a delay, to first order).
+    """
     best = tried
     for setting in tried.candidate.effect.settings:
         if setting.continuous:
             best = _searched(stage, system, best, setting, spacing)
-    for _ in range(SHARPENED):
+    for number in range(SHARPENED):
         candidate = best.candidate
         settings = candidate.effect.sharpened(candidate.settings, best.trial.coefficients)
         if settings is None:
             break
         found = stage.try_all(system, [replace(candidate, settings=settings)])
-        if not found or found[0].trial.total <= best.trial.total or not stage.plausible(found[0]):
+        if not found or not stage.plausible(found[0]):
+            break
+        if number > 0 and found[0].trial.total <= best.trial.total:
             break
         best = found[0]
     return best

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rivals import Filtered, Rival, rivals, tried
+from seqid_cli.discover.rivals import Filtered, Rival, tried
 from seqid_cli.discover.system import Block, System, Trial
 
 Array = NDArray[np.float64]
@@ -67,8 +67,8 @@ def dependence(
     rows = system.rows
     if rows.count(joint) == 0:
         return Dependence(joint, (), (), (), 0.0)
-    candidates = rivals(rows, joint, system.residual()[joint])
-    filtered = Filtered(rows)
+    filtered = Filtered.of(rows)
+    candidates = filtered.rivals(joint, system.residual()[joint])
     loss = max(float(system.loss[:, joint].sum()), 1e-300)
     chosen: list[tuple[Rival, Trial]] = []
     current = system

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.confusable import certainty, rivalries
-from seqid_cli.discover.dependence import Dependence, dependence
+from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
 from seqid_cli.discover.investigate import Investigation, investigate
@@ -32,14 +32,14 @@ from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.discover.search import SHAPE, Search
 from seqid_cli.discover.whiteness import white
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.apply import without_effects
+from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-BETTER = 1.25  # times a finding's gain, from which a smooth function is the better account
-BETTER_SHARE = 0.02  # of the joint's squared residual, at the least
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
@@ -54,7 +54,7 @@ def diagnose(
         Logs with torque or current.
     robot : Robot
     stages : Stages
-        The model: at least friction or a rigid body.
+        The model: at least friction or a rigid body; effects that it has are not missing.
     options : DiscoverOptions
 
     Raises
@@ -62,19 +62,19 @@ def diagnose(
     InputError
         If a log carries neither torque nor current.
     """
-    logs = list(recordings)
+    motion = options.motion
+    known = fitted_effects(stages, robot, unexplained=True)
+    logs = [
+        without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
+        for log in recordings
+    ]
     return described(investigate(logs, robot, stages, options), robot)
 
 
 def described(found: Investigation, robot: Robot) -> Diagnosis:
     """Turn a search into findings, unexplained parts and a verdict."""
-    findings, rest = [], _left(found, robot)
-    for tried in found.search.accepted:
-        finding, overshadowed = _finding(found, robot, tried)
-        if overshadowed is None:
-            findings.append(finding)
-        else:
-            rest.append(overshadowed)
+    findings = [_finding(found, robot, tried) for tried in found.search.accepted]
+    rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
     if found.events:
         findings.append(_contact(found))
     findings.sort(key=lambda f: -f.explains * f.confidence)
@@ -144,15 +144,14 @@ def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained]) -> Verdic
     return "unexplained" if rest else "nothing_missing"
 
 
-def _finding(
-    found: Investigation, robot: Robot, tried: Tried
-) -> tuple[Finding, Unexplained | None]:
-    """Describe one accepted effect, or say that something smooth explains more than it does."""
+def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
+    """Describe one accepted effect."""
     search = found.search
     others = search.without(tried)
     system = others.system()
     again = search.stage.try_all(system, [tried.candidate])[0]
-    rivals = rivalries(again, others.ranked(tuple(CATALOGUE.values()), system))
+    touched = [j for j in tried.columns if j < robot.n]
+    rivals = rivalries(again, others.ranked(tuple(CATALOGUE.values()), system, near=touched))
     candidate, trial = tried.candidate, again.trial
     effect = candidate.effect
     joint = None if candidate.joint is None else robot.joint_names[candidate.joint]
@@ -178,16 +177,7 @@ def _finding(
         parameters=tuple(values),
         settings=candidate.settings,
     )
-    shadow = None
-    if candidate.joint is not None:
-        smooth = dependence(system, candidate.joint, least_gain=found.gates.least(SMOOTH))
-        if smooth.trials:
-            best = smooth.trials[0]
-            loss = float(trial.loss.sum())
-            more = best.total - trial.total
-            if best.total > BETTER * trial.total and more > BETTER_SHARE * loss:
-                shadow = _unexplained(robot, smooth)
-    return finding, shadow
+    return finding
 
 
 def _explains(found: Investigation, tried: Tried) -> float:

@@ -8,14 +8,14 @@ significant. The level is therefore taken from logs as they would be if the mode
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Stage, Tried
 from seqid_cli.discover.clean import CleanLogs
-from seqid_cli.discover.dependence import dependence
+from seqid_cli.discover.dependence import Dependence, dependence
 from seqid_cli.discover.events import GATE, event_score
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rows import rows_of
@@ -29,6 +29,7 @@ LEAST = 0.01  # share of a joint's squared residual below which nothing is worth
 LEAST_SMOOTH = 0.03  # the same for a smooth function, which has more freedom
 MARGIN = 2.0  # over the largest gain on clean data
 LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
+SMOOTH_RUNS = 1  # clean data sets that smooth functions look at, being slow
 EVENT_MARGIN = 1.15
 SMOOTH = ""  # the name under which smooth functions are counted
 
@@ -61,9 +62,15 @@ def steadiness(tried: Tried) -> float:
 
 
 def calibrated(
-    logs: Sequence[Recording], search: Search, stages: Stages, options: DiscoverOptions
+    logs: Sequence[Recording],
+    search: Search,
+    smooth: Sequence[Dependence],
+    stages: Stages,
+    options: DiscoverOptions,
 ) -> Gates:
     """Screen clean data sets made from what a search has arrived at.
+
+    Only what was found is looked for in them: the level of other effects is not asked.
 
     Parameters
     ----------
@@ -71,25 +78,37 @@ def calibrated(
         As they were searched.
     search : Search
         Its base is taken for the truth, what it leaves for the noise.
+    smooth : sequence of Dependence
+        What smooth functions found beside the effects; that is no noise either.
     stages : Stages
     options : DiscoverOptions
     """
-    system = search.system()
     scenes = search.stage.scenes
-    source = CleanLogs.of(logs, scenes, search.residual(system), search.deviation(system))
+    told = replace(search, smooth=(*search.smooth, *(r for look in smooth for r in look.rivals)))
+    system = told.system()
+    # Where joints do not slide the logs' own torque is kept: it must not hold what was found.
+    freed = [
+        replace(log, tau=log.tau - torque)
+        for log, torque in zip(logs, told.effect_torques(system), strict=True)
+        if log.tau is not None
+    ]
+    source = CleanLogs.of(freed, scenes, told.residual(system), told.deviation(system))
     rng = np.random.default_rng(options.seed)
     clean: dict[str, float] = {}
     event = GATE
-    for _ in range(options.clean_runs):
+    names = {t.candidate.effect.name for t in search.accepted}
+    effects = [CATALOGUE[name] for name in sorted(names)]
+    for run in range(options.clean_runs):
         drawn = scenes_of(source.draw(rng), scenes[0].robot, stages, options=options.motion)
         rows = rows_of(drawn)
         fresh = Search.begin(Stage(rows), base_of(rows, stages), kept=search.kept)
         fresh_system = fresh.system()
-        for tried in fresh.ranked(tuple(CATALOGUE.values()), fresh_system, refine=0):
+        for tried in fresh.ranked(effects, fresh_system, refine=0):
             name = tried.candidate.effect.name
             clean[name] = max(clean.get(name, 0.0), tried.trial.relative)
-        looks = [dependence(fresh_system, j, least_gain=0.0, most=1) for j in range(rows.n)]
-        smooth = max(look.relative for look in looks)
-        clean[SMOOTH] = max(clean.get(SMOOTH, 0.0), smooth)
+        if run < SMOOTH_RUNS:
+            looks = [dependence(fresh_system, d.joint, least_gain=0.0, most=1) for d in smooth]
+            largest = max((look.relative for look in looks), default=0.0)
+            clean[SMOOTH] = max(clean.get(SMOOTH, 0.0), largest)
         event = max(event, EVENT_MARGIN * event_score(rows, fresh_system.left_out()[: rows.n]))
     return Gates(clean, event)

@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,10 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 CHANGED = 0.05  # relative excess over a free base from which the file counts as off
+CLEARLY = (
+    0.7  # of what a joint's effects leave, below which smooth functions are the better account
+)
+WORTH = 0.02  # of the squared residual, by which they must be better
 AS_GOOD = 0.05  # relative excess that a kept file with few changes may have
 
 
@@ -52,7 +56,7 @@ class Investigation:
     """Everything that a diagnosis is made from.
 
     `start` (n,) N m is the RMS of the file's own residual, `dependences` what smooth functions find
-    in what is left, one per joint.
+    in what is left, one per joint, `outside` what they say better than any effects did.
     """
 
     logs: tuple[Recording, ...]
@@ -62,6 +66,7 @@ class Investigation:
     floor: NoiseFloor
     dependences: tuple[Dependence, ...]
     events: tuple[Interval, ...]
+    outside: tuple[Dependence, ...]
 
     @property
     def search(self) -> Search:
@@ -82,12 +87,22 @@ def investigate(
     scenes = scenes_of(logs, robot, stages, options=options.motion)
     rows, gates = rows_of(scenes), Gates()
     result, events = _without_events(rows, stages, gates, options)
-    dependences = _dependences(result.search, gates)
+    dependences, stage = _dependences(result.search, gates), result.search.stage
     if result.search.accepted or events or any(d.quantities for d in dependences):
-        gates = calibrated(logs, result.search, stages, options)
-        if not _holds(result.search, events, gates):
+        smooth = [d for d in dependences if d.quantities]
+        gates = calibrated(logs, result.search, smooth, stages, options)
+        if any(event.score < gates.event for event in events):
             result, events = _without_events(rows, stages, gates, options)
-            dependences = _dependences(result.search, gates)
+        before = [t.candidate for t in result.search.accepted]
+        result = _again(result.search, gates, options)
+        same = result.search.stage is stage and before == [
+            t.candidate for t in result.search.accepted
+        ]
+        dependences = _dependences(result.search, gates, dependences if same else ())
+    outside = _outside(result.search, gates)
+    if outside:
+        result = _beside(result.search, outside, gates, options)
+        dependences = _dependences(result.search, gates)
     start = [np.sqrt(np.mean(y**2)) if len(y) else 0.0 for y in result.search.base.y]
     left = result.search.residual(result.search.system())
     return Investigation(
@@ -98,6 +113,7 @@ def investigate(
         noise_floor(logs, scenes, result.search.stage.rows, left),
         dependences,
         tuple(events),
+        outside,
     )
 
 
@@ -114,52 +130,85 @@ def _without_events(
     return _both_stances(Stage(quiet), base_of(quiet, stages), gates, options), events
 
 
-def _holds(search: Search, events: Sequence[Interval], gates: Gates) -> bool:
-    """Whether everything that was found still passes the calibrated gates."""
-    found = all(gates.passes(t) for t in marginal(search))
-    return found and all(event.score >= gates.event for event in events)
+def _again(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:
+    """Take back what does not pass the calibrated gates, and look for more."""
+    while search.accepted:
+        failing = [k for k, t in enumerate(search.accepted) if not gates.passes(search.marginal(t))]
+        if not failing:
+            break
+        del search.accepted[failing[-1]]
+        search.settle()
+    return _search(search, gates, options)
 
 
-def marginal(search: Search) -> list[Tried]:
-    """Every accepted effect, tried against all others."""
-    return [
-        search.stage.try_all(search.without(t).system(), [t.candidate])[0] for t in search.accepted
-    ]
+def _outside(search: Search, gates: Gates) -> tuple[Dependence, ...]:
+    """Joints whose residual smooth functions explain clearly better than their effects do."""
+    found = []
+    joints = {t.candidate.joint for t in search.accepted if t.candidate.joint is not None}
+    for j in sorted(joints):
+        others = replace(
+            search, accepted=[t for t in search.accepted if t.candidate.joint != j]
+        ).system()
+        smooth = dependence(others, j, least_gain=gates.least(SMOOTH))
+        without = float(others.loss[:, j].sum())
+        by_effects = float(search.system().loss[:, j].sum())
+        by_smooth = (1.0 - smooth.relative) * without
+        better = by_smooth < CLEARLY * by_effects
+        if smooth.rivals and better and by_effects - by_smooth > WORTH * without:
+            found.append(smooth)
+    return tuple(found)
 
 
-def _dependences(search: Search, gates: Gates) -> tuple[Dependence, ...]:
+def _beside(
+    search: Search, outside: Sequence[Dependence], gates: Gates, options: DiscoverOptions
+) -> Searched:
+    """Search anew with smooth functions in place of those joints' effects.
+
+    Constant changes are left out: with part of a joint's torque free, the base no longer tells
+    them.
+    """
+    smooth = [rival for dependence in outside for rival in dependence.rivals]
+    fresh = Search.begin(search.stage, search.base, kept=search.kept, smooth=smooth)
+    effects = [effect for effect in CATALOGUE.values() if not effect.change]
+    ranked = searched(fresh, effects, gates.passes, options.max_effects)
+    return Searched(fresh, tuple(ranked))
+
+
+def _dependences(
+    search: Search, gates: Gates, known: Sequence[Dependence] = ()
+) -> tuple[Dependence, ...]:
+    """What smooth functions find at every joint; `known` of the same search at a lower gate."""
     system = search.system()
     least = gates.least(SMOOTH)
-    return tuple(dependence(system, j, least_gain=least) for j in range(search.stage.rows.n))
+    return tuple(
+        known[j]
+        if known and _stands(known[j], least)
+        else dependence(system, j, least_gain=least)
+        for j in range(search.stage.rows.n)
+    )
+
+
+def _stands(known: Dependence, least: float) -> bool:
+    """Whether a higher gate leaves a dependence as it is."""
+    return not known.trials or known.trials[0].relative >= least
 
 
 def _both_stances(stage: Stage, base: Base, gates: Gates, options: DiscoverOptions) -> Searched:
-    bare, held = (Search.begin(stage, base, kept=kept) for kept in (False, True))
-    free = _search(Search.begin(stage, base, kept=False), gates, options)
-    kept = _search(Search.begin(stage, base, kept=True), gates, options)
-    return _chosen(free, kept, bare, held)
+    """Search with the base free; with the file kept as well, where the file is off."""
+    search = Search.begin(stage, base, kept=False)
+    held = Search.begin(stage, base, kept=True)
+    scale = np.maximum(search.rms(), 1e-12)
+    off = float(np.mean((held.rms() / scale) ** 2)) > 1 + CHANGED
+    free = _search(search, gates, options)
+    if not off:
+        return free
+    kept = _search(held, gates, options)
+    scale = np.maximum(free.search.rms(), 1e-12)
+    as_good = float(np.mean((kept.search.rms() / scale) ** 2)) <= 1 + AS_GOOD
+    return kept if kept.search.accepted and as_good else free
 
 
 def _search(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:
     effects = tuple(CATALOGUE.values())
     ranked = searched(search, effects, gates.passes, options.max_effects)
     return Searched(search, tuple(ranked))
-
-
-def _chosen(free: Searched, kept: Searched, bare: Search, held: Search) -> Searched:
-    """The stance that explains the logs with the least change."""
-    scale = np.maximum(free.search.rms(), 1e-12)
-    cost = {
-        name: float(np.mean((s.rms() / scale) ** 2))
-        for name, s in (
-            ("bare", bare),
-            ("held", held),
-            ("free", free.search),
-            ("kept", kept.search),
-        )
-    }
-    if cost["held"] <= (1 + CHANGED) * cost["bare"]:
-        return free
-    if kept.search.accepted and cost["kept"] <= (1 + AS_GOOD) * cost["free"]:
-        return kept
-    return free

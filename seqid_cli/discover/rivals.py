@@ -133,11 +133,13 @@ def rivals(rows: Rows, joint: int, residual: Array) -> list[Rival]:
     residual : (M_joint,) array
         What is left at those rows; only its spectrum is looked at, for lines in time.
     """
+    return [*lasting(rows, joint), *_lines(rows, joint, residual)]
+
+
+def lasting(rows: Rows, joint: int) -> list[Rival]:
+    """Return the rivals that do not depend on the residual."""
     found = [*_of_joint(rows, joint), *_of_others(rows, joint), *_of_time(rows, joint)]
-    found += _lines(rows, joint, residual)
-    found += _motor_angle(rows, joint)
-    found += _products(rows, joint)
-    return found
+    return [*found, *_motor_angle(rows, joint), *_products(rows, joint)]
 
 
 def _of_joint(rows: Rows, j: int) -> list[Rival]:
@@ -303,6 +305,20 @@ class Filtered:
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
         self._made: dict[Shape | Line, Single] = {}
+        self._lasting: dict[int, list[Rival]] = {}
+
+    @classmethod
+    def of(cls, rows: Rows) -> Filtered:
+        """The one that is kept with these rows."""
+        kept = rows.made.setdefault("smooth", cls(rows))
+        assert isinstance(kept, cls)
+        return kept
+
+    def rivals(self, joint: int, residual: Array) -> list[Rival]:
+        """All rivals at a joint; those that last are made once."""
+        if joint not in self._lasting:
+            self._lasting[joint] = lasting(self.rows, joint)
+        return [*self._lasting[joint], *_lines(self.rows, joint, residual)]
 
     def columns(self, rival: Rival) -> dict[int, Array]:
         """Columns (M_j, k) on the rows of the rival's joint."""
@@ -337,8 +353,8 @@ def best_rivals(
         if rows.count(joint) == 0:
             result[joint] = []
             continue
-        candidates = rivals(rows, joint, residual[joint])
-        result[joint] = tried(system, candidates, Filtered(rows))
+        filtered = Filtered.of(rows)
+        result[joint] = tried(system, filtered.rivals(joint, residual[joint]), filtered)
     return result
 
 

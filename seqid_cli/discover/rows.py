@@ -12,12 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sliding
+from seqid_cli.motion.filtering import Lowpass, runs
+from seqid_cli.motion.motion import Motion
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,6 +31,7 @@ SAMPLES_PER_CUTOFF = 5
 BLOCK_S = 2.0
 FOLDS = 10
 MOST_ROWS = 40_000
+REACH = 6  # of the low-pass's settling: what lies further off weighs less than 1e-4 in all
 
 
 @dataclass(frozen=True)
@@ -77,11 +82,32 @@ class Rows:
 
     def columns(self, per_scene: Sequence[Mapping[int, Array]], passes: int) -> dict[int, Array]:
         """Low-pass an effect's columns, scene by scene, and keep the rows of each joint."""
-        filtered: dict[int, list[Array]] = {}
-        for scene, columns in zip(self.scenes, per_scene, strict=True):
+        sieved: dict[int, list[Array]] = {}
+        for number, columns in enumerate(per_scene):
             for joint, values in columns.items():
-                filtered.setdefault(joint, []).append(scene.motion.filtered(values, times=passes))
-        return {joint: self.of(joint, values) for joint, values in filtered.items()}
+                kept = self.sieve(number, passes) @ values
+                sieved.setdefault(joint, []).append(kept[self.used[number][:, joint]])
+        return {joint: np.concatenate(values) for joint, values in sieved.items()}
+
+    def sieve(self, number: int, passes: int) -> csr_array:
+        """Low-pass and choice of rows of one scene in one matrix (M, N).
+
+        Where samples are valid it does what `Motion.filtered` does.
+        """
+        key = (number, passes)
+        if key not in self._sieves:
+            motion = self.scenes[number].motion
+            self._sieves[key] = _sieve(motion, self.picked[number], passes)
+        return self._sieves[key]
+
+    @cached_property
+    def made(self) -> dict[str, object]:
+        """What others have computed of these rows and want to keep with them."""
+        return {}
+
+    @cached_property
+    def _sieves(self) -> dict[tuple[int, int], csr_array]:
+        return {}
 
     def without(self, events: Sequence[Mask]) -> Rows:
         """The same rows without the samples (N,) of each scene that belong to events."""
@@ -115,6 +141,41 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         tuple(block),
         _folds(lengths),
     )
+
+
+def _sieve(motion: Motion, picked: Index, passes: int) -> csr_array:
+    """Weights of all samples in every picked one after the low-pass, (M, N)."""
+    parts = [
+        _weights(motion.lowpass, picked, run, passes)
+        for run in runs(motion.valid, motion.samples)
+    ]
+    weight = np.concatenate([part[0] for part in parts])
+    row, column = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
+    return csr_array((weight, (row, column)), shape=(len(picked), motion.samples))
+
+
+def _weights(
+    lowpass: Lowpass, picked: Index, run: tuple[int, int], passes: int
+) -> tuple[Array, Index, Index]:
+    """Weights, rows and samples of what is picked in one run of valid samples.
+
+    The low-pass of a short piece has it all: rows near the ends take its first and last rows, all
+    others its middle one.
+    """
+    start, samples = run[0], run[1] - run[0]
+    reach = REACH * lowpass.settling if lowpass.active else 0
+    length = min(samples, 3 * reach + 1)
+    response = np.eye(length)
+    for _ in range(passes):
+        response = lowpass(response)
+    row = np.flatnonzero((picked >= start) & (picked < run[1]))
+    at = picked[row, None] - start
+    piece = np.clip(at - length // 2, 0, samples - length)
+    column = at + np.arange(-reach, reach + 1)
+    inside = (column >= 0) & (column < samples)
+    weight = response[at - piece, np.clip(column - piece, 0, length - 1)]
+    rows = np.broadcast_to(row[:, None], column.shape)
+    return weight[inside], rows[inside], column[inside] + start
 
 
 def _thinning(scenes: Sequence[Scene]) -> int:

@@ -8,7 +8,7 @@ changed since, which a free base would swallow.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined
+from seqid_cli.discover.rivals import Filtered, Rival
 from seqid_cli.discover.system import Block, System
 from seqid_cli.model.effects.effect import Effect
 
 Array = NDArray[np.float64]
 
 KEPT_INFLATION = 3.0  # standard errors of the file that the kept base may move by
+FREE_INFLATION = 30.0  # the same for the free base: only what these logs leave open is held
 OWN_OFFSET = 0.75  # of a sample period: time offset that every drive has, and no effect
 REFINED = 6  # candidates whose settings are searched
 TIE = 0.02  # of the gain, that one more parameter must be worth
@@ -47,13 +49,15 @@ class Search:
     accepted: list[Tried] = field(default_factory=list)
     timed: tuple[bool, ...] = ()
     energies: dict[tuple[str, int | None], float] = field(default_factory=dict)
+    smooth: tuple[Rival, ...] = ()
 
     @classmethod
-    def begin(cls, stage: Stage, base: Base, *, kept: bool) -> Search:
-        """Start with the base alone."""
+    def begin(cls, stage: Stage, base: Base, *, kept: bool, smooth: Sequence[Rival] = ()) -> Search:
+        """Start with the base, and smooth functions where no effect is to be looked for."""
         rms = [np.sqrt(np.mean(y**2)) if len(y) else 1.0 for y in [*base.y, *stage.high.y]]
         noise = np.maximum(rms, 1e-12)
         search = cls(stage, base, kept, noise, noise, [], (True,) * stage.rows.n)
+        search.smooth = tuple(smooth)
         search.settle()
         search.bare = search.noise
         return search
@@ -64,7 +68,11 @@ class Search:
         for _ in range(ROUNDS_OF_WEIGHTS):
             system = self.system()
             self.noise = self._left(system)
-        self.timed = tuple(abs(d) <= self._own_offset for d in self._offsets(system))
+        shifted = {j for t in self.accepted if t.candidate.effect.timing for j in t.columns}
+        self.timed = tuple(
+            abs(d) <= self._own_offset and j not in shifted
+            for j, d in enumerate(self._offsets(system))
+        )
         self.noise = self._left(self.system())
 
     @property
@@ -89,12 +97,13 @@ class Search:
         y = [*self.base.y, *high.y]
         weight = [*np.ones(rows.n), *high.weight]
         noise = [np.full(len(v), s * w) for v, s, w in zip(y, self.noise, weight, strict=True)]
-        blocks = [*self._base_blocks(), *(_block(t) for t in self.accepted)]
+        blocks = [*self._base_blocks(), *self._smooth_blocks()]
+        blocks += [_block(t) for t in self.accepted]
         return System(rows, y, noise, blocks, high)
 
     def _base_blocks(self) -> list[Block]:
         base, n = self.base, self.stage.rows.n
-        hold = 1.0 / KEPT_INFLATION if self.kept else 0.0
+        hold = 1.0 / (KEPT_INFLATION if self.kept else FREE_INFLATION)
         blocks = [Block(dict(enumerate(base.rigid)), hold * base.prior_rigid)]
         for j in range(n):
             blocks.append(Block({j: base.friction[j]}, hold * base.prior_friction[j]))
@@ -113,6 +122,14 @@ class Search:
             ]
         )
 
+    def _smooth_blocks(self) -> list[Block]:
+        filtered = Filtered.of(self.stage.rows)
+        blocks = []
+        for rival in self.smooth:
+            held = np.eye(rival.size) / self.bare[rival.joint]
+            blocks.append(Block(filtered.columns(rival), held))
+        return blocks
+
     def deviation(self, system: System) -> list[Array]:
         """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
         n, theta = self.stage.rows.n, system.theta
@@ -123,7 +140,12 @@ class Search:
         """What base and accepted effects leave (N, n) N m, at all samples of every scene."""
         n, theta = self.stage.rows.n, system.theta
         explained = self.deviation(system)
-        for tried, where in zip(self.accepted, system.where[1 + 2 * n :], strict=True):
+        added = system.where[1 + 2 * n :]
+        for rival, where in zip(self.smooth, added, strict=False):
+            for torque, scene in zip(explained, self.stage.scenes, strict=True):
+                shown = rival.columns(scene)[rival.joint] @ theta[where]
+                torque[:, rival.joint] += scene.motion.filtered(shown, times=2)
+        for tried, where in zip(self.accepted, added[len(self.smooth) :], strict=True):
             _add_effect(explained, self.stage, tried.candidate, theta[where])
         result = []
         for whole, torque, scene in zip(self.base.whole, explained, self.stage.scenes, strict=True):
@@ -133,14 +155,19 @@ class Search:
         return result
 
     def ranked(
-        self, effects: Sequence[Effect], system: System, refine: int = REFINED
+        self,
+        effects: Sequence[Effect],
+        system: System,
+        refine: int = REFINED,
+        near: Collection[int] | None = None,
     ) -> list[Tried]:
         """The best setting of every effect at every joint, the largest gain first.
 
-        The settings of the first `refine` are searched between the grid's values.
+        The settings of the first `refine` are searched between the grid's values. With `near`,
+        effects of other joints than these are left out.
         """
         residual = self.residual(system)
-        candidates = list(candidates_of(self.stage.scenes, effects, residual))
+        candidates = list(candidates_of(self.stage.scenes, effects, residual, near))
         best = best_of_each(self._believed(self.stage.try_all(system, candidates)))
         head = [refined(self.stage, system, t) for t in best[:refine]]
         return sorted([*head, *best[refine:]], key=_order)
@@ -162,11 +189,39 @@ class Search:
             if joints & set(a.columns)
         ) or any(_again(tried, a) for a in self.accepted)
 
+    def effect_torques(self, system: System) -> list[Array]:
+        """Torque (N, n) N m of the accepted effects, unfiltered, at every log's own rate."""
+        where = system.where[len(system.where) - len(self.accepted) :]
+        result = []
+        for scene in self.stage.scenes:
+            full = scene.full or scene
+            total = np.zeros_like(full.motion.q)
+            for tried, at in zip(self.accepted, where, strict=True):
+                c = tried.candidate
+                for joint, X in c.effect.columns(full, c.joint, c.settings).items():
+                    total[:, joint] += X @ system.theta[at]
+            result.append(total)
+        return result
+
     def add(self, tried: Tried) -> None:
         """Accept an effect and weigh anew."""
         self.energies[tried.candidate.key] = self.energy(tried)
         self.accepted.append(tried)
         self.settle()
+
+    def marginal(self, tried: Tried) -> Tried:
+        """An accepted effect as it gains beside all others."""
+        return self.stage.try_all(self.without(tried).system(), [tried.candidate])[0]
+
+    def prune(self, gate: Gate) -> None:
+        """Take back accepted effects that the others have made superfluous, the weakest first."""
+        while len(self.accepted) > 1:
+            gains = [self.marginal(t) for t in self.accepted]
+            weakest = min(range(len(gains)), key=lambda k: gains[k].trial.total)
+            if gate(gains[weakest]):
+                return
+            del self.accepted[weakest]
+            self.settle()
 
     def polish(self) -> None:
         """Search every accepted effect's settings once more, with all others in place."""
@@ -236,11 +291,20 @@ def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -
     most : int
         Largest number of effects.
     """
+    tried_already: set[tuple[str, int | None]] = set()
     while True:
         ranked = search.ranked(effects, search.system())
-        passing = [t for t in ranked if gate(t) and not search.is_shape(t)]
+        passing = [
+            t
+            for t in ranked
+            if gate(t) and not search.is_shape(t) and t.candidate.key not in tried_already
+        ]
         if not passing or len(search.accepted) >= most:
             return ranked
-        search.add(simplest(passing))
+        chosen = simplest(passing)
+        if not chosen.candidate.effect.wide:
+            tried_already.add(chosen.candidate.key)  # taken back once, it does not come again
+        search.add(chosen)
         if len(search.accepted) > 1:
             search.polish()
+            search.prune(gate)

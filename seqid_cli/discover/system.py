@@ -28,7 +28,11 @@ from seqid_cli.discover.wide import HighBand
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+FLOOR_OF_WHITE = 0.05  # of the white-noise covariance, below which no direction is known
 RIDGE = 1e-9  # of a scaled column's square: keeps directions that these logs leave open harmless
+LEAST_LEFT = 1e-7  # of a candidate's square, below which the base absorbs all of it
+# Per fold, from all others: Z, A Z, the base's solution, its score on the fold, and B'X.
+Trained = tuple[Array, Array, Array, Array, Array]
 Joints = Mapping[int, Array]  # joint -> its rows of some columns (M_j, k)
 
 
@@ -175,6 +179,21 @@ class System:
         """White-noise covariance (p, p) of `theta`."""
         return self._solved(self._whole[0], np.eye(self.size))
 
+    def block_covariance(self) -> Array:
+        """Covariance (p, p) of `theta` from the scatter of the blocks' scores.
+
+        Holds for residuals that are correlated within a block of time.
+        """
+        bread = self.covariance()
+        scores = np.zeros((len(self.rows.fold), self.size))
+        for j, (index, X) in enumerate(self._local[: self.rows.n]):
+            r = self.y[j] / self.noise[j] - X @ self.theta[index]
+            at = self.rows.blocks_of(j)
+            own = np.zeros((len(self.rows.fold), len(index)))
+            np.add.at(own, at, X * r[:, None])
+            scores[:, index] += own
+        return bread @ (scores.T @ scores) @ bread + FLOOR_OF_WHITE * bread
+
     @cached_property
     def loss(self) -> Array:
         """Squared residual (F, n) of each fold and joint under the base fitted to the others."""
@@ -217,9 +236,14 @@ class System:
             Zf = self._solved(factor, total_C - C[f])
             AZ = A[f] @ Zf
             trained.append((Zf, AZ, solution, b[f] - A[f] @ solution, total_C - C[f]))
+        single = [i for i, size in enumerate(sizes) if size == 1]
+        alone = np.array([where[i].start for i in single], dtype=np.intp)
+        D = np.array([own[i][0][:, 0, 0] for i in single]).reshape(len(single), self.folds)
+        d = np.array([own[i][1][:, 0] for i in single]).reshape(len(single), self.folds)
+        gains = dict(zip(single, _single_gains(D, d, C[:, :, alone], trained, alone), strict=True))
         return [
-            self._trial(c, w, D, d, C, Z, theta, trained)
-            for c, w, (D, d) in zip(candidates, where, own, strict=True)
+            self._trial(c, w, D, d, C, Z, theta, trained, gains.get(i))
+            for i, (c, w, (D, d)) in enumerate(zip(candidates, where, own, strict=True))
         ]
 
     def _crossed(
@@ -262,7 +286,8 @@ class System:
         C: Array,
         Z: Array,
         theta: Array,
-        trained: Sequence[tuple[Array, Array, Array, Array, Array]],
+        trained: Sequence[Trained],
+        gain: Array | None,
     ) -> Trial:
         total_D = D.sum(axis=0)
         total_C = C[:, :, where].sum(axis=0)
@@ -271,26 +296,50 @@ class System:
         visible = float(np.sqrt(max(np.trace(S), 0.0) / length))
         inverse = _inverse(S, total_D)
         a = inverse @ (d.sum(axis=0) - total_C.T @ theta)
-        gain = np.zeros(self.folds)
-        for f, (Zf, AZ, solution, left, others) in enumerate(trained):
-            z, rest = Zf[:, where], others[:, where]
-            S_f = total_D - D[f] - rest.T @ z
-            own_f = _inverse(S_f, total_D) @ (d.sum(axis=0) - d[f] - rest.T @ solution)
-            slope = d[f] - C[f, :, where].T @ solution - z.T @ left
-            cross = C[f, :, where].T @ z
-            square = D[f] - cross - cross.T + z.T @ AZ[:, where]
-            gain[f] = 2 * own_f @ slope - own_f @ square @ own_f
+        if gain is None:
+            gain = _gains(D, d, C[:, :, where], trained, where)
         touched = [j for j in sorted(candidate) if j < self.rows.n]
         loss = self.loss[:, touched].sum(axis=1)
         relative = float(gain.sum() / max(loss.sum(), 1e-300))
         return Trial(gain, loss, visible, a, inverse, relative)
 
 
+def _gains(D: Array, d: Array, C: Array, trained: Sequence[Trained], where: slice) -> Array:
+    """Gain (F,) of one candidate on every fold, fitted on the others."""
+    gain = np.zeros(len(D))
+    total_D, total_d = D.sum(axis=0), d.sum(axis=0)
+    for f, (Zf, AZ, solution, left, others) in enumerate(trained):
+        z, rest = Zf[:, where], others[:, where]
+        S = total_D - D[f] - rest.T @ z
+        a = _inverse(S, total_D) @ (total_d - d[f] - rest.T @ solution)
+        slope = d[f] - C[f].T @ solution - z.T @ left
+        cross = C[f].T @ z
+        square = D[f] - cross - cross.T + z.T @ AZ[:, where]
+        gain[f] = 2 * a @ slope - a @ square @ a
+    return gain
+
+
+def _single_gains(D: Array, d: Array, C: Array, trained: Sequence[Trained], where: Index) -> Array:
+    """The same (K, F) for K candidates of one column each: D, d (K, F), C (F, p, K)."""
+    gain = np.zeros_like(D)
+    total_D, total_d = D.sum(axis=1), d.sum(axis=1)
+    for f, (Zf, AZ, solution, left, others) in enumerate(trained):
+        z, rest = Zf[:, where], others[:, where]
+        S = total_D - D[:, f] - np.einsum("pk,pk->k", rest, z)
+        known = LEAST_LEFT * np.maximum(total_D, 1e-300) < S
+        a = np.where(known, total_d - d[:, f] - rest.T @ solution, 0.0) / np.where(known, S, 1.0)
+        slope = d[:, f] - C[f].T @ solution - z.T @ left
+        square = D[:, f] - 2 * np.einsum("pk,pk->k", C[f], z)
+        square += np.einsum("pk,pk->k", z, AZ[:, where])
+        gain[:, f] = 2 * a * slope - a**2 * square
+    return gain
+
+
 def _inverse(S: Array, scale: Array) -> Array:
     """Inverse of a candidate's projected square; directions that the base absorbs give zero."""
     size = np.sqrt(np.maximum(np.diag(scale), 1e-300))
     value, vector = np.linalg.eigh(S / np.outer(size, size))
-    kept = value > 1e-7
+    kept = value > LEAST_LEFT
     inverse = (vector[:, kept] / value[kept]) @ vector[:, kept].T
     result: Array = inverse / np.outer(size, size)
     return result

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import ClosedLoop, Diagnosis, Round
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import ParameterFile, Stages
@@ -110,7 +112,7 @@ def test_numbers_of_numpy_are_numbers_and_nan_is_an_error() -> None:
 # ---- the choice
 
 
-def options(*arguments: str) -> Namespace:
+def parsed(*arguments: str) -> Namespace:
     parser = ArgumentParser()
     parser.add_argument("--quick", action="store_true")
     undeclared.add_arguments(parser)
@@ -118,7 +120,7 @@ def options(*arguments: str) -> Namespace:
 
 
 def chosen(*arguments: str) -> Choice:
-    return undeclared.choice_of(options(*arguments))
+    return undeclared.choice_of(parsed(*arguments))
 
 
 def test_parts_of_the_study_can_be_chosen() -> None:
@@ -138,9 +140,9 @@ def test_parts_of_the_study_can_be_chosen() -> None:
 
 
 def test_parts_leave_the_page_alone() -> None:
-    assert not program.written("undeclared", options("--rig", "two"))
-    assert program.written("undeclared", options())
-    assert program.written("formats", options("--rig", "two"))
+    assert not program.written("undeclared", parsed("--rig", "two"))
+    assert program.written("undeclared", parsed())
+    assert program.written("formats", parsed("--rig", "two"))
     assert "<!-- study:undeclared -->" in undeclared.DOCUMENT.read_text(encoding="utf-8")
 
 
@@ -233,9 +235,9 @@ def test_logs_come_back_from_the_cache_and_without_the_effect(cache: Path) -> No
 )
 def test_diagnosis_of_real_logs(effects: tuple[tuple[str, int, float], ...], cache: Path) -> None:
     """Two kinds are found, and nothing where there is nothing."""
-    case = Condition("catalogue", "two", 1, effects, sensors="periodic motions alone")
-    logs = logs_of(case, cache)
-    found = undeclared_run.standard(logs.training, logs.robot, stages_of(case, cache))
+    case = Condition("catalogue", "two", 1, effects)
+    logs, options = logs_of(case, cache), DiscoverOptions(clean_runs=2)
+    found = diagnose(logs.training[:3], logs.robot, stages_of(case, cache), options=options)
     _, truths = built(case)
     judgement = score(found, truths)
     assert judgement.right if truths else judgement.quiet

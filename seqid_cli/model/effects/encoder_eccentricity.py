@@ -30,7 +30,7 @@ from seqid_cli.model.effects.effect import (
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.periodic import amplitude_and_phase
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.sensitivity import along
+from seqid_cli.model.effects.sensitivity import slopes
 from seqid_cli.model.effects.units import unit_of
 from seqid_cli.robot.base import gear_ratios
 from seqid_cli.robot.types import Robot
@@ -83,7 +83,14 @@ class EncoderEccentricity(MeasurementEffect):
         def modelled(q: Array, dq: Array, ddq: Array) -> Array:
             return scene.model.rigid(q, dq, ddq) + scene.model.friction(q, dq)
 
-        torque = np.stack([-along(scene, joint, modelled, error) for error in errors], axis=2)
+        rates = slopes(scene, joint, "modelled", modelled)
+        torque = np.stack(
+            [
+                -sum(rate * x[:, None] for rate, x in zip(rates, error, strict=True))
+                for error in errors
+            ],
+            axis=2,
+        )
         return {j: np.ascontiguousarray(torque[:, j]) for j in range(scene.robot.n)}
 
     def restored(

@@ -70,6 +70,11 @@ class Scene:
         """Number of samples N."""
         return self.motion.samples
 
+    @cached_property
+    def memo(self) -> dict[tuple[str, int], tuple[Array, ...]]:
+        """What effects have computed of this scene and want to keep with it."""
+        return {}
+
     @property
     def angle(self) -> Array:
         """Positions (N, n) for what is finer than the low-pass: the encoder's where there are."""

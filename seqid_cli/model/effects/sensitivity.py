@@ -14,7 +14,7 @@ from seqid_cli.robot.regressor import inverse_dynamics
 Array = NDArray[np.float64]
 Torque = Callable[[Array, Array, Array], Array]  # (q, dq, ddq), each (N, n) -> (N, n)
 
-STEP = 1e-4  # rad, of the central difference: rounding and curvature both stay below 1e-8
+STEPS = (1e-4, 1e-3, 1.0)  # rad, rad/s, rad/s^2, of central differences; the last is exact
 BLOCK = 4096  # samples at a time, so that they stay in cache
 
 
@@ -32,6 +32,13 @@ def link_torque(scene: Scene, q: Array, dq: Array, ddq: Array) -> Array:
 
 def link_inertia(scene: Scene, joint: int) -> Array:
     """Column `joint` (N, n) of the links' mass matrix, kg m^2: torque per its acceleration."""
+    key = ("link_inertia", joint)
+    if key not in scene.memo:
+        scene.memo[key] = (_link_inertia(scene, joint),)
+    return scene.memo[key][0]
+
+
+def _link_inertia(scene: Scene, joint: int) -> Array:
     q, phi = scene.motion.q, scene.model.phi
     if phi is None:
         return np.zeros_like(q)
@@ -40,36 +47,36 @@ def link_inertia(scene: Scene, joint: int) -> Array:
     return inverse_dynamics(scene.robot.chain, np.zeros(3), phi, q, still, unit)
 
 
-def along(scene: Scene, joint: int, torque: Torque, change: tuple[Array, Array, Array]) -> Array:
-    """Compute the derivative of a torque along a change of one joint's motion.
+def slopes(scene: Scene, joint: int, name: str, torque: Torque) -> tuple[Array, ...]:
+    """Derivatives of a torque by one joint's position, velocity and acceleration.
 
     Parameters
     ----------
     scene : Scene
     joint : int
+    name : str
+        Of the torque; slopes are computed once per scene, joint and name.
     torque : callable
         Of positions, velocities and accelerations (N, n).
-    change : tuple of (N,) arrays
-        Of position, velocity and acceleration, in any one unit: the result is per that unit.
 
     Returns
     -------
-    (N, n) array
-        N m per unit.
+    tuple of three (N, n) arrays
+        N m per rad, rad/s and rad/s^2.
     """
-    motion = scene.motion
-    largest = float(np.max(np.abs(change[0]), initial=0.0))
-    if largest <= 0.0 or not np.isfinite(largest):
-        return np.zeros_like(motion.q)
-    step = STEP / largest
-    ahead, behind = [], []
-    for own, values in zip((motion.q, motion.dq, motion.ddq), change, strict=True):
-        plus, minus = own.copy(), own.copy()
-        plus[:, joint] += step * values
-        minus[:, joint] -= step * values
-        ahead.append(plus)
-        behind.append(minus)
-    slope: Array = (torque(*ahead) - torque(*behind)) / (2 * step)
+    key = (name, joint)
+    if key not in scene.memo:
+        motion = (scene.motion.q, scene.motion.dq, scene.motion.ddq)
+        scene.memo[key] = tuple(_slope(motion, k, joint, torque) for k in range(3))
+    return scene.memo[key]
+
+
+def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: Torque) -> Array:
+    ahead, behind = list(motion), list(motion)
+    ahead[which], behind[which] = motion[which].copy(), motion[which].copy()
+    ahead[which][:, joint] += STEPS[which]
+    behind[which][:, joint] -= STEPS[which]
+    slope: Array = (torque(*ahead) - torque(*behind)) / (2 * STEPS[which])
     return slope
 
 
@@ -83,4 +90,10 @@ def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:
     def links(q: Array, dq: Array, ddq: Array) -> Array:
         return link_torque(scene, q, dq, ddq)
 
-    return along(scene, joint, links, (deviation, speed, acceleration))
+    by_place, by_speed, by_acceleration = slopes(scene, joint, "links", links)
+    change: Array = (
+        by_place * deviation[:, None]
+        + by_speed * speed[:, None]
+        + by_acceleration * acceleration[:, None]
+    )
+    return change

@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 LAWS = ("constant", "torque", "direction")
 PEAKS = 4  # per law
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
+FINE = 12.0  # cycles per joint turn, from which a ripple need not be a whole number per motor turn
 HIGHEST = 4000.0
 CYCLES_IN_RANGE = 2.0
 WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
@@ -92,7 +93,8 @@ class TorqueRipple(Effect):
             lowest = max(LOWEST, CYCLES_IN_RANGE / profile.span)
             orders = (self._named(profile, k / gear, gear) for k in peaks(profile, lowest, PEAKS))
             for order in dict.fromkeys(orders):
-                yield {"order": order, "law": float(law)}
+                if order == round(order) or order * gear >= FINE:
+                    yield {"order": order, "law": float(law)}
 
     def _named(self, profile: Profile, order: float, gear: float) -> float:
         """A whole number of cycles per motor turn where it explains as much."""

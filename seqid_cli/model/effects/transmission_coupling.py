@@ -21,6 +21,8 @@ from seqid_cli.model.effects.scene import Scene
 
 Array = NDArray[np.float64]
 
+SPARSE = 4  # samples apart, at which shares are compared
+
 
 class TransmissionCoupling(Effect):
     """Friction and inertia on the combined rate of two neighbouring joints.
@@ -85,14 +87,14 @@ class TransmissionCoupling(Effect):
         columns = [self.columns(scene, joint, settings) for scene in scenes]
         X, y = [], []
         for j in pair:
-            counts = np.concatenate([r[:, j] != 0.0 for r in residual])
+            counts = np.concatenate([r[::SPARSE, j] != 0.0 for r in residual])
             parts = [
-                scene.motion.filtered(np.hstack([own[j], _own_terms(scene, j)]), times=self.passes)
+                _filtered(scene, np.hstack([own[j], _own_terms(scene, j)]), (joint, j), settings)
                 for scene, own in zip(scenes, columns, strict=True)
             ]
             Z, r = (
                 np.concatenate(parts)[counts],
-                np.concatenate([r[:, j] for r in residual])[counts],
+                np.concatenate([r[::SPARSE, j] for r in residual])[counts],
             )
             Q = np.linalg.qr(Z[:, 3:])[0]
             X.append(Z[:, :3] - Q @ (Q.T @ Z[:, :3]))
@@ -121,3 +123,12 @@ def _own_terms(scene: Scene, joint: int) -> Array:
     motion = scene.motion
     own = [scene.sign[:, joint], motion.dq[:, joint], motion.ddq[:, joint]]
     return np.stack([*own, np.ones(scene.samples)], axis=1)
+
+
+def _filtered(scene: Scene, X: Array, pair: tuple[int, int], settings: Settings) -> Array:
+    """Low-passed columns at a few samples, kept with the scene."""
+    name = f"coupling {pair[1]} {settings['neighbour']} {settings['sign']}"
+    if (name, pair[0]) not in scene.memo:
+        kept = scene.motion.filtered(X, times=TransmissionCoupling.passes)[::SPARSE]
+        scene.memo[name, pair[0]] = (kept,)
+    return scene.memo[name, pair[0]][0]

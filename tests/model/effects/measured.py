@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 Distortion = Callable[[Array, Array], Array]  # t (M,), torque (M, n) at the fine rate -> torque
 
 FINE = 10
+SHARPENED = 4  # times at most that settings are moved
 EDGE_S = 1.0  # cut off, where derivatives and motion set in
 
 
@@ -100,11 +101,23 @@ def fitted(
 def best_fitted(
     effect: Effect, scenes: list[Scene], joint: int | None
 ) -> tuple[dict[str, float], Array, float]:
-    """Return the grid's best plausible settings, their coefficients, and the RMS of the rest."""
+    """Return the best plausible settings, their coefficients, and the RMS of the rest.
+
+    Settings are the grid's, and then those to which the effect sharpens them: the first time in any
+    case, then while that leaves less.
+    """
     tried = [
         (*fitted(effect, scenes, joint, s), s)
         for s in effect.grid(scenes, joint, [left_over(x) for x in scenes])
     ]
     sound = [item for item in tried if effect.plausible(scenes, joint, item[2], item[0])]
     c, rms, settings = min(sound, key=lambda item: item[1])
+    for number in range(SHARPENED):
+        nearer = effect.sharpened(settings, c)
+        if nearer is None:
+            break
+        again, left = fitted(effect, scenes, joint, nearer)
+        if not effect.plausible(scenes, joint, nearer, again) or (number and left >= rms):
+            break
+        c, rms, settings = again, left, nearer
     return dict(settings), c, rms

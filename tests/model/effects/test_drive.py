@@ -93,16 +93,22 @@ def test_a_delay_comes_back_down_to_the_floor(floor: Array, samples: int, joint:
     assert rms(skewed[0], joint) > (5.0 if abs(samples) > 5 else 1.2) * floor[joint]
 
 
-def test_a_delay_is_looked_for_beyond_what_base_parameters_leave_of_it() -> None:
-    """They take up half or more of it; a consistent setting must still be among the grid's."""
+@pytest.mark.parametrize("samples", [-30, 10, 40])
+def test_a_delay_sharpens_to_where_it_is(samples: int) -> None:
+    """From a first guess that base parameters have made too short, and no further once there."""
     effect = CATALOGUE["time_skew"]
-    skewed = scenes(late(10))
-    left = [0.35 * left_over(scene) for scene in skewed]
-    d = np.array([10 / FINE_HZ])
-    grid = list(effect.grid(skewed, 0, left))
-    near = [s for s in grid if effect.plausible(skewed, 0, s, d)]
-    assert near
-    assert min(abs(s["around"] / d[0] - 1.0) for s in near) < 0.2
+    skewed = scenes(late(samples))
+    d = samples / FINE_HZ
+    settings = effect.sharpened({"around": 0.0}, np.array([0.7 * d]))
+    for _ in range(3):
+        assert settings is not None
+        c, _ = fitted(effect, skewed, 0, settings)
+        assert effect.plausible(skewed, 0, settings, c)
+        settings = effect.sharpened(settings, c)
+    assert settings is not None
+    assert settings["around"] == pytest.approx(d, abs=3e-5)
+    longest = effect.sharpened(settings, np.array([np.sign(d) * 7.0]))
+    assert longest == {"around": np.sign(d) * 0.1}
 
 
 def test_one_delay_of_all_joints(floor: Array) -> None:

@@ -1,0 +1,159 @@
+"""The base's columns: what they give is the torque of a model with other parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.base import base_of, free_basis, modelled_filtered
+from seqid_cli.discover.rows import rows_of
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages
+from seqid_cli.robot.base import standard_names
+from tests.discover.arms import arm_scenes, measuring
+from tests.model.effects.scenes import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
+
+Array = NDArray[np.float64]
+
+SHIFT = 0.003  # s
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    return arm_scenes(logs=2, seconds=8.0)
+
+
+def heavier(scene: Scene) -> tuple[Array, Array]:
+    """Torque (N, n) of links changed at random, and the change of base parameters (b,)."""
+    basis = free_basis(scene.robot)
+    delta = np.random.default_rng(2).normal(size=len(standard_names(scene.robot.n)))
+    delta[-scene.robot.n :] = 0.0  # rotors are known
+    assert scene.model.phi is not None
+    phi = scene.model.phi + delta[: -scene.robot.n].reshape(scene.model.phi.shape)
+    motion = scene.motion
+    torque = replace(scene.model, phi=phi).rigid(motion.q, motion.dq, motion.ddq)
+    return torque - scene.rigid, basis.expression @ delta
+
+
+def test_columns_give_the_torque_of_other_parameters(scenes: list[Scene]) -> None:
+    rows = rows_of(scenes)
+    base = base_of(rows, Stages())
+    changes = [heavier(scene) for scene in scenes]
+    expected = [s.motion.filtered(c[0]) for s, c in zip(scenes, changes, strict=True)]
+    theta = changes[0][1]
+    for j in range(rows.n):
+        np.testing.assert_allclose(base.rigid[j] @ theta, rows.of(j, expected)[:, j], atol=1e-9)
+    found = base.deviation(theta, [np.zeros(2), np.zeros(2)])
+    for whole, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(whole, other, atol=1e-5 * np.abs(other).max())
+
+
+def test_more_friction_and_late_torque(scenes: list[Scene]) -> None:
+    rows = rows_of(scenes)
+    base = base_of(rows, Stages())
+    rub = np.array([0.4, 0.3])
+    late = []
+    for scene in scenes:
+        more = 0.4 * scene.sign + 0.3 * scene.motion.dq
+        late.append(scene.motion.filtered(more, times=2))
+        slope = np.gradient(modelled_filtered(scene), 1.0 / scene.motion.rate_hz, axis=0)
+        late[-1] = late[-1] - SHIFT * slope
+    for j in range(rows.n):
+        found = base.friction[j] @ rub - SHIFT * base.timing[j][:, 0]
+        np.testing.assert_allclose(found, rows.of(j, late)[:, j], atol=0.02)
+
+
+def test_the_residual_is_measured_minus_modelled(scenes: list[Scene]) -> None:
+    rows = rows_of(scenes)
+    exact = [measuring(scene, scene.modelled + 0.5) for scene in scenes]
+    base = base_of(rows_of(exact), Stages())
+    for j in range(rows.n):
+        # Rigid-body torque is low-passed once, measured torque twice.
+        np.testing.assert_allclose(np.median(base.y[j]), 0.5, atol=0.02)
+    given = [np.full_like(scene.motion.q, 7.0) for scene in scenes]
+    modelled = [modelled_filtered(scene) for scene in scenes]
+    for j, y in enumerate(base_of(rows, Stages(), given).y):
+        np.testing.assert_allclose(y, 7.0 - rows.of(j, modelled)[:, j])
+
+
+def rigid_stage(names: list[str], covariance: Array) -> RigidStage:
+    parameters = [Parameter(name=n, value=1.0, std_error=0.1, unit="kg m") for n in names]
+    size = len(names)
+    return RigidStage(
+        parameters=parameters, condition=1.0, rank=size, covariance=covariance.tolist()
+    )
+
+
+def test_priors_are_the_files_covariances(scenes: list[Scene]) -> None:
+    names = free_basis(scenes[0].robot).names
+    known = [names[3], names[0]]
+    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
+    stages = Stages(inertia=rigid_stage(known, covariance))
+    base = base_of(rows_of(scenes), stages)
+    P = base.prior_rigid.T @ base.prior_rigid
+    at = [3, 0]
+    np.testing.assert_allclose(P[np.ix_(at, at)], np.linalg.inv(covariance), rtol=1e-9)
+    rest = [k for k in range(len(names)) if k not in at]
+    assert not P[rest].any()
+
+
+def test_a_stage_of_another_basis_is_no_prior(scenes: list[Scene]) -> None:
+    for stage in (rigid_stage(["mx_9"], np.eye(1)), rigid_stage([], np.zeros((0, 0)))):
+        base = base_of(rows_of(scenes), Stages(gravity=stage))
+        assert base.prior_rigid.shape == (0, len(free_basis(scenes[0].robot).names))
+
+
+def friction_joint(*, covariance: Array, parameters: tuple[Parameter, ...] = ()) -> FrictionJoint:
+    half = 0.5 * VISCOUS[0] * 4.0
+    return FrictionJoint(
+        position_order=0,
+        velocity_order=1,
+        max_error=0.0,
+        rmse=0.0,
+        position_range=[-3.0, 3.0],
+        speed_range=[0.0, 4.0],
+        sign_width=SIGN_WIDTH,
+        directional=False,
+        positive=[[COULOMB[0] + half, half]],
+        negative=[[COULOMB[0] + half, half]],
+        covariance=covariance.tolist(),
+        parameters=list(parameters),
+    )
+
+
+def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scene]) -> None:
+    joint = friction_joint(covariance=np.diag([0.04, 0.25]))
+    stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
+    base = base_of(rows_of(scenes), stages)
+    slow = np.abs(base.friction[0][:, 2])
+    assert slow.max() < 1e-6  # within the speeds at which friction was identified
+    np.testing.assert_allclose(base.prior_friction[0], [[0, 2, 0], [5, 0, 0]], atol=1e-9)
+    # Coulomb and viscous friction in the surface's own terms.
+    v = scenes[0].motion.dq[:, 0]
+    half = 0.5 * VISCOUS[0] * 4.0
+    own = scenes[0].motion.filtered(COULOMB[0] * scenes[0].sign[:, 0], times=2)
+    own += scenes[0].motion.filtered(VISCOUS[0] * np.abs(v) * scenes[0].sign[:, 0], times=2)
+    found = base.whole[0].friction[0][:, :2] @ np.array([COULOMB[0] + half, half])
+    np.testing.assert_allclose(found, own, atol=1e-9)
+
+
+def test_friction_of_a_simultaneous_fit_has_as_many_terms_as_that(scenes: list[Scene]) -> None:
+    for count in (2, 3):
+        names = ("coulomb", "viscous", "offset")[:count]
+        parameters = tuple(
+            Parameter(name=name, value=1.0, std_error=0.5, unit="N m") for name in names
+        )
+        joint = friction_joint(covariance=np.eye(2), parameters=parameters)
+        stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
+        base = base_of(rows_of(scenes), stages)
+        assert base.friction[1].shape[1] == count
+        np.testing.assert_allclose(base.prior_friction[1], 2.0 * np.eye(count))
+
+
+def test_unknown_rotors_are_free() -> None:
+    known, unknown = (free_basis(two_joint_robot(drives=d)) for d in (True, False))
+    assert len(unknown.names) > len(known.names)
+    assert any(name.startswith("Ia") for name in unknown.names)

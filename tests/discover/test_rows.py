@@ -1,0 +1,129 @@
+"""Rows: which samples count, how they are filtered, and how they are split."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.rows import BLOCK_S, FOLDS, Rows, rows_of
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import sliding
+from tests.discover.arms import arm_scenes
+from tests.model.effects.scenes import RATE_HZ, motion_of, wander
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    return arm_scenes(logs=3)
+
+
+@pytest.fixture(scope="module")
+def rows(scenes: list[Scene]) -> Rows:
+    return rows_of(scenes)
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_the_sieve_filters_as_the_motion_does(
+    scenes: list[Scene], rows: Rows, passes: int
+) -> None:
+    rng = np.random.default_rng(4)
+    for number, scene in enumerate(scenes):
+        steps = np.sign(rng.normal(size=(scene.samples, 3)))
+        at, used = rows.picked[number], rows.used[number]
+        expected = scene.motion.filtered(steps, times=passes)[at]
+        found = rows.sieve(number, passes) @ steps
+        for j in range(rows.n):
+            np.testing.assert_allclose(found[used[:, j]], expected[used[:, j]], atol=1e-4)
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_the_sieve_knows_ends_and_gaps(scenes: list[Scene], passes: int) -> None:
+    """Large constants show any weight that is missing; a gap's values do not leak."""
+    valid = np.ones(scenes[0].samples, dtype=bool)
+    valid[1500:1530] = valid[1600:1604] = False
+    motion = replace(scenes[0].motion, valid=valid)
+    rows = rows_of([replace(scenes[0], motion=motion)])
+    values = 100.0 + motion.q
+    values[~valid] = 1e6
+    expected = motion.filtered(values, times=passes)[rows.picked[0]]
+    there = valid[rows.picked[0]]
+    found = rows.sieve(0, passes) @ values
+    np.testing.assert_allclose(found[there], expected[there], rtol=2e-5)
+
+
+def test_the_sieve_leaves_alone_what_is_not_low_passed(scenes: list[Scene]) -> None:
+    scene = replace(scenes[0], motion=motion_of(wander(8.0), cutoff_hz=0.46 * RATE_HZ))
+    rows = rows_of([scene])
+    values = np.random.default_rng(0).normal(size=(scene.samples, 2))
+    np.testing.assert_array_equal(rows.sieve(0, 2) @ values, values[rows.picked[0]])
+
+
+def test_columns_are_filtered_and_stacked_joint_by_joint(scenes: list[Scene], rows: Rows) -> None:
+    per_scene = [{1: scene.motion.q[:, :1]} for scene in scenes]
+    (joint,) = found = rows.columns(per_scene, passes=2)
+    filtered = [scene.motion.filtered(scene.motion.q[:, :1], times=2) for scene in scenes]
+    assert joint == 1
+    np.testing.assert_allclose(found[1], rows.of(1, filtered), atol=1e-5)
+    assert len(found[1]) == rows.count(1) == len(rows.blocks_of(1))
+
+
+def test_only_samples_at_which_a_joint_slides_count(scenes: list[Scene], rows: Rows) -> None:
+    for scene, at, used in zip(scenes, rows.picked, rows.used, strict=True):
+        np.testing.assert_array_equal(used, sliding(scene.motion, 2 * scene.sign_width)[at])
+        assert 0.5 < used.mean() < 1.0
+        assert not np.any(used[~scene.motion.usable[at]])
+
+
+def test_folds_are_contiguous_and_cover_every_log(rows: Rows) -> None:
+    first = 0
+    for block in rows.block:
+        np.testing.assert_array_equal(np.unique(block), np.arange(first, block[-1] + 1))
+        first = block[-1] + 1
+        assert len(np.unique(rows.fold[block])) >= 2
+    assert first == len(rows.fold)
+    assert set(np.diff(rows.fold)) <= {0, 1}
+    assert abs(rows.fold[-1] + 1 - FOLDS) <= len(rows.block)
+    # No fold reaches over the end of a log.
+    ends = [rows.fold[block[[0, -1]]] for block in rows.block]
+    assert all(after[0] == before[1] + 1 for before, after in zip(ends, ends[1:], strict=False))
+
+
+def test_blocks_are_of_equal_length(scenes: list[Scene], rows: Rows) -> None:
+    for scene, at, block in zip(scenes, rows.picked, rows.block, strict=True):
+        lengths = np.bincount(block - block[0]) * (at[1] - at[0]) / scene.motion.rate_hz
+        np.testing.assert_allclose(lengths, BLOCK_S, atol=0.1)
+
+
+def test_a_short_log_is_one_fold() -> None:
+    (scene,) = arm_scenes(logs=1, seconds=2.5)
+    rows = rows_of([scene])
+    assert set(rows.fold) == {0}
+    both = rows_of([scene, *arm_scenes(logs=2, seconds=12.0)])
+    assert np.sum(both.fold == 0) == 1
+
+
+def test_very_long_logs_are_thinned_by_whole_blocks(
+    scenes: list[Scene], rows: Rows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("seqid_cli.discover.rows.MOST_ROWS", 1200)
+    few = rows_of(scenes)
+    for whole, thin, own in zip(rows.block, few.block, few.picked, strict=True):
+        assert set(thin) < set(whole)
+        for block in np.unique(thin):
+            assert np.sum(thin == block) == np.sum(whole == block)
+        assert len(own) == len(thin)
+    assert sum(map(len, few.picked)) < 0.6 * sum(map(len, rows.picked))
+
+
+def test_without_events(scenes: list[Scene], rows: Rows) -> None:
+    events = [np.zeros(scene.samples, dtype=bool) for scene in scenes]
+    events[1][1000:1400] = True
+    quiet = rows.without(events)
+    for number, (before, after) in enumerate(zip(rows.used, quiet.used, strict=True)):
+        taken = events[number][rows.picked[number]]
+        assert not after[taken].any()
+        np.testing.assert_array_equal(after[~taken], before[~taken])
+    assert quiet.count(0) < rows.count(0)
+    np.testing.assert_array_equal(quiet.fold, rows.fold)

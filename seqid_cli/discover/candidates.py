@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,14 @@ from seqid_cli.discover.system import Joints, System, Trial
 from seqid_cli.discover.wide import both_bands, full_residual, high_band
 from seqid_cli.model.effects.effect import Effect, Setting
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import sliding
 
 Array = NDArray[np.float64]
 
 GOLDEN = 0.381966
 SEARCH_STEPS = 9
 SHARPENED = 3  # times that settings are moved to where the coefficients say
+CLOSE = 0.8  # of the best grid point's gain, from which another shape is searched as well
 TOGETHER = 64  # candidates whose columns are low-passed at once
 
 
@@ -62,7 +65,13 @@ class Stage:
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
         self.high = high_band(rows)
+        self.sliding = [sliding(s.motion, 2.0 * s.sign_width) for s in rows.scenes]
         self._made: dict[tuple[object, ...], Joints] = {}
+
+    @cached_property
+    def nothing(self) -> list[Array]:
+        """A column of zeros (M_j, 1) for each joint."""
+        return [np.zeros((self.rows.count(j), 1)) for j in range(self.rows.n)]
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -166,11 +175,28 @@ def candidates_of(
                         yield Candidate(effect, joint, settings, below=True)
 
 
+def shapes(tried: Tried, others: Sequence[Tried]) -> list[Tried]:
+    """Best points of an effect, one for each of its discrete settings that may come out first.
+
+    Between the grid's values the order of, say, two exponents can change.
+    """
+    specs = tried.candidate.effect.settings
+    discrete = [setting.name for setting in specs if not setting.continuous]
+    if len(discrete) in {0, len(specs)} or tried.trial.total <= 0.0:
+        return [tried]
+    best = {}
+    least = CLOSE * tried.trial.total
+    for other in sorted(others, key=lambda t: t.trial.total):
+        if other.candidate.key == tried.candidate.key and other.trial.total >= least:
+            best[tuple(other.candidate.settings[name] for name in discrete)] = other
+    return list(best.values())
+
+
 def refined(stage: Stage, system: System, tried: Tried, spacing: float = 2.5) -> Tried:
     """Search the continuous settings of a candidate near its grid point for the largest gain.
 
-    The first sharpening stands though it gains less: what a column gains away from the effect's
-    true size is not the effect's (a lag would pass for a delay, to first order).
+    Of effects that are looked for to first order the first sharpening stands though it gains less:
+    a lag would pass for a delay.
     """
     best = tried
     for setting in tried.candidate.effect.settings:
@@ -184,7 +210,8 @@ def refined(stage: Stage, system: System, tried: Tried, spacing: float = 2.5) ->
         found = stage.try_all(system, [replace(candidate, settings=settings)])
         if not found or not stage.plausible(found[0]):
             break
-        if number > 0 and found[0].trial.total <= best.trial.total:
+        stands = number == 0 and candidate.effect.first_order
+        if not stands and found[0].trial.total <= best.trial.total:
             break
         best = found[0]
     return best

@@ -48,7 +48,7 @@ def behind(leader: Trial, other: Trial) -> float:
     difference = leader.gain - other.gain
     count = len(difference)
     error = float(np.std(difference, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
-    return float(difference.sum()) / max(error, 1e-300)
+    return float(difference.sum() / max(error, 1e-300))
 
 
 def certainty(rivals: Sequence[Rivalry]) -> float:
@@ -59,3 +59,8 @@ def certainty(rivals: Sequence[Rivalry]) -> float:
         if r.share > 0
     )
     return float(1.0 / (1.0 + odds))
+
+
+def event_confidence(ratio: float) -> float:
+    """Confidence in an event from its score over the gate: a half at the gate itself."""
+    return float(1.0 - 0.5 ** max(ratio, 0.0) ** 2)

@@ -8,12 +8,13 @@ is not understood, and is said to be so.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Tried
-from seqid_cli.discover.confusable import certainty, rivalries
+from seqid_cli.discover.confusable import certainty, event_confidence, rivalries
 from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
@@ -30,6 +31,7 @@ from seqid_cli.discover.results import (
 )
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.discover.search import SHAPE, Search
+from seqid_cli.discover.usable import usable_logs
 from seqid_cli.discover.whiteness import white
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
@@ -40,6 +42,7 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
+SLOW_NOISE = 3.0  # times the level of other quantities, that a dependence on time must reach
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
@@ -60,15 +63,18 @@ def diagnose(
     Raises
     ------
     InputError
-        If a log carries neither torque nor current.
+        If a log carries neither torque nor current, or if all logs' torque is an echo of the
+        command (see `usable_logs`).
     """
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
+    kept, notes = usable_logs(recordings, robot)
     logs = [
         without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
-        for log in recordings
+        for log in kept
     ]
-    return described(investigate(logs, robot, stages, options), robot)
+    found = described(investigate(logs, robot, stages, options), robot)
+    return replace(found, notes=(*notes, *found.notes))
 
 
 def described(found: Investigation, robot: Robot) -> Diagnosis:
@@ -104,7 +110,7 @@ def _contact(found: Investigation) -> Finding:
     return Finding(
         effect=effect.name,
         joint=None,
-        confidence=float(1 - np.exp(-2.0 * score / found.gates.event)),
+        confidence=event_confidence(score / found.gates.event),
         explains=float(inside / max(inside + gained, 1e-300)),
         confusable_with=(),
         separate_by=effect.separate_by,
@@ -158,7 +164,7 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
     values = effect.values(
         robot, candidate.joint, candidate.settings, trial.coefficients, trial.covariance
     )
-    least = found.gates.least(effect.name)
+    least = found.gates.least_of(again)
     finding = Finding(
         effect=effect.name,
         joint=joint,
@@ -211,9 +217,15 @@ def _left(found: Investigation, robot: Robot) -> list[Unexplained]:
         _unexplained(robot, smooth)
         for smooth in found.dependences
         if smooth.quantities
-        and smooth.relative >= found.gates.least(SMOOTH)
+        and smooth.relative >= _least_smooth(found, smooth)
         and not _is_shape(found.search, smooth)
     ]
+
+
+def _least_smooth(found: Investigation, smooth: Dependence) -> float:
+    """Share from which a smooth dependence counts; slow noise is itself a function of time."""
+    least = found.gates.least(SMOOTH)
+    return SLOW_NOISE * least if smooth.quantities[0] == "time" else least
 
 
 def _is_shape(search: Search, smooth: Dependence) -> bool:

@@ -37,6 +37,7 @@ MOST_REFERENCES = 3000
 EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
 MOST_TIME = 0.05  # share of a log (or LONGEST_S, whichever is more) that events may fill
 LONGEST_S = 2.0  # of one event
+TOUCH_S = 0.1  # between intervals that are one event
 FEW, RARE_S = 3, 10.0  # events that a log may have: this number, or one in so many seconds
 USED = 0.6  # share of a window's samples that must count
 NEIGHBOURS = 24
@@ -378,4 +379,19 @@ def _merged(found: Sequence[Interval]) -> list[Interval]:
         k = overlaps[0]
         joints = tuple(sorted(set(kept[k].joints) | set(event.joints)))
         kept[k] = Interval(event.scene, kept[k].start, kept[k].end, joints, kept[k].score)
-    return sorted(kept, key=lambda e: e.start)
+    return _bridged(kept)
+
+
+def _bridged(events: Sequence[Interval]) -> list[Interval]:
+    """Join what nearly touches: one push, whose flanks are lower than its peak."""
+    joined: list[Interval] = []
+    for event in sorted(events, key=lambda e: e.start):
+        if joined and event.start - joined[-1].end < TOUCH_S:
+            last = joined[-1]
+            if event.end - last.start <= LONGEST_S:
+                joints = tuple(sorted(set(last.joints) | set(event.joints)))
+                score = max(last.score, event.score)
+                joined[-1] = Interval(event.scene, last.start, event.end, joints, score)
+                continue
+        joined.append(event)
+    return joined

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Stage, Tried
@@ -18,19 +19,26 @@ from seqid_cli.discover.clean import CleanLogs
 from seqid_cli.discover.dependence import Dependence, dependence
 from seqid_cli.discover.events import GATE, event_score
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.search import Search
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
 
-LEAST = 0.01  # share of a joint's squared residual below which nothing is worth a name
-LEAST_SMOOTH = 0.03  # the same for a smooth function, which has more freedom
+Array = NDArray[np.float64]
+
+# Shares of one joint's squared residual below which nothing is worth a name: 2 % of its RMSE, and
+# for smooth functions, the best of hundreds, 4 %. Slow torque noise alone reaches 0.036 and 0.075.
+LEAST = 0.04
+LEAST_SMOOTH = 0.08
 MARGIN = 2.0  # over the largest gain on clean data
+# Rows' worth of gain that the luckiest of some hundred candidates has on noise: 2 ln(200), twice
+# that for rows that are correlated, and twice again to be sure.
+CHANCE = 50.0
 LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
-SMOOTH_RUNS = 1  # clean data sets that smooth functions look at, being slow
-EVENT_MARGIN = 1.15
+SMOOTH_RUNS = 2  # clean data sets that smooth functions look at, being slow
+EVENT_MARGIN = 1.25
 SMOOTH = ""  # the name under which smooth functions are counted
 
 
@@ -44,14 +52,23 @@ class Gates:
     clean: Mapping[str, float] = field(default_factory=dict)
     event: float = GATE
 
-    def least(self, name: str) -> float:
-        """Relative gain from which an effect is believed."""
-        floor = LEAST_SMOOTH if name == SMOOTH else LEAST
+    def least(self, name: str, joints: int = 1) -> float:
+        """Relative gain from which an effect at so many joints is believed.
+
+        What shows at many joints needs less of each: it must be worth as much as at one.
+        """
+        floor = LEAST_SMOOTH if name == SMOOTH else LEAST / max(joints, 1)
         return max(floor, MARGIN * self.clean.get(name, 0.0))
+
+    def least_of(self, tried: Tried) -> float:
+        """Relative gain from which a candidate is believed: more where there are few rows."""
+        rows = max(len(X) for X in tried.columns.values())
+        chance = CHANCE / max(rows, 1)
+        return max(self.least(tried.candidate.effect.name, tried.trial.joints), chance)
 
     def passes(self, tried: Tried) -> bool:
         """Whether a candidate gains more than clean data show, on the folds alike."""
-        enough = tried.trial.relative >= self.least(tried.candidate.effect.name)
+        enough = tried.trial.relative >= self.least_of(tried)
         return enough and steadiness(tried) >= LEAST_STEADY
 
 
@@ -92,13 +109,18 @@ def calibrated(
         for log, torque in zip(logs, told.effect_torques(system), strict=True)
         if log.tau is not None
     ]
-    source = CleanLogs.of(freed, scenes, told.residual(system), told.deviation(system))
+    left = quiet(search.stage.rows, told.residual(system))
+    deviation = told.deviation(system)
     rng = np.random.default_rng(options.seed)
     clean: dict[str, float] = {}
     event = GATE
     names = {t.candidate.effect.name for t in search.accepted}
     effects = [CATALOGUE[name] for name in sorted(names)]
     for run in range(options.clean_runs):
+        # The file is as uncertain as it says: what it has wrong leaves residuals, too.
+        wrong = told.base.drawn_deviation(rng)
+        truth = [one + other for one, other in zip(deviation, wrong, strict=True)]
+        source = CleanLogs.of(freed, scenes, left, truth)
         drawn = scenes_of(source.draw(rng), scenes[0].robot, stages, options=options.motion)
         rows = rows_of(drawn)
         fresh = Search.begin(Stage(rows), base_of(rows, stages), kept=search.kept)
@@ -112,3 +134,12 @@ def calibrated(
             clean[SMOOTH] = max(clean.get(SMOOTH, 0.0), largest)
         event = max(event, EVENT_MARGIN * event_score(rows, fresh_system.left_out()[: rows.n]))
     return Gates(clean, event)
+
+
+def quiet(rows: Rows, residual: Sequence[Array]) -> list[Array]:
+    """Residuals (N, n) with zeros where a joint's rows do not count, as in events."""
+    result = []
+    for values, picked, used in zip(residual, rows.picked, rows.used, strict=True):
+        nearest = np.searchsorted(picked, np.arange(len(values)), side="right") - 1
+        result.append(np.where(used[nearest], values, 0.0))
+    return result

@@ -40,6 +40,8 @@ CLEARLY = (
     0.7  # of what a joint's effects leave, below which smooth functions are the better account
 )
 WORTH = 0.02  # of the squared residual, by which they must be better
+BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
+AROUND_S = 0.5
 AS_GOOD = 0.05  # relative excess that a kept file with few changes may have
 
 
@@ -124,10 +126,29 @@ def _without_events(
     result = _both_stances(Stage(rows), base_of(rows, stages), gates, options)
     left = result.search.system().left_out()[: rows.n]
     events = find_events(rows, left, gate=gates.event)
+    events = [event for event in events if not _of_shape(result.search, event)]
     if not events:
         return result, events
     quiet = rows.without(event_masks(rows, events))
     return _both_stances(Stage(quiet), base_of(quiet, stages), gates, options), events
+
+
+def _of_shape(search: Search, event: Interval) -> bool:
+    """Whether an event may only be where accepted effects, large there, have not quite the shape.
+
+    A push is nothing beside which an effect that the logs show all along is large. What the effect
+    shows is looked at a little around the event too: shapes are wrong where effects change sign.
+    """
+    if not search.accepted:
+        return False
+    system, scene = search.system(), search.stage.scenes[event.scene]
+    t = scene.motion.t - scene.motion.t[0]
+    joints = list(event.joints)
+    inside = (t >= event.start) & (t <= event.end)
+    around = (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)
+    left = search.residual(system)[event.scene][inside][:, joints] / search.noise[joints]
+    shown = search.shown(system)[event.scene][around][:, joints] / search.noise[joints]
+    return bool(np.mean(left**2) < BESIDE**2 * np.mean(shown**2))
 
 
 def _again(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:
@@ -164,13 +185,18 @@ def _beside(
 ) -> Searched:
     """Search anew with smooth functions in place of those joints' effects.
 
-    Constant changes are left out: with part of a joint's torque free, the base no longer tells
-    them.
+    What touches those joints is left out, and constant changes: with part of a joint's torque free,
+    nothing tells them any more.
     """
+    taken = {dependence.joint for dependence in outside}
+
+    def gate(tried: Tried) -> bool:
+        return gates.passes(tried) and not taken & set(tried.columns)
+
     smooth = [rival for dependence in outside for rival in dependence.rivals]
     fresh = Search.begin(search.stage, search.base, kept=search.kept, smooth=smooth)
     effects = [effect for effect in CATALOGUE.values() if not effect.change]
-    ranked = searched(fresh, effects, gates.passes, options.max_effects)
+    ranked = searched(fresh, effects, gate, options.max_effects)
     return Searched(fresh, tuple(ranked))
 
 
@@ -181,9 +207,7 @@ def _dependences(
     system = search.system()
     least = gates.least(SMOOTH)
     return tuple(
-        known[j]
-        if known and _stands(known[j], least)
-        else dependence(system, j, least_gain=least)
+        known[j] if known and _stands(known[j], least) else dependence(system, j, least_gain=least)
         for j in range(search.stage.rows.n)
     )
 

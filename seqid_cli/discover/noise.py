@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 from scipy.signal import detrend
 
 from seqid_cli.logs.recording import Recording
@@ -130,10 +129,17 @@ def in_band(scene: Scene, residual: Array, echo: Array) -> tuple[Array, Array]:
 
 
 def periodogram(values: Array) -> Array:
-    """Squared spectrum (F, n) of values (N, n), averaged over neighbouring frequencies."""
+    """Squared spectrum (F, n) of values (N, n), averaged over neighbouring frequencies.
+
+    Over fewer at the lowest ones, where drifts fall off by factors from one to the next.
+    """
     square = np.abs(np.fft.rfft(values, axis=0)) ** 2
-    smooth: Array = uniform_filter1d(square, SMOOTHING, axis=0, mode="reflect")
-    return smooth
+    count = len(square)
+    at = np.arange(count)
+    reach = np.minimum(np.minimum(SMOOTHING // 2, at // 2), count - 1 - at)
+    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(square, axis=0)])
+    smooth: Array = (sums[at + reach + 1] - sums[at - reach]) / (2 * reach + 1)[:, None]
+    return np.maximum(smooth, 0.0)
 
 
 def nearest(mask: Mask, samples: int) -> Mask:

@@ -30,6 +30,7 @@ from seqid_cli.discover.reidentify import Material, Refitted, refitted
 from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import (
     Fitted,
@@ -104,6 +105,8 @@ def refine(
     InputError
         If a log carries neither torque nor current.
     """
+    training, notes = usable_logs(training, robot)
+    held_out, more = usable_logs(held_out, robot)
     material = Material(tuple(training), earlier, robot, options)
     known = fitted_effects(file.stages, robot, unexplained=True)
     start = Refitted(msgspec.structs.replace(file.stages, effects=None), tuple(known))
@@ -114,7 +117,7 @@ def refine(
         pass
     if options.with_unexplained:
         _add_smooth(loop)
-    return with_effects(loop.model, robot), _closed(loop, error)
+    return with_effects(loop.model, robot), _closed(loop, error, (*notes, *more))
 
 
 def _investigated(loop: Loop) -> Investigation:
@@ -221,7 +224,7 @@ def with_effects(model: Refitted, robot: Robot) -> Stages:
     return msgspec.structs.replace(model.stages, effects=effects)
 
 
-def _closed(loop: Loop, before: HeldOutError) -> ClosedLoop:
+def _closed(loop: Loop, before: HeldOutError, notes: tuple[str, ...]) -> ClosedLoop:
     robot = loop.material.robot
     old, new, floor = before.rmse(), loop.error.rmse(), _floor(loop)
     judged = [j for j in range(robot.n) if np.isfinite(old[j]) and np.isfinite(new[j])]
@@ -234,6 +237,7 @@ def _closed(loop: Loop, before: HeldOutError) -> ClosedLoop:
         noise_floor={names[j]: float(floor[j]) for j in judged},
         gain_interval={name: (g.low, g.high) for name, g in intervals.items()},
         evaluated_on=tuple(str(log.path) for log in loop.held_out),
+        notes=notes,
     )
 
 

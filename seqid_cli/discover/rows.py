@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
 from seqid_cli.model.effects.scene import Scene
@@ -31,6 +32,10 @@ SAMPLES_PER_CUTOFF = 5
 BLOCK_S = 2.0
 FOLDS = 10
 MOST_ROWS = 40_000
+FEWEST_ROWS = 50  # of a joint, all logs together, that are worth looking at
+SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
+REACH_OUTSIDE = 0.25  # periods of the cut-off, over which the low-pass mixes samples
+MOST_OUTSIDE = 0.6  # share of a log outside the identified friction, from which it counts all
 REACH = 6  # of the low-pass's settling: what lies further off weighs less than 1e-4 in all
 
 
@@ -130,24 +135,40 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         own = np.minimum((at * count) // motion.samples, count - 1)
         kept = own % thin == 0
         picked.append(at[kept])
-        used.append(sliding(motion, 2.0 * scene.sign_width)[at[kept]])
+        counts = sliding(motion, 2.0 * scene.sign_width) & ~extrapolated(scene)
+        used.append(counts[at[kept]])
         block.append(own[kept] + first)
         lengths.append(count)
         first += count
     return Rows(
         tuple(scenes),
         tuple(picked),
-        tuple(used),
+        _moved(scenes, picked, used),
         tuple(block),
         _folds(lengths),
     )
 
 
+def extrapolated(scene: Scene) -> Mask:
+    """Samples (N, n) where a friction surface is only held at the edge of what was identified.
+
+    What is left there is the surface's extrapolation, nothing that the model lacks. A joint that
+    is hardly ever inside is not masked: then the surface is all there is.
+    """
+    motion = scene.motion
+    reach = max(1, int(REACH_OUTSIDE * motion.rate_hz / motion.lowpass.cutoff_hz))
+    outside = binary_dilation(scene.model.outside(motion), np.ones((2 * reach + 1, 1), dtype=bool))
+    for j, surface in enumerate(scene.model.surfaces):
+        simple = surface is None or surface.positive.shape[0] == 1
+        if simple or np.mean(outside[:, j]) > MOST_OUTSIDE:
+            outside[:, j] = False
+    return outside
+
+
 def _sieve(motion: Motion, picked: Index, passes: int) -> csr_array:
     """Weights of all samples in every picked one after the low-pass, (M, N)."""
     parts = [
-        _weights(motion.lowpass, picked, run, passes)
-        for run in runs(motion.valid, motion.samples)
+        _weights(motion.lowpass, picked, run, passes) for run in runs(motion.valid, motion.samples)
     ]
     weight = np.concatenate([part[0] for part in parts])
     row, column = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
@@ -176,6 +197,29 @@ def _weights(
     weight = response[at - piece, np.clip(column - piece, 0, length - 1)]
     rows = np.broadcast_to(row[:, None], column.shape)
     return weight[inside], rows[inside], column[inside] + start
+
+
+def _moved(
+    scenes: Sequence[Scene], picked: Sequence[Index], used: Sequence[Mask]
+) -> tuple[Mask, ...]:
+    """Leave out joints in logs in which they are only shaken, and those of next to no rows.
+
+    Where a held joint gives way a little, its brake or stiction holds what its base columns, and
+    its few rows elsewhere, would have to explain.
+    """
+    parts = zip(scenes, picked, used, strict=True)
+    travel = np.array([_travel(s.motion.q[p], u) for s, p, u in parts])
+    moves = travel > SHAKEN * travel.max(axis=0)
+    kept = [u & m for u, m in zip(used, moves, strict=True)]
+    enough = sum(u.sum(axis=0) for u in kept) >= FEWEST_ROWS
+    return tuple(u & enough for u in kept)
+
+
+def _travel(q: Array, used: Mask) -> Array:
+    """Range (n,) of positions (M, n) where each joint counts."""
+    high = np.max(np.where(used, q, -np.inf), axis=0, initial=-np.inf)
+    low = np.min(np.where(used, q, np.inf), axis=0, initial=np.inf)
+    return np.where(used.any(axis=0), high - low, 0.0)
 
 
 def _thinning(scenes: Sequence[Scene]) -> int:

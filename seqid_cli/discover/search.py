@@ -15,15 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.base import Base
-from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined
+from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined, shapes
 from seqid_cli.discover.rivals import Filtered, Rival
 from seqid_cli.discover.system import Block, System
 from seqid_cli.model.effects.effect import Effect
 
 Array = NDArray[np.float64]
 
-KEPT_INFLATION = 3.0  # standard errors of the file that the kept base may move by
-FREE_INFLATION = 30.0  # the same for the free base: only what these logs leave open is held
+# Standard errors of the file, in multiples, that the base may move by: the freest first.
+FREE_INFLATIONS = (30.0, 10.0, 3.0, 1.0, 0.1)
+KEPT_INFLATIONS = (3.0, 1.0, 0.1)
+FEW_TERMS = 4  # of a joint's friction: Coulomb, viscous, offset
+BETTER_HELD = 0.02  # of the squared residual left out, that holding the base must be worth
 OWN_OFFSET = 0.75  # of a sample period: time offset that every drive has, and no effect
 REFINED = 6  # candidates whose settings are searched
 TIE = 0.02  # of the gain, that one more parameter must be worth
@@ -50,17 +53,43 @@ class Search:
     timed: tuple[bool, ...] = ()
     energies: dict[tuple[str, int | None], float] = field(default_factory=dict)
     smooth: tuple[Rival, ...] = ()
+    inflation: float = FREE_INFLATIONS[0]
 
     @classmethod
     def begin(cls, stage: Stage, base: Base, *, kept: bool, smooth: Sequence[Rival] = ()) -> Search:
-        """Start with the base, and smooth functions where no effect is to be looked for."""
+        """Start with the base, and smooth functions where no effect is to be looked for.
+
+        A base that is not kept is as free as its folds can bear: where a freer one foretells what
+        was left out no better, many parameters on few logs would only swallow what is looked for.
+        """
         rms = [np.sqrt(np.mean(y**2)) if len(y) else 1.0 for y in [*base.y, *stage.high.y]]
         noise = np.maximum(rms, 1e-12)
         search = cls(stage, base, kept, noise, noise, [], (True,) * stage.rows.n)
         search.smooth = tuple(smooth)
+        search.inflation = (KEPT_INFLATIONS if kept else FREE_INFLATIONS)[0]
         search.settle()
+        search._hold()
         search.bare = search.noise
         return search
+
+    def _hold(self) -> None:
+        """Hold the base as much as helps to foretell what was left out.
+
+        Friction of few terms needs no holding, and a file that was fitted to these very logs would
+        always seem to foretell them best.
+        """
+        if max(f.shape[1] for f in self.base.friction) <= FEW_TERMS:
+            return
+        chosen, least = self.inflation, 1.0
+        scale = np.maximum(self.rms(), 1e-12)
+        for inflation in (KEPT_INFLATIONS if self.kept else FREE_INFLATIONS)[1:]:
+            held = replace(self, inflation=inflation)
+            cost = float(np.mean((held.rms() / scale) ** 2))
+            if cost < (1 - BETTER_HELD) * least:
+                chosen, least = inflation, cost
+        if chosen != self.inflation:
+            self.inflation = chosen
+            self.settle()
 
     def settle(self) -> None:
         """Weigh joints by what is left, and decide whose time offset is no more than ordinary."""
@@ -103,13 +132,14 @@ class Search:
 
     def _base_blocks(self) -> list[Block]:
         base, n = self.base, self.stage.rows.n
-        hold = 1.0 / (KEPT_INFLATION if self.kept else FREE_INFLATION)
-        blocks = [Block(dict(enumerate(base.rigid)), hold * base.prior_rigid)]
+        hold = 1.0 / self.inflation
+        blocks = [Block(dict(enumerate(base.rigid)), hold * base.prior_rigid, lasting=True)]
         for j in range(n):
-            blocks.append(Block({j: base.friction[j]}, hold * base.prior_friction[j]))
+            held = hold * base.prior_friction[j]
+            blocks.append(Block({j: base.friction[j]}, held, lasting=True))
         for j in range(n):
-            on = 1.0 if self.timed[j] else 0.0
-            blocks.append(Block({j: on * base.timing[j]}, np.zeros((0, 1))))
+            columns = base.timing[j] if self.timed[j] else self.stage.nothing[j]
+            blocks.append(Block({j: columns}, np.zeros((0, 1)), lasting=True))
         return blocks
 
     def rms(self) -> Array:
@@ -137,7 +167,10 @@ class Search:
         return self.base.deviation(theta[system.where[0]], friction)
 
     def residual(self, system: System) -> list[Array]:
-        """What base and accepted effects leave (N, n) N m, at all samples of every scene."""
+        """What base and accepted effects leave (N, n) N m, at all samples of every scene.
+
+        Zero where a joint does not slide: there friction hides anything.
+        """
         n, theta = self.stage.rows.n, system.theta
         explained = self.deviation(system)
         added = system.where[1 + 2 * n :]
@@ -148,10 +181,18 @@ class Search:
         for tried, where in zip(self.accepted, added[len(self.smooth) :], strict=True):
             _add_effect(explained, self.stage, tried.candidate, theta[where])
         result = []
-        for whole, torque, scene in zip(self.base.whole, explained, self.stage.scenes, strict=True):
-            left = whole.residual - torque
-            left[~scene.motion.usable] = 0.0
-            result.append(left)
+        for whole, torque, slides in zip(
+            self.base.whole, explained, self.stage.sliding, strict=True
+        ):
+            result.append(np.where(slides, whole.residual - torque, 0.0))
+        return result
+
+    def shown(self, system: System) -> list[Array]:
+        """Torque (N, n) N m of the accepted effects, low-passed, at all samples of every scene."""
+        result = [np.zeros_like(scene.motion.q) for scene in self.stage.scenes]
+        where = system.where[len(system.where) - len(self.accepted) :]
+        for tried, at in zip(self.accepted, where, strict=True):
+            _add_effect(result, self.stage, tried.candidate, system.theta[at])
         return result
 
     def ranked(
@@ -168,9 +209,13 @@ class Search:
         """
         residual = self.residual(system)
         candidates = list(candidates_of(self.stage.scenes, effects, residual, near))
-        best = best_of_each(self._believed(self.stage.try_all(system, candidates)))
-        head = [refined(self.stage, system, t) for t in best[:refine]]
+        believed = self._believed(self.stage.try_all(system, candidates))
+        best = best_of_each(believed)
+        head = [self._refined(system, shapes(t, believed)) for t in best[:refine]]
         return sorted([*head, *best[refine:]], key=_order)
+
+    def _refined(self, system: System, points: Sequence[Tried]) -> Tried:
+        return min((refined(self.stage, system, t) for t in points), key=_order)
 
     def _believed(self, tried: Sequence[Tried]) -> list[Tried]:
         return [t for t in tried if t.trial.visible > LEAST_VISIBLE and self.stage.plausible(t)]
@@ -214,11 +259,16 @@ class Search:
         return self.stage.try_all(self.without(tried).system(), [tried.candidate])[0]
 
     def prune(self, gate: Gate) -> None:
-        """Take back accepted effects that the others have made superfluous, the weakest first."""
+        """Take back accepted effects that the others have made superfluous, the weakest first.
+
+        Also what is so small beside another at its joints that it may be that one's shape's error.
+        """
         while len(self.accepted) > 1:
             gains = [self.marginal(t) for t in self.accepted]
             weakest = min(range(len(gains)), key=lambda k: gains[k].trial.total)
-            if gate(gains[weakest]):
+            weak = gains[weakest]
+            near = [t.trial.total for t in gains if set(t.columns) & set(weak.columns)]
+            if gate(weak) and weak.trial.total >= SHAPE * max(near):
                 return
             del self.accepted[weakest]
             self.settle()
@@ -301,10 +351,11 @@ def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -
         ]
         if not passing or len(search.accepted) >= most:
             return ranked
-        chosen = simplest(passing)
-        if not chosen.candidate.effect.wide:
-            tried_already.add(chosen.candidate.key)  # taken back once, it does not come again
+        chosen, before = simplest(passing), len(search.accepted)
         search.add(chosen)
         if len(search.accepted) > 1:
             search.polish()
             search.prune(gate)
+        # What was taken back does not come again; other lines of a ripple do, while they stay.
+        if not chosen.candidate.effect.wide or len(search.accepted) <= before:
+            tried_already.add(chosen.candidate.key)

@@ -42,6 +42,7 @@ class Block:
 
     columns: Joints
     prior: Array  # (m, k)
+    lasting: bool = False  # the same arrays in every system of these rows: products are kept
 
     @property
     def size(self) -> int:
@@ -56,7 +57,7 @@ class Trial:
     `gain` (F,) per fold and `loss` (F,) of the base there, both in units of noise variance;
     `visible` the share of the columns' length that the base leaves; `coefficients` (k,) and their
     white-noise covariance over all folds; `relative` the gain as a share of the loss of the joints
-    that the candidate touches.
+    that the candidate touches, `joints` their number.
     """
 
     gain: Array
@@ -65,6 +66,7 @@ class Trial:
     coefficients: Array
     covariance: Array
     relative: float
+    joints: int = 1
 
     @property
     def total(self) -> float:
@@ -120,14 +122,41 @@ class System:
         """A (F, p, p), b (F, p) and y'y (F, n) of every fold."""
         A = np.zeros((self.folds, self.size, self.size))
         b, yy = np.zeros((self.folds, self.size)), np.zeros((self.folds, len(self.y)))
-        for j, (index, X) in enumerate(self._local):
-            y = self.y[j] / self.noise[j]
-            for f in range(self.folds):
-                at = self._fold_of[j] == f
-                A[f][np.ix_(index, index)] += X[at].T @ X[at]
-                b[f, index] += X[at].T @ y[at]
-                yy[f, j] = y[at] @ y[at]
+        for j in range(len(self.y)):
+            weight = 1.0 / float(self.noise[j][0]) ** 2 if len(self.noise[j]) else 0.0
+            y = self.y[j][:, None]
+            yy[:, j] = weight * self._product(j, y, y, kept=True)[:, 0, 0]
+            own = [
+                (block.columns[j], where, block.lasting)
+                for block, where in zip(self.blocks, self.where, strict=True)
+                if j in block.columns
+            ]
+            for k, (X, at, lasting) in enumerate(own):
+                b[:, at] += weight * self._product(j, X, y, kept=lasting)[:, :, 0]
+                for Z, other, also in own[k:]:
+                    product = weight * self._product(j, X, Z, kept=lasting and also)
+                    A[:, at, other] += product
+                    if other != at:
+                        A[:, other, at] += product.transpose(0, 2, 1)
         return A, b, yy
+
+    def _product(self, joint: int, X: Array, Z: Array, *, kept: bool) -> Array:
+        """X'Z (F, k, l) of every fold, unscaled."""
+        products = self.rows.made.setdefault("products", {})
+        assert isinstance(products, dict)
+        key = (joint, id(X), id(Z))
+        if key in products:
+            found: Array = products[key][2]
+            return found
+        result = np.stack([X[at].T @ Z[at] for at in self._folds_at[joint]])
+        if kept:
+            products[key] = (X, Z, result)  # with the arrays, so that their ids stay theirs
+        return result
+
+    @cached_property
+    def _folds_at(self) -> list[list[slice | Index]]:
+        """Rows of each fold, joint by joint; slices where the folds follow each other."""
+        return [_places(fold, self.folds) for fold in self._fold_of]
 
     @cached_property
     def prior(self) -> Array:
@@ -265,8 +294,7 @@ class System:
             X = np.hstack([candidates[i][j] for i in here]) / self.noise[j][:, None]
             at_global = np.concatenate([np.arange(where[i].start, where[i].stop) for i in here])
             y = self.y[j] / self.noise[j]
-            for f in range(self.folds):
-                at = self._fold_of[j] == f
+            for f, at in enumerate(self._folds_at[j]):
                 Xf, yf = X[at], y[at]
                 C[f][np.ix_(index, at_global)] += B[at].T @ Xf
                 first = 0
@@ -301,7 +329,14 @@ class System:
         touched = [j for j in sorted(candidate) if j < self.rows.n]
         loss = self.loss[:, touched].sum(axis=1)
         relative = float(gain.sum() / max(loss.sum(), 1e-300))
-        return Trial(gain, loss, visible, a, inverse, relative)
+        return Trial(gain, loss, visible, a, inverse, relative, len(touched))
+
+
+def _places(fold: Index, folds: int) -> list[slice | Index]:
+    if np.all(np.diff(fold) >= 0):
+        edges = np.searchsorted(fold, np.arange(folds + 1))
+        return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    return [np.flatnonzero(fold == f) for f in range(folds)]
 
 
 def _gains(D: Array, d: Array, C: Array, trained: Sequence[Trained], where: slice) -> Array:

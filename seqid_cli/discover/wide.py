@@ -52,7 +52,8 @@ class HighBand:
 def high_band(rows: Rows) -> HighBand:
     """Take the rows above the cut-off where the joints slide, in the blocks that `rows` keeps."""
     used, folds, high = [], [], []
-    for scene, picked, block in zip(rows.scenes, rows.picked, rows.block, strict=True):
+    parts = zip(rows.scenes, rows.picked, rows.used, rows.block, strict=True)
+    for scene, picked, counts, block in parts:
         full = _full(scene)
         assert full.measured is not None
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
@@ -63,7 +64,9 @@ def high_band(rows: Rows) -> HighBand:
         )
         stride = int(np.min(np.diff(picked), initial=scene.samples)) * every
         kept = np.abs(picked[nearest] * every - np.arange(full.samples)) < stride
-        used.append(sliding(full.motion, 2.0 * full.sign_width) & kept[:, None])
+        used.append(
+            sliding(full.motion, 2.0 * full.sign_width) & kept[:, None] & counts.any(axis=0)
+        )
         folds.append(rows.fold[block[nearest]])
         high.append(full.measured - full.motion.filtered(full.measured, times=2))
     masks = tuple(used)

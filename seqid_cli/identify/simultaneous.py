@@ -128,6 +128,7 @@ class SimultaneousEquations:
         """Ranges of motion; the width of the sign is set by the first log that moves a joint."""
         speed = np.where(motion.moving, np.abs(motion.dq), 0.0)
         fast = np.quantile(speed, 0.99, axis=0)
+        fast = np.where(fast > 0, fast, speed.max(axis=0))  # a joint that moved for a moment only
         self.width = np.where(self.width > 0, self.width, SIGN_SHARE * fast)
         self.fastest = np.maximum(self.fastest, speed.max(axis=0))
         low, high = motion.q.min(axis=0), motion.q.max(axis=0)
@@ -168,7 +169,7 @@ class SimultaneousEquations:
         both = np.vstack([ahead, back]) if directional else ahead
         covariance = both @ solution.covariance[own, own] @ both.T
         sigma = float(solution.sigma[j])
-        errors = np.sqrt(np.diag(solution.covariance)[own])
+        errors = np.sqrt(np.maximum(np.diag(solution.covariance)[own], 0.0))
         return FrictionJoint(
             position_order=0,
             velocity_order=1,

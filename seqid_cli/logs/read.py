@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs import health, mcap, parquet
+from seqid_cli.logs import echo, health, mcap, parquet
 from seqid_cli.logs.clocks import Tidy, tidy
 from seqid_cli.logs.open import check_log
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
@@ -114,6 +114,8 @@ def _assemble(
     warnings += imus.warnings
     warnings += health.clock_warnings(1.0 / base.step_s, base.jitter, JITTER_LIMIT)
     warnings += health.position_warnings(robot, base.t, q.values, dq)
+    if tau is not None:
+        warnings += echo.echo_warnings(robot, base.t, q.values, tau, valid)
     return Recording(
         path=path,
         sha256=digest,

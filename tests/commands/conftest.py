@@ -116,8 +116,10 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], 
     def replace(module_name: str, function: str, result: object) -> list[object]:
         calls: list[object] = []
 
-        def fake(recordings: Iterable[Recording], *arguments: object, options: object) -> object:
-            calls.extend([len(list(recordings)), *arguments, options])
+        def fake(
+            recordings: Iterable[Recording], *arguments: object, options: object, **more: object
+        ) -> object:
+            calls.extend([len(list(recordings)), *arguments, options, *more.values()])
             if isinstance(result, BaseException):
                 raise result
             return result

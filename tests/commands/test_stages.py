@@ -74,9 +74,12 @@ def test_imu_calib_without_parameters(rig: Rig, reader: Reader, identified: Repl
     assert calls[2] is None
 
 
-def test_simultaneous(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("simultaneous", "identify_simultaneous", (friction_stage(), rigid_stage()))
-    assert rig.run("simultaneous", *COMMON).code == 0
+@pytest.mark.parametrize("offset", [False, True])
+def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: bool) -> None:
+    found = (friction_stage(), rigid_stage())
+    calls = identified("simultaneous", "identify_simultaneous", found)
+    assert rig.run("simultaneous", *COMMON, *(["--offset"] if offset else [])).code == 0
+    assert calls[-1] is offset
     stages = read_parameters(rig.folder / "out.json").stages
     assert stages.friction is not None
     assert stages.inertia is not None

@@ -62,7 +62,9 @@ def at_joint(joint: int, torque: Callable[[Scene], Array]) -> Extra:
     return extra
 
 
-def search_in(scenes: Sequence[Scene], stages: Stages | None = None, *, kept: bool = False) -> Search:
+def search_in(
+    scenes: Sequence[Scene], stages: Stages | None = None, *, kept: bool = False
+) -> Search:
     """Begin a search in scenes."""
     rows = rows_of(scenes)
     return Search.begin(Stage(rows), base_of(rows, stages or Stages()), kept=kept)

@@ -19,6 +19,7 @@ from tests.model.effects.scenes import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_r
 Array = NDArray[np.float64]
 
 SHIFT = 0.003  # s
+TOP = 4.0  # rad/s, of the friction stage
 
 
 @pytest.fixture(scope="module")
@@ -107,14 +108,14 @@ def test_a_stage_of_another_basis_is_no_prior(scenes: list[Scene]) -> None:
 
 
 def friction_joint(*, covariance: Array, parameters: tuple[Parameter, ...] = ()) -> FrictionJoint:
-    half = 0.5 * VISCOUS[0] * 4.0
+    half = 0.5 * VISCOUS[0] * TOP
     return FrictionJoint(
         position_order=0,
         velocity_order=1,
         max_error=0.0,
         rmse=0.0,
         position_range=[-3.0, 3.0],
-        speed_range=[0.0, 4.0],
+        speed_range=[0.0, TOP],
         sign_width=SIGN_WIDTH,
         directional=False,
         positive=[[COULOMB[0] + half, half]],
@@ -128,15 +129,15 @@ def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scen
     joint = friction_joint(covariance=np.diag([0.04, 0.25]))
     stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
     base = base_of(rows_of(scenes), stages)
-    slow = np.abs(base.friction[0][:, 2])
-    assert slow.max() < 1e-6  # within the speeds at which friction was identified
-    np.testing.assert_allclose(base.prior_friction[0], [[0, 2, 0], [5, 0, 0]], atol=1e-9)
-    # Coulomb and viscous friction in the surface's own terms.
-    v = scenes[0].motion.dq[:, 0]
-    half = 0.5 * VISCOUS[0] * 4.0
-    own = scenes[0].motion.filtered(COULOMB[0] * scenes[0].sign[:, 0], times=2)
-    own += scenes[0].motion.filtered(VISCOUS[0] * np.abs(v) * scenes[0].sign[:, 0], times=2)
-    found = base.whole[0].friction[0][:, :2] @ np.array([COULOMB[0] + half, half])
+    P = base.prior_friction[0].T @ base.prior_friction[0]
+    np.testing.assert_allclose(P, np.diag([25.0, 4.0, 0.0]), atol=1e-9)
+    # Coulomb and viscous friction in the surface's own terms, and viscous friction beyond them.
+    motion, sign = scenes[0].motion, scenes[0].sign[:, 0]
+    half = 0.5 * VISCOUS[0] * TOP
+    held = np.minimum(np.abs(motion.dq[:, 0]), TOP)
+    beyond = (np.abs(motion.dq[:, 0]) - held) * np.sign(motion.dq[:, 0])
+    own = motion.filtered((COULOMB[0] + VISCOUS[0] * held) * sign + 0.7 * beyond, times=2)
+    found = base.whole[0].friction[0] @ np.array([COULOMB[0] + half, half, 0.7])
     np.testing.assert_allclose(found, own, atol=1e-9)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -25,9 +26,7 @@ def rows(scenes: list[Scene]) -> Rows:
 
 
 @pytest.mark.parametrize("passes", [1, 2])
-def test_the_sieve_filters_as_the_motion_does(
-    scenes: list[Scene], rows: Rows, passes: int
-) -> None:
+def test_the_sieve_filters_as_the_motion_does(scenes: list[Scene], rows: Rows, passes: int) -> None:
     rng = np.random.default_rng(4)
     for number, scene in enumerate(scenes):
         steps = np.sign(rng.normal(size=(scene.samples, 3)))
@@ -87,7 +86,7 @@ def test_folds_are_contiguous_and_cover_every_log(rows: Rows) -> None:
     assert abs(rows.fold[-1] + 1 - FOLDS) <= len(rows.block)
     # No fold reaches over the end of a log.
     ends = [rows.fold[block[[0, -1]]] for block in rows.block]
-    assert all(after[0] == before[1] + 1 for before, after in zip(ends, ends[1:], strict=False))
+    assert all(after[0] == before[1] + 1 for before, after in pairwise(ends))
 
 
 def test_blocks_are_of_equal_length(scenes: list[Scene], rows: Rows) -> None:

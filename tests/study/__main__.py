@@ -8,7 +8,15 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from tests.study import formats, one_joint, recorded, six_joint, two_joint, undeclared
+from tests.study import (
+    formats,
+    one_joint,
+    recorded,
+    recorded_effects,
+    six_joint,
+    two_joint,
+    undeclared,
+)
 from tests.study.tables import placed
 
 README = Path(__file__).parents[2] / "README.md"
@@ -21,9 +29,13 @@ STUDIES: Mapping[str, Study] = {
     "recorded": lambda chosen: recorded.study(),
     "formats": lambda chosen: formats.study(6 if chosen.quick else 12),
     "undeclared": undeclared.study,
+    "recorded_effects": lambda chosen: "" if chosen.quick else recorded_effects.study(),
 }
-LONG = ("undeclared",)  # only where asked for by name
-DOCUMENTS: Mapping[str, Path] = {"undeclared": undeclared.DOCUMENT}  # the others: README
+LONG = ("undeclared", "recorded_effects")  # only where asked for by name
+DOCUMENTS: Mapping[str, Path] = {  # the others: README
+    "undeclared": undeclared.DOCUMENT,
+    "recorded_effects": recorded_effects.DOCUMENT,
+}
 
 
 def main(arguments: Sequence[str]) -> int:

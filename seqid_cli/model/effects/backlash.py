@@ -34,7 +34,7 @@ from seqid_cli.motion.motion import Motion
 Array = NDArray[np.float64]
 
 SMALLEST, LARGEST = 2e-4, 2e-2  # rad
-POINTS = 7
+GAPS = tuple(float(gap) for gap in np.geomspace(SMALLEST, LARGEST, 7))
 AGREEMENT = 4.0  # of gap and trial gap, as a ratio
 
 
@@ -66,20 +66,28 @@ class Backlash(Effect):
     ) -> Iterator[dict[str, float]]:
         """Yield the gap whose flights fit the joint's own residual best."""
         assert joint is not None
-        flights = [(scene, link_inertia(scene, joint)[:, joint]) for scene in scenes]
         y = np.concatenate([r[:, joint] for r in residual])
         best, most = SMALLEST, -1.0
-        for gap in np.geomspace(SMALLEST, LARGEST, POINTS):
-            parts = [self._own(scene, joint, inertia, float(gap)) for scene, inertia in flights]
+        flights = [self._flights(scene, joint) for scene in scenes]
+        for gap, *parts in zip(GAPS, *flights, strict=True):
             x = np.concatenate(parts) * (y != 0.0)
             explained = float(x @ y) ** 2 / max(float(x @ x), 1e-300) if x @ y > 0.0 else 0.0
             if explained > most:
-                best, most = float(gap), explained
+                best, most = gap, explained
         yield {"trial_gap": best}
 
     def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
         """The gap that was found."""
         return {"trial_gap": float(np.clip(c[0], SMALLEST, LARGEST))}
+
+    def _flights(self, scene: Scene, joint: int) -> tuple[Array, ...]:
+        """Torque (N,) of the flights of every gap; it is asked for again and again."""
+        key = (self.name, joint)
+        if key not in scene.memo:
+            inertia = link_inertia(scene, joint)[:, joint]
+            own = (self._own(scene, joint, inertia, gap) for gap in GAPS)
+            scene.memo[key] = tuple(own)
+        return scene.memo[key]
 
     def _own(self, scene: Scene, joint: int, inertia: Array, gap: float) -> Array:
         """Torque (N,) of the flights at the joint itself, low-passed, but for small terms."""

@@ -93,6 +93,9 @@ class Effect(abc.ABC):
     timing : bool
         Whether the effect shifts torque in time, so that the free time offset which otherwise
         belongs to the base model must be taken out of it.
+    first_order : bool
+        Whether the grid's columns hold for small sizes only, so that gains count once `sharpened`
+        has been followed.
     change : bool
         Whether a constant effect of this kind hides in the base parameters once they are free: it
         is then visible against earlier parameters only.
@@ -110,6 +113,7 @@ class Effect(abc.ABC):
     passes: ClassVar[int] = 2
     wide: ClassVar[bool] = False
     timing: ClassVar[bool] = False
+    first_order: ClassVar[bool] = False
     change: ClassVar[bool] = False
     alike: ClassVar[tuple[str, ...]] = ()
     separate_by: ClassVar[str]

@@ -18,9 +18,10 @@ from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, 
 from seqid_cli.model.effects.excitation import moves, top_speed
 from seqid_cli.model.effects.scene import Scene
 
+SLIDES = 3.0  # sign widths: well above the two from which samples count
 EXPONENTS = (0.5, 1.0, 2.0)
 SPEEDS = 7
-SLOWEST_SHARE, FASTEST_SHARE = 0.02, 0.5  # of the top speed
+FASTEST_SHARE = 0.5  # of the top speed
 
 
 class Stribeck(Effect):
@@ -51,7 +52,7 @@ class Stribeck(Effect):
         """Speeds from the sign's width to half the top speed, by ratios of about two."""
         assert joint is not None
         top = top_speed(scenes, joint)
-        slow = min(2.0 * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
+        slow = min(1.001 * SLIDES * float(scenes[0].sign_width[joint]), 0.5 * FASTEST_SHARE * top)
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
         return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
 
@@ -65,7 +66,13 @@ class Stribeck(Effect):
     def plausible(
         self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
     ) -> bool:
-        """Ask for more friction at low speed, and that the hump ends within the speeds seen."""
+        """Ask for more friction at low speed, and that the hump ends within the speeds seen.
+
+        It must show mostly at speeds at which the joint certainly slides: of a narrower one little
+        more is seen than what the low-pass brings over from reversals, where nothing is known.
+        """
         assert joint is not None
-        ends = settings["stribeck_speed"] < top_speed(scenes, joint)
+        speed = settings["stribeck_speed"]
+        slides = SLIDES * float(scenes[0].sign_width[joint])
+        ends = slides <= speed < top_speed(scenes, joint)
         return ends and super().plausible(scenes, joint, settings, c)

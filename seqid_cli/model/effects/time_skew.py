@@ -40,6 +40,7 @@ class TimeSkew(TorqueMeasurement):
     family = "measurement"
     settings = (Setting("around", "s", low=-LARGEST_S, high=LARGEST_S, continuous=False),)
     timing = True
+    first_order = True
     shared = True
     alike = ("actuator_lag", "joint_elasticity")
     separate_by = (

@@ -140,6 +140,6 @@ def highest_order(scenes: Sequence[Scene], joint: int) -> float:
         if step > 0.0:
             limits.append(1.0 / step)
         if len(moving):
-            slow = max(float(np.quantile(moving, 0.25)), 1e-6)
-            limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / slow)
+            usual = max(float(np.quantile(moving, 0.75)), 1e-6)
+            limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / usual)
     return min(limits)

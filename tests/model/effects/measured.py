@@ -104,7 +104,7 @@ def best_fitted(
     """Return the best plausible settings, their coefficients, and the RMS of the rest.
 
     Settings are the grid's, and then those to which the effect sharpens them: the first time in any
-    case, then while that leaves less.
+    case where the grid's columns are of first order, then while that leaves less.
     """
     tried = [
         (*fitted(effect, scenes, joint, s), s)
@@ -117,7 +117,8 @@ def best_fitted(
         if nearer is None:
             break
         again, left = fitted(effect, scenes, joint, nearer)
-        if not effect.plausible(scenes, joint, nearer, again) or (number and left >= rms):
+        stands = number == 0 and effect.first_order
+        if not effect.plausible(scenes, joint, nearer, again) or not (stands or left < rms):
             break
         c, rms, settings = again, left, nearer
     return dict(settings), c, rms

@@ -174,6 +174,34 @@ def test_the_grid_is_sound_for_a_joint_that_never_moves(effect: Effect, dull: Sc
             assert setting.low <= settings[setting.name] <= setting.high
 
 
+def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene]) -> None:
+    """They name all settings within bounds, do not depend on what they were, and take any size."""
+    for joint, settings in points(effect, logs):
+        count = len(effect.coefficients(settings))
+        for size in (0.0, 1e-3, -1e-3, 1e6, -1e6):
+            nearer = effect.sharpened(settings, np.full(count, size))
+            if nearer is None:
+                continue
+            assert set(nearer) == {setting.name for setting in effect.settings}
+            for setting in effect.settings:
+                assert setting.low <= nearer[setting.name] <= setting.high
+            assert effect.sharpened(nearer, np.full(count, size)) == nearer
+            for scene in logs[:1]:
+                assert_sound(effect, scene, nearer, effect.columns(scene, joint, nearer))
+
+
+def test_only_these_are_sharpened(logs: list[Scene]) -> None:
+    """The others' columns hold whatever their size."""
+    sharp = {
+        name
+        for name, effect in CATALOGUE.items()
+        for _, settings in points(effect, logs)
+        if effect.sharpened(settings, np.full(len(effect.coefficients(settings)), 1e-3))
+    }
+    assert sharp == {"time_skew", "torque_saturation", "backlash"}
+    assert {name for name, effect in CATALOGUE.items() if effect.first_order} < sharp
+
+
 def test_columns_are_deterministic_and_leave_the_scene_alone(
     effect: Effect, logs: list[Scene]
 ) -> None:

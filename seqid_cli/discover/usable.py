@@ -1,0 +1,53 @@
+"""Logs whose torque says nothing about the model are left out, and said to be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.echo import REMEDY, WARNING, echoes
+from seqid_cli.logs.recording import Recording
+from seqid_cli.robot.types import Robot
+
+
+def usable_logs(
+    recordings: Iterable[Recording], robot: Robot
+) -> tuple[list[Recording], tuple[str, ...]]:
+    """Leave out logs whose torque is an echo of the command (see `logs.echo`).
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+    robot : Robot
+
+    Returns
+    -------
+    tuple of list of Recording and tuple of str
+        What is left, and a note on every log that was left out.
+
+    Raises
+    ------
+    InputError
+        If nothing is left.
+    """
+    kept: list[Recording] = []
+    left_out: list[tuple[str, str]] = []
+    for recording in recordings:
+        joints = _echoed(recording, robot)
+        if joints:
+            left_out.append((str(recording.path), joints))
+        else:
+            kept.append(recording)
+    if left_out and not kept:
+        path, joints = left_out[0]
+        others = f" (and {len(left_out) - 1} more logs)" if len(left_out) > 1 else ""
+        raise InputError(f"joint {joints}: {WARNING}{others}", where=path, hint=REMEDY)
+    return kept, tuple(f"{p} is left out: joint {j}: {WARNING}; {REMEDY}" for p, j in left_out)
+
+
+def _echoed(recording: Recording, robot: Robot) -> str:
+    """Names of the joints, joined by commas."""
+    if recording.tau is None:
+        return ""
+    found = echoes(robot, recording.t, recording.q, recording.tau, recording.valid)
+    return ", ".join(robot.joint_names[j] for j in found)

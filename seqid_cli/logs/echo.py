@@ -1,0 +1,170 @@
+"""Whether a log's torque is measured, or an echo of the command while something else moves the arm.
+
+Under gravity compensation, or with a constant command, an arm that a hand or its own weight moves
+shows a torque that follows position alone. A drive's current that moves a joint also overcomes its
+friction and accelerates it. Where a joint moves both ways, the torque of a log is therefore
+compared with
+
+    tau = G(q) phi + sum_k c_k T_k(q_j) + F_c tanh(v / v_s) + F_v v + sum_i J_i dv_i/dt,
+
+gravity of the whole arm, a smooth function of the joint's own position, its friction, and the
+accelerations of all joints. It is an echo if the first two explain it and the others have no part,
+but for a damping F_v < 0, which no friction has but a controller may.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+WINDOW_S = 0.02  # over which samples are averaged
+MOST_WINDOWS = 4000
+SMOOTH_TERMS = 5
+SLOW = 0.05  # of the top speed, below which a joint does not certainly slide
+FEWEST = 50  # windows of motion each way
+TRAVEL = 0.1  # rad (m), that a joint must go each way: less is noise, or a flexing brake
+UNEXPLAINED = 0.1  # of the torque's RMS, that an echo's law may leave
+FRICTION = 0.1  # of the torque's RMS, that an echo's friction is certainly below
+NONE = 0.003  # the same, that is no friction however well it is known
+INERTIA = 0.05  # of the torque's RMS, that an echo's accelerations may explain
+CERTAIN, UNCERTAIN = 3.0, 2.0  # standard errors
+MEMORY_S = 0.5  # of the residual, for the errors
+RCOND = 1e-8
+
+WARNING = (
+    "the torque follows the position alone, though the joint moves both ways: it has no friction "
+    "and no inertia in it and looks like an echo of the command while a hand, or gravity, moves "
+    "the joint"
+)
+REMEDY = (
+    "record the measured motor current while the controller drives the joints along a trajectory, "
+    "not gravity compensation and not a constant command"
+)
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What one joint's torque consists of, as shares of its RMS; `error` is the friction's."""
+
+    unexplained: float
+    friction: float
+    error: float
+    inertia: float
+
+    @property
+    def echo(self) -> bool:
+        """Whether position alone makes the torque."""
+        return (
+            self.unexplained < UNEXPLAINED
+            and self.friction + CERTAIN * self.error < FRICTION
+            and self.friction < max(UNCERTAIN * self.error, NONE)
+            and self.inertia < INERTIA
+        )
+
+
+def echo_warnings(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[str]:
+    """Return a warning for every joint whose torque follows position alone.
+
+    Parameters
+    ----------
+    robot : Robot
+    t, q, tau : (N,), (N, n), (N, n) arrays
+        s, rad (m), N m (N).
+    valid : (N,) mask
+        Samples to look at.
+    """
+    found = echoes(robot, t, q, tau, valid)
+    return [f"{robot.joint_names[j]}: {WARNING}; {REMEDY}" for j in found]
+
+
+def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
+    """Return the joints whose torque follows position alone; see `echo_warnings`."""
+    return [j for j, share in shares(robot, t, q, tau, valid).items() if share.echo]
+
+
+def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[int, Shares]:
+    """Split the torque of every joint that moves both ways; see `echo_warnings`."""
+    width = max(1, round(WINDOW_S / float(t[1] - t[0])))
+    Q, T, whole = (_averaged(x, width) for x in (q, tau, valid[:, None].astype(np.float64)))
+    if len(Q) < 2 * FEWEST:
+        return {}
+    step = width * float(t[1] - t[0])
+    v = np.gradient(Q, step, axis=0)
+    a = np.gradient(v, step, axis=0)
+    memory = MEMORY_S / step
+    result: dict[int, Shares] = {}
+    for j in range(robot.n):
+        top = float(np.quantile(np.abs(v[:, j]), 0.99))
+        slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > SLOW * top)
+        if not _both_ways(v[slides, j], step):
+            continue
+        at = np.flatnonzero(slides)
+        at = at[:: max(1, len(at) // MOST_WINDOWS)]
+        friction = np.stack([np.tanh(v[at, j] / (SLOW * top)), v[at, j]], axis=1)
+        result[j] = _split(T[at, j], _law(robot, Q[at], j), friction, a[at], memory)
+    return result
+
+
+def _law(robot: Robot, q: Array, j: int) -> Array:
+    """Gravity's columns and smooth functions of the joint's own position."""
+    low, span = float(q[:, j].min()), float(np.ptp(q[:, j]))
+    smooth = chebvander(2 * (q[:, j] - low) / span - 1, SMOOTH_TERMS - 1)
+    return np.hstack([_gravity(robot, q)[:, j], smooth])
+
+
+def _both_ways(v: Array, step: float) -> bool:
+    """Whether speeds (M,) at intervals of `step` seconds go far enough forward and backward."""
+    return all(
+        len(part) >= FEWEST and float(np.abs(part).sum()) * step >= TRAVEL
+        for part in (v[v > 0], v[v < 0])
+    )
+
+
+def _split(y: Array, law: Array, friction: Array, accelerations: Array, memory: float) -> Shares:
+    """Fit a joint's torque y (M,); `memory` is the number of samples that count as one."""
+    scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
+    X = np.hstack([law, friction, accelerations])
+    X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
+    own = law.shape[1]  # where the direction stands
+    theta = np.linalg.lstsq(X, y, rcond=RCOND)[0]
+    direction = _beside(np.delete(X, own, axis=1), X[:, own])
+    held_back = [own + 1] if theta[own + 1] < 0 else []  # damping by a controller, not friction
+    variance = memory * float(np.mean((y - X @ theta) ** 2))
+    return Shares(
+        unexplained=_rms(_beside(X[:, [*range(own), *held_back]], y)) / scale,
+        friction=abs(float(theta[own])) / scale,
+        error=float(np.sqrt(variance / max(float(direction @ direction), 1e-300))) / scale,
+        inertia=_rms(X[:, own + 2 :] @ theta[own + 2 :]) / scale,
+    )
+
+
+def _beside(X: Array, y: Array) -> Array:
+    """What the columns X leave of y."""
+    left: Array = y - X @ np.linalg.lstsq(X, y, rcond=RCOND)[0]
+    return left
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _averaged(values: Array, width: int) -> Array:
+    count = len(values) // width
+    mean: Array = values[: count * width].reshape(count, width, -1).mean(axis=1)
+    return mean
+
+
+def _gravity(robot: Robot, q: Array) -> Array:
+    """Gravity's regressor (N, n, b); without the columns that it does not need."""
+    still = np.zeros_like(q)
+    H = base_regressor(robot, base_parameters(robot, rotor=[]), q, still, still)
+    return np.asarray(H[:, :, np.abs(H).max(axis=(0, 1)) > 1e-9])

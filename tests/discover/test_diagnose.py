@@ -1,0 +1,189 @@
+"""Diagnosis from end to end on simulated logs of the two-joint arm."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.results import Diagnosis
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+from tests.plants.cases import Case, declared_plant, injections, motions
+from tests.plants.laws import Extra, Stribeck
+from tests.plants.trials import run_drill
+from tests.study.identified import simultaneous
+from tests.study.lab import recording_of, robot_of
+
+OPTIONS = DiscoverOptions(clean_runs=1)
+SECONDS = 11.0
+RIG = "vertical_two_joint"
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a diagnosis starts from."""
+
+    logs: tuple[Recording, ...]
+    robot: Robot
+    stages: Stages
+
+    def diagnosed(self, options: DiscoverOptions = OPTIONS) -> Diagnosis:
+        """Diagnose all logs."""
+        return diagnose(self.logs, self.robot, self.stages, options=options)
+
+
+def given(*effects: tuple[str, int, float], seed: int = 1, seconds: float = SECONDS) -> Given:
+    """Logs of the arm with effects that its robot file does not say, and the fit to them."""
+    case = Case(RIG, seed, effects, seconds=seconds)
+    declared = declared_plant(case)
+    plant = injections(case)[-1].plant if effects else declared
+    chosen = [drill for drill in motions(case) if not drill.held_out]
+    logs = tuple(
+        recording_of(declared, drill.name, run_drill(plant, drill, 1000 * seed + number))
+        for number, drill in enumerate(chosen)
+    )
+    robot = robot_of(RIG, declared)
+    return Given(logs, robot, simultaneous(logs, robot))
+
+
+@lru_cache(maxsize=4)
+def clean() -> Given:
+    return given()
+
+
+@lru_cache(maxsize=4)
+def clean_diagnosis() -> Diagnosis:
+    return clean().diagnosed()
+
+
+@lru_cache(maxsize=4)
+def humped() -> Given:
+    return given(("stribeck", 1, 1.0))
+
+
+@lru_cache(maxsize=4)
+def humped_diagnosis() -> Diagnosis:
+    return humped().diagnosed()
+
+
+def plain(value: object, where: str = "diagnosis") -> None:
+    """Assert that JSON can hold a value as it is, without numpy's types."""
+    if is_dataclass(value):
+        for field in fields(value):
+            plain(getattr(value, field.name), f"{where}.{field.name}")
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            assert type(key) is str, where
+            plain(item, f"{where}[{key}]")
+    elif isinstance(value, Sequence) and not isinstance(value, str):
+        assert type(value) in {tuple, list}, where
+        for number, item in enumerate(value):
+            plain(item, f"{where}[{number}]")
+    else:
+        assert value is None or type(value) in {str, int, float, bool}, f"{where}: {type(value)}"
+        json.dumps(value, allow_nan=False)
+
+
+def test_an_effect_is_found_at_its_joint() -> None:
+    found = humped_diagnosis()
+    assert found.verdict == "effect_found"
+    first = found.findings[0]
+    assert (first.effect, first.joint) == ("stribeck", "elbow")
+    assert first.confidence > 0.8
+    assert first.explains > 0.8
+    assert first.gain > 0.5 > 2 * first.clean_gain >= 0.0
+    assert first.effect not in first.confusable_with
+    assert "constant speeds" in first.separate_by
+    assert not [f for f in found.findings if f.joint == "shoulder"]
+
+
+def test_its_parameters_are_those_that_were_put_in() -> None:
+    (first,) = [f for f in humped_diagnosis().findings if f.effect == "stribeck"]
+    law = injections(Case(RIG, 1, (("stribeck", 1, 1.0),)))[-1].plant.friction
+    assert isinstance(law, Extra)
+    assert isinstance(law.curve, Stribeck)
+    (value,) = first.parameters
+    assert (value.name, value.unit) == ("stribeck_torque", "N m")
+    assert value.value == pytest.approx(law.curve.level, rel=0.15)
+    assert first.settings["stribeck_speed"] == pytest.approx(law.curve.speed, rel=0.25)
+    assert first.settings["exponent"] == law.curve.exponent
+
+
+def test_residuals_before_after_and_floor() -> None:
+    found, honest = humped_diagnosis(), clean_diagnosis()
+    assert list(found.joints) == ["shoulder", "elbow"]
+    elbow = found.joints["elbow"]
+    assert elbow.noise_floor < elbow.rmse_explained < 0.5 * elbow.rmse
+    assert elbow.rmse_explained == pytest.approx(honest.joints["elbow"].rmse_explained, rel=0.5)
+    assert elbow.samples > 500
+    shoulder, before = found.joints["shoulder"], honest.joints["shoulder"]
+    assert shoulder.rmse == pytest.approx(before.rmse, rel=0.2)
+
+
+def test_nothing_is_missing_where_nothing_is() -> None:
+    found = clean_diagnosis()
+    assert found.verdict == "nothing_missing"
+    assert (found.findings, found.unexplained, found.events) == ((), (), ())
+    assert {h.effect for h in found.hidden} <= set(CATALOGUE)
+    assert all(0.0 <= h.visible < 0.2 for h in found.hidden)
+
+
+def test_what_no_effect_explains_is_said_to_depend_on_what_it_does() -> None:
+    found = given(("outside.bump", 1, 1.0)).diagnosed()
+    assert found.verdict in {"unexplained", "effect_found"}
+    rest = found.unexplained[0]
+    assert rest.joint == "elbow"
+    assert rest.depends_on[0] == "position"
+    assert rest.share > 0.3
+    assert rest.curve is not None
+    x, torque = rest.curve
+    assert len(x) == len(torque) > 10
+    assert np.all(np.diff(x) > 0)
+    assert all(f.confidence < 0.7 for f in found.findings)
+    plain(found)
+
+
+def test_the_same_seed_gives_the_same_diagnosis() -> None:
+    short = replace(clean(), logs=clean().logs[:2])
+    assert short.diagnosed() == short.diagnosed()
+
+
+def test_a_push_is_an_event() -> None:
+    honest = clean()
+    log = honest.logs[0]  # joints never rest in it
+    assert log.tau is not None
+    at = log.t[len(log.t) // 2]
+    push = np.exp(-(((log.t - at) / 0.1) ** 2))
+    pushed = replace(log, tau=log.tau + np.outer(push, [4.0, 1.5]))
+    found = replace(honest, logs=(pushed, *honest.logs[1:])).diagnosed()
+    (event,) = found.events
+    assert event.log == str(log.path)
+    assert event.start < at < event.end < event.start + 2.0
+    assert [f.effect for f in found.findings] == ["external_contact"]
+    (contact,) = found.findings
+    assert contact.joint is None
+    assert contact.confidence > 0.5
+    plain(found)
+
+
+@pytest.mark.parametrize("diagnosis", [humped_diagnosis, clean_diagnosis])
+def test_everything_is_plain_and_finite(diagnosis: object) -> None:
+    assert callable(diagnosis)
+    plain(diagnosis())
+
+
+def test_a_log_without_torque() -> None:
+    honest = clean()
+    bare = replace(honest.logs[0], tau=None)
+    with pytest.raises(InputError, match="neither joint torque nor motor current"):
+        diagnose([bare], honest.robot, honest.stages, options=OPTIONS)

@@ -1,0 +1,126 @@
+"""Above the cut-off: ripples and lines that the low-pass would hide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.candidates import candidates_of
+from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.wide import both_bands, full_residual, high_band
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
+from tests.discover.arms import arm_scenes, at_joint, search_in
+from tests.model.effects.scenes import CUTOFF_HZ
+
+Array = NDArray[np.float64]
+
+LINE_HZ, LINE = 50.0, 0.4  # Hz, N m
+ORDER, RIPPLE = 3.0, 0.25  # cycles per motor turn, N m
+JOINT = 1
+
+
+def line(scene: Scene) -> Array:
+    return LINE * np.sin(2 * np.pi * LINE_HZ * scene.time + 0.7)
+
+
+def ripple(scene: Scene) -> Array:
+    return RIPPLE * np.cos(ORDER * scene.gear[JOINT] * scene.motion.q[:, JOINT])
+
+
+def test_a_line_above_the_cutoff_is_found() -> None:
+    search = search_in(arm_scenes(at_joint(JOINT, line)))
+    best = search.ranked([CATALOGUE["periodic_disturbance"]], search.system())[0]
+    assert best.candidate.joint == JOINT
+    assert best.candidate.settings["frequency"] == pytest.approx(LINE_HZ, abs=2e-3)
+    assert float(np.hypot(*best.trial.coefficients)) == pytest.approx(LINE, rel=0.05)
+    assert best.trial.relative > 0.5
+
+
+def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
+    """At slow speeds it lies in the band, at fast ones above; one order and size for both."""
+    scenes = arm_scenes(at_joint(JOINT, ripple))
+    search = search_in(scenes)
+    best = search.ranked([CATALOGUE["torque_ripple"]], search.system())[0]
+    assert best.candidate.joint == JOINT
+    assert best.candidate.settings["order"] == pytest.approx(ORDER, abs=1e-2)
+    assert best.candidate.settings["law"] == 0.0
+    a, b = best.trial.coefficients
+    assert (a, b) == (pytest.approx(0.0, abs=0.03), pytest.approx(RIPPLE, abs=0.03))
+    low = {j: columns for j, columns in best.columns.items() if j < 2}
+    high = {j: columns for j, columns in best.columns.items() if j >= 2}
+    for part in (low, high):
+        (trial,) = search.system().tried([part])
+        assert trial.coefficients[1] == pytest.approx(RIPPLE, rel=0.25)
+
+
+def test_white_noise_has_no_line() -> None:
+    search = search_in(arm_scenes(seed=3))
+    effects = [CATALOGUE["periodic_disturbance"], CATALOGUE["torque_ripple"]]
+    ranked = search.ranked(effects, search.system())
+    assert all(tried.trial.relative < 0.01 for tried in ranked)
+
+
+def test_bands_add_up_to_the_columns() -> None:
+    scenes = arm_scenes(logs=2, seconds=8.0)
+    rows = rows_of(scenes)
+    high = high_band(rows)
+    per_scene = [{JOINT: scene.motion.dq[:, :1] ** 2} for scene in scenes]
+    found = both_bands(rows, high, per_scene)
+    assert set(found) == {JOINT, rows.n + JOINT}
+    low = [
+        scene.motion.filtered(x[JOINT], times=2) for scene, x in zip(scenes, per_scene, strict=True)
+    ]
+    rest = [x[JOINT] - y for x, y in zip(per_scene, low, strict=True)]
+    np.testing.assert_allclose(found[JOINT], rows.of(JOINT, low), atol=1e-9)
+    np.testing.assert_allclose(found[rows.n + JOINT], high.of(JOINT, rest), atol=1e-9)
+
+
+def test_what_is_measured_above_the_cutoff() -> None:
+    """A line there is all of it; one far below the cut-off is none."""
+    scenes = arm_scenes(at_joint(JOINT, line), logs=1)
+    rows = rows_of(scenes)
+    high = high_band(rows)
+    phase = 2 * np.pi * LINE_HZ * scenes[0].time
+    waves = high.of(JOINT, [np.stack([np.sin(phase), np.cos(phase)], axis=1)])
+    c = np.linalg.lstsq(waves, high.y[JOINT], rcond=None)[0]
+    assert float(np.hypot(*c)) == pytest.approx(LINE, rel=0.1)
+    assert np.std(high.y[0]) == pytest.approx(0.3, rel=0.15)  # the noise, and steps of friction
+    assert high.weight[JOINT] == pytest.approx(np.sqrt(len(high.y[JOINT]) / rows.count(JOINT)))
+    assert len(high.fold[JOINT]) == len(high.y[JOINT])
+
+
+def test_rows_above_the_cutoff_are_those_of_the_kept_blocks() -> None:
+    scenes = arm_scenes(logs=1)
+    events = [np.zeros(scenes[0].samples, dtype=bool)]
+    rows = rows_of(scenes)
+    high = high_band(rows)
+    picked = np.flatnonzero(high.used[0][:, 0])
+    own = np.searchsorted(rows.picked[0], picked, side="right") - 1
+    np.testing.assert_array_equal(high.fold[0], rows.fold[rows.block[0][own]])
+    assert not high.used[0][~scenes[0].motion.usable].any()
+    assert events[0].shape == (scenes[0].samples,)
+
+
+def test_the_residual_that_wide_effects_see() -> None:
+    scenes = arm_scenes(at_joint(JOINT, line), logs=1)
+    left = np.full((scenes[0].samples, 2), 0.1)
+    full = full_residual(scenes[0], left)
+    usable = scenes[0].motion.usable
+    assert np.all(full[~usable] == 0.0)
+    slow = scenes[0].motion.filtered(full, times=2)
+    middle = slice(500, -500)
+    np.testing.assert_allclose(np.median(slow[middle], axis=0), 0.1, atol=0.01)
+    assert np.std(full[usable, JOINT]) > 0.9 * LINE / np.sqrt(2)
+    assert LINE_HZ > 2 * CUTOFF_HZ
+
+
+def test_wide_candidates_are_looked_for_at_the_logs_own_rate() -> None:
+    scenes = arm_scenes(at_joint(JOINT, line))
+    left = [np.zeros_like(scene.motion.q) for scene in scenes]
+    found = list(candidates_of(scenes, [CATALOGUE["periodic_disturbance"]], left))
+    lines = {c.settings["frequency"] for c in found if c.joint == JOINT}
+    assert any(abs(f - LINE_HZ) < 2e-3 for f in lines)
+    near = candidates_of(scenes, [CATALOGUE["periodic_disturbance"]], left, near=[0])
+    assert all(c.joint == 0 for c in near)

@@ -160,7 +160,7 @@ def _try(loop: Loop, tried: Tried, training_gain: float, *, kept: bool) -> bool:
 
 def _candidates(effects: Sequence[Fitted]) -> list[Candidate]:
     return [
-        Candidate(f.effect, f.joint, dict(f.settings))
+        Candidate(f.effect, f.joint, dict(f.settings), below=f.effect.wide)
         for f in effects
         if isinstance(f, FittedEffect)
     ]

@@ -80,7 +80,7 @@ def test_a_stribeck_speed_between_the_grids_is_found() -> None:
     tried = best(search, "stribeck", 1)
     grid = CATALOGUE["stribeck"].axes(search.stage.scenes, 1)["stribeck_speed"]
     assert min(abs(x / SPEED - 1) for x in grid) > 0.05
-    found = refined(search.stage, search.system(), tried)
+    found = search.ranked([CATALOGUE["stribeck"]], search.system(), near=[1])[0]
     assert found.candidate.settings["stribeck_speed"] == pytest.approx(SPEED, rel=0.1)
     assert found.candidate.settings["exponent"] == 2.0
     assert found.trial.coefficients[0] == pytest.approx(HUMP, rel=0.1)

@@ -20,13 +20,13 @@ from seqid_cli.discover.gates import (
 from seqid_cli.discover.system import Trial
 from tests.discover.arms import candidate
 
-FOLDS = 10
+FOLDS, ROWS = 10, 20_000
 
 
-def tried(relative: float, gain: np.ndarray | None = None) -> Tried:
+def tried(relative: float, gain: np.ndarray | None = None, rows: int = ROWS) -> Tried:
     gain = np.ones(FOLDS) if gain is None else gain
     trial = Trial(gain, np.ones(FOLDS), 1.0, np.zeros(1), np.eye(1), relative)
-    return Tried(candidate("stribeck", 0), {0: np.zeros((3, 1))}, trial)
+    return Tried(candidate("stribeck", 0), {0: np.zeros((rows, 1))}, trial)
 
 
 def test_the_level_is_what_clean_data_give_with_a_margin_but_not_less_than_a_floor() -> None:
@@ -49,6 +49,15 @@ def test_what_passes() -> None:
     assert not gates.passes(tried(0.9 * level))
     assert Gates().passes(tried(1.1 * LEAST))
     assert not Gates().passes(tried(0.9 * LEAST))
+
+
+def test_few_rows_need_more() -> None:
+    """The best of many candidates gains by luck as much as it likes where there are few."""
+    many, few = tried(2 * LEAST), tried(2 * LEAST, rows=100)
+    assert Gates().least_of(many) == LEAST
+    assert Gates().passes(many)
+    assert Gates().least_of(few) > 2 * LEAST
+    assert not Gates().passes(few)
 
 
 def test_a_gain_of_a_single_fold_does_not_pass() -> None:

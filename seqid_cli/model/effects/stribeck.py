@@ -21,7 +21,7 @@ from seqid_cli.model.effects.scene import Scene
 SLIDES = 3.0  # sign widths: well above the two from which samples count
 EXPONENTS = (0.5, 1.0, 2.0)
 SPEEDS = 7
-FASTEST_SHARE = 0.5  # of the top speed
+SLOWEST_SHARE, FASTEST_SHARE = 0.02, 0.5  # of the top speed
 
 
 class Stribeck(Effect):
@@ -52,7 +52,7 @@ class Stribeck(Effect):
         """Speeds from the sign's width to half the top speed, by ratios of about two."""
         assert joint is not None
         top = top_speed(scenes, joint)
-        slow = min(1.001 * SLIDES * float(scenes[0].sign_width[joint]), 0.5 * FASTEST_SHARE * top)
+        slow = min(2.0 * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
         return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
 

@@ -31,7 +31,11 @@ def warnings_of(tmp_path: Path, **channels: object) -> tuple[str, ...]:
 def test_right_units_are_silent(tmp_path: Path) -> None:
     accelerations = {"array": make_motion(T).accelerometers["array"]}
     found = warnings_of(
-        tmp_path, dq=DQ, current=Q * 5, accelerometers=accelerations, limits=(-2.0, 2.0)
+        tmp_path,
+        dq=DQ,
+        current=Q * 5 + 2 * np.sign(DQ),
+        accelerometers=accelerations,
+        limits=(-2.0, 2.0),
     )
     assert found == ()
 

@@ -83,7 +83,7 @@ def described(found: Investigation, robot: Robot) -> Diagnosis:
     rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
     if found.events:
         findings.append(_contact(found))
-    findings.sort(key=lambda f: -f.explains * f.confidence)
+    findings = _ordered(findings)
     rest = _largest_of_each(rest)
     return Diagnosis(
         verdict=_verdict(findings, rest),
@@ -94,6 +94,13 @@ def described(found: Investigation, robot: Robot) -> Diagnosis:
         hidden=_hidden(found, robot),
         notes=(),
     )
+
+
+def _ordered(findings: Sequence[Finding]) -> list[Finding]:
+    """The weightiest first; none is more certain than one that it was found beside."""
+    ordered = sorted(findings, key=lambda f: -f.explains * f.confidence)
+    certainties = np.minimum.accumulate([f.confidence for f in ordered])
+    return [replace(f, confidence=float(c)) for f, c in zip(ordered, certainties, strict=True)]
 
 
 def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:
@@ -116,7 +123,7 @@ def _contact(found: Investigation) -> Finding:
         separate_by=effect.separate_by,
         gain=0.0,
         clean_gain=0.0,
-        note=f"{len(found.events)} interval(s), left out of all fits",
+        note=f"{len(found.events)} interval(s), left out of the search",
     )
 
 

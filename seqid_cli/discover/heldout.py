@@ -21,6 +21,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 BLOCK_S = 2.0
+FEWEST_BLOCKS = 8  # of a log, however short: an interval needs some
 DRAWS = 2000
 LEVEL = 0.95
 LEAST_GAIN = 0.005  # of the squared error, from which a gain is worth an effect
@@ -70,7 +71,7 @@ def held_out_error(
     """Predict logs and add up the squared errors, block by block."""
     parts: list[list[Array]] = [[], [], [], []]
     for log in predict(recordings, robot, stages, options=options, unexplained=unexplained):
-        count = max(1, round(float(log.t[-1] - log.t[0]) / BLOCK_S))
+        count = max(FEWEST_BLOCKS, round(float(log.t[-1] - log.t[0]) / BLOCK_S))
         block = np.minimum(np.arange(log.samples) * count // log.samples, count - 1)
         square = (log.tau - log.predicted) ** 2
         used = np.repeat(log.used[:, None], square.shape[1], axis=1)

@@ -61,7 +61,7 @@ class JointResidual:
 
 @dataclass(frozen=True)
 class Event:
-    """An interval of one log in which something pushed the arm; left out of all fits."""
+    """An interval of one log in which something pushed the arm; left out of the search."""
 
     log: str
     start: float  # s since the log's first sample

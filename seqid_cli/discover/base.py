@@ -5,8 +5,8 @@ Per joint the rows are
     tau - modelled = H dpi + F_j df_j + t_j d(modelled)/dt,
 
 deviations of the rigid base parameters (shared by all joints) and of the joint's own friction from
-their values in the parameter file, and a time offset between torque and position. The last one and
-the width over which friction changes its sign are nuisances: left out, clean logs show effects.
+their values in the parameter file, and a time offset between torque and position. The last one is a
+nuisance: left out, clean logs show effects.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.filtering import differentiate
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base import Basis, base_parameters, base_regressor
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.base import Basis, base_regressor, free_basis
 
 Array = NDArray[np.float64]
 
@@ -79,7 +78,7 @@ class Whole:
     residual: Array  # (N, n) N m, of the file's model
 
 
-def base_of(rows: Rows, stages: Stages, measured: Sequence[Array] | None = None) -> Base:
+def base_of(rows: Rows, stages: Stages) -> Base:
     """Compute the base columns of all rows.
 
     Parameters
@@ -87,8 +86,6 @@ def base_of(rows: Rows, stages: Stages, measured: Sequence[Array] | None = None)
     rows : Rows
     stages : Stages
         The parameter file's, for what it knows and how friction is described.
-    measured : sequence of (N, n) arrays, optional
-        Torque of each scene to use instead of the measured one, filtered alike.
     """
     robot = rows.scenes[0].robot
     basis = free_basis(robot)
@@ -99,8 +96,7 @@ def base_of(rows: Rows, stages: Stages, measured: Sequence[Array] | None = None)
         torque = modelled_filtered(scene)
         modelled.append(torque)
         timing.append(differentiate(torque, motion.rate_hz, motion.valid)[0])
-    given = measured if measured is not None else [_measured(scene) for scene in rows.scenes]
-    left = [tau - torque for tau, torque in zip(given, modelled, strict=True)]
+    left = [_measured(s) - torque for s, torque in zip(rows.scenes, modelled, strict=True)]
     friction = [
         [friction_columns(scene, stages.friction, j) for j in range(robot.n)]
         for scene in rows.scenes
@@ -122,12 +118,6 @@ def base_of(rows: Rows, stages: Stages, measured: Sequence[Array] | None = None)
             for h, f, r in zip(H, friction, left, strict=True)
         ),
     )
-
-
-def free_basis(robot: Robot) -> Basis:
-    """Base parameters of the rigid body, unknown rotor inertias included."""
-    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
-    return base_parameters(robot, rotor=rotor)
 
 
 def modelled_filtered(scene: Scene) -> Array:

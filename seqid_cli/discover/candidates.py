@@ -14,7 +14,6 @@ from seqid_cli.discover.system import Joints, System, Trial
 from seqid_cli.discover.wide import both_bands, full_residual, high_band
 from seqid_cli.model.effects.effect import Effect, Setting
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.torque import sliding
 
 Array = NDArray[np.float64]
 
@@ -65,7 +64,6 @@ class Stage:
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
         self.high = high_band(rows)
-        self.sliding = [sliding(s.motion, 2.0 * s.sign_width) for s in rows.scenes]
         self._made: dict[tuple[object, ...], Joints] = {}
 
     @cached_property

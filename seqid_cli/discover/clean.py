@@ -28,7 +28,6 @@ from seqid_cli.discover.noise import TorqueNoise, nearest, torque_noise
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.torque import sliding
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import Lowpass, differentiate
 
@@ -39,7 +38,6 @@ SHARP = 1e-9  # width of the sign [rad/s]
 SLOWEST = 1e-6  # rad/s, at which the friction of a direction is evaluated at least
 SHARPENINGS = 4  # times that the low-pass of the deviation is partly undone
 BEYOND = 1.5  # of the cut-off, up to which positions are believed
-SLIDES = 2.0  # sign widths, below which a joint does not certainly slide
 ECHO_SEED = 0
 RAMP = 0.12  # periods of the cut-off, half the length of a ramp from measured to modelled torque
 
@@ -169,7 +167,7 @@ class CleanLog:
         The ramps between them, straight, lie in what does not count.
         """
         motion, rate = self.scene.motion, self.recording.rate_hz
-        away = ~sliding(motion, SLIDES * self.scene.sign_width)
+        away = ~self.scene.slides
         reach = max(1, round(RAMP * rate / motion.lowpass.cutoff_hz))
         size = (2 * reach + 1, 1)
         inner = binary_erosion(

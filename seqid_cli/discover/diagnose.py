@@ -172,7 +172,7 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
         robot, candidate.joint, candidate.settings, trial.coefficients, trial.covariance
     )
     least = found.gates.least_of(again)
-    finding = Finding(
+    return Finding(
         effect=effect.name,
         joint=joint,
         confidence=float(certainty(rivals) * (1 - np.exp(-trial.relative / least))),
@@ -190,7 +190,6 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
         parameters=tuple(values),
         settings=candidate.settings,
     )
-    return finding
 
 
 def _explains(found: Investigation, tried: Tried) -> float:

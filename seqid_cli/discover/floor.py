@@ -32,7 +32,6 @@ from seqid_cli.discover.periods import repeats_of
 from seqid_cli.discover.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.torque import sliding
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import runs, shrink
 
@@ -44,7 +43,6 @@ FEWEST_REPEATED = 20.0  # periods of the cut-off that must repeat
 SHORTEST_REST = 6.0  # periods of the cut-off
 FEWEST_RESTED = 20.0  # periods of the cut-off, over all rests
 STRETCH = 4.0  # periods of the cut-off per spectrum, while joints move
-SLIDES = 2.0  # sign widths, below which a joint does not certainly slide
 EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)
 CLEARLY = 3.0  # log-likelihood that flicker, or an exponent other than the first, must gain
 BELOW = 4.0  # times the lowest frequency seen, to which 1/f is continued
@@ -259,7 +257,7 @@ def _in_motion(recording: Recording, scene: Scene, joint: int) -> Spectrum | Non
     """
     assert recording.tau is not None
     rate, cutoff = recording.rate_hz, scene.motion.lowpass.cutoff_hz
-    slides = sliding(scene.motion, SLIDES * scene.sign_width)[:, [joint]]
+    slides = scene.slides[:, [joint]]
     length = min(round(STRETCH * rate / cutoff), len(recording.t))
     slid = nearest(slides, len(recording.t))[:, 0] & recording.valid
     starts = stretches(slid, length) or stretches(recording.valid, length)

@@ -28,7 +28,7 @@ from seqid_cli.identify.gravity import identify_gravity
 from seqid_cli.identify.inertia import identify_inertia
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid_stage import representative_of
-from seqid_cli.identify.simultaneous import TERMS, identify_simultaneous
+from seqid_cli.identify.simultaneous import TERMS, identify_simultaneous, surface_entries
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
@@ -118,7 +118,6 @@ def _effects_of(material: Material, search: Search) -> list[Fitted]:
     """The accepted effects with their coefficients, and errors that autocorrelation widens."""
     system = search.system()
     covariance = system.block_covariance()
-    where = system.where[len(system.where) - len(search.accepted) :]
     starts, shared = shared_starts(material.training)
     session = session_of(material.training, starts, shared)
     return [
@@ -130,7 +129,7 @@ def _effects_of(material: Material, search: Search) -> list[Fitted]:
             covariance[at, at],
             session,
         )
-        for t, at in zip(search.accepted, where, strict=True)
+        for t, at in search.placed(system)
     ]
 
 
@@ -227,9 +226,7 @@ def _moved_friction(joint: FrictionJoint, change: Array) -> FrictionJoint:
 
 
 def _moved_simple(joint: FrictionJoint, change: Array) -> FrictionJoint:
-    fast = joint.speed_range[1]
-    ahead = np.array([[1.0, fast / 2, 1.0], [0.0, fast / 2, 0.0]])[:, : len(change)]
-    back = ahead * np.array([1.0, 1.0, -1.0])[: len(change)]
+    ahead, back = surface_entries(joint.speed_range[1], len(change))
     parameters = [
         msgspec.structs.replace(p, value=float(p.value + c))
         for p, c in zip(joint.parameters, change, strict=True)

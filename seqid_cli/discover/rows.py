@@ -20,7 +20,6 @@ from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.torque import sliding
 from seqid_cli.motion.filtering import Lowpass, runs
 from seqid_cli.motion.motion import Motion
 
@@ -135,7 +134,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         own = np.minimum((at * count) // motion.samples, count - 1)
         kept = own % thin == 0
         picked.append(at[kept])
-        counts = sliding(motion, 2.0 * scene.sign_width) & ~extrapolated(scene)
+        counts = scene.slides & ~extrapolated(scene)
         used.append(counts[at[kept]])
         block.append(own[kept] + first)
         lengths.append(count)

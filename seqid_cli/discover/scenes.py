@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.scene import (
     LONGEST_SESSION_S,
     Scene,
@@ -75,12 +74,7 @@ def scenes_of(
 
 def _motion(recording: Recording, robot: Robot, stages: Stages, options: InertiaOptions) -> Motion:
     """Motion of a log at its own rate."""
-    if recording.tau is None:
-        raise InputError(
-            "the log has neither joint torque nor motor current",
-            hint="record current (with torque_constant in the robot file) or torque",
-            where=str(recording.path),
-        )
+    torque_of(recording)
     encoder = estimate_motion(recording, robot, options.motion)
     return best_motion(recording, robot, stages.imu, encoder, source=options.source)
 

@@ -178,20 +178,22 @@ class Search:
             for torque, scene in zip(explained, self.stage.scenes, strict=True):
                 shown = rival.columns(scene)[rival.joint] @ theta[where]
                 torque[:, rival.joint] += scene.motion.filtered(shown, times=2)
-        for tried, where in zip(self.accepted, added[len(self.smooth) :], strict=True):
+        for tried, where in self.placed(system):
             _add_effect(explained, self.stage, tried.candidate, theta[where])
         result = []
-        for whole, torque, slides in zip(
-            self.base.whole, explained, self.stage.sliding, strict=True
-        ):
-            result.append(np.where(slides, whole.residual - torque, 0.0))
+        for whole, torque, scene in zip(self.base.whole, explained, self.stage.scenes, strict=True):
+            result.append(np.where(scene.slides, whole.residual - torque, 0.0))
         return result
+
+    def placed(self, system: System) -> list[tuple[Tried, slice]]:
+        """Every accepted effect, and where its coefficients stand in the system's solution."""
+        last = system.where[len(system.where) - len(self.accepted) :]
+        return list(zip(self.accepted, last, strict=True))
 
     def shown(self, system: System) -> list[Array]:
         """Torque (N, n) N m of the accepted effects, low-passed, at all samples of every scene."""
         result = [np.zeros_like(scene.motion.q) for scene in self.stage.scenes]
-        where = system.where[len(system.where) - len(self.accepted) :]
-        for tried, at in zip(self.accepted, where, strict=True):
+        for tried, at in self.placed(system):
             _add_effect(result, self.stage, tried.candidate, system.theta[at])
         return result
 
@@ -236,12 +238,11 @@ class Search:
 
     def effect_torques(self, system: System) -> list[Array]:
         """Torque (N, n) N m of the accepted effects, unfiltered, at every log's own rate."""
-        where = system.where[len(system.where) - len(self.accepted) :]
         result = []
         for scene in self.stage.scenes:
             full = scene.full or scene
             total = np.zeros_like(full.motion.q)
-            for tried, at in zip(self.accepted, where, strict=True):
+            for tried, at in self.placed(system):
                 c = tried.candidate
                 for joint, X in c.effect.columns(full, c.joint, c.settings).items():
                     total[:, joint] += X @ system.theta[at]

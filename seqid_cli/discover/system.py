@@ -124,15 +124,15 @@ class System:
         b, yy = np.zeros((self.folds, self.size)), np.zeros((self.folds, len(self.y)))
         for j in range(len(self.y)):
             weight = 1.0 / float(self.noise[j][0]) ** 2 if len(self.noise[j]) else 0.0
-            y = self.y[j][:, None]
-            yy[:, j] = weight * self._product(j, y, y, kept=True)[:, 0, 0]
+            y = self.y[j]
+            yy[:, j] = weight * self._product(j, y, y, kept=True)
             own = [
                 (block.columns[j], where, block.lasting)
                 for block, where in zip(self.blocks, self.where, strict=True)
                 if j in block.columns
             ]
             for k, (X, at, lasting) in enumerate(own):
-                b[:, at] += weight * self._product(j, X, y, kept=lasting)[:, :, 0]
+                b[:, at] += weight * self._product(j, X, y, kept=lasting)
                 for Z, other, also in own[k:]:
                     product = weight * self._product(j, X, Z, kept=lasting and also)
                     A[:, at, other] += product
@@ -141,7 +141,7 @@ class System:
         return A, b, yy
 
     def _product(self, joint: int, X: Array, Z: Array, *, kept: bool) -> Array:
-        """X'Z (F, k, l) of every fold, unscaled."""
+        """X'Z (F, k, l) of every fold, unscaled; a vector is one column without its axis."""
         products = self.rows.made.setdefault("products", {})
         assert isinstance(products, dict)
         key = (joint, id(X), id(Z))

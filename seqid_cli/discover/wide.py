@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.rows import Rows
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.torque import sliding
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -55,7 +54,6 @@ def high_band(rows: Rows) -> HighBand:
     parts = zip(rows.scenes, rows.picked, rows.used, rows.block, strict=True)
     for scene, picked, counts, block in parts:
         full = _full(scene)
-        assert full.measured is not None
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
         nearest = np.clip(
             np.searchsorted(picked * every, np.arange(full.samples), side="right") - 1,
@@ -64,11 +62,9 @@ def high_band(rows: Rows) -> HighBand:
         )
         stride = int(np.min(np.diff(picked), initial=scene.samples)) * every
         kept = np.abs(picked[nearest] * every - np.arange(full.samples)) < stride
-        used.append(
-            sliding(full.motion, 2.0 * full.sign_width) & kept[:, None] & counts.any(axis=0)
-        )
+        used.append(full.slides & kept[:, None] & counts.any(axis=0))
         folds.append(rows.fold[block[nearest]])
-        high.append(full.measured - full.motion.filtered(full.measured, times=2))
+        high.append(_above(full))
     masks = tuple(used)
     joints = range(rows.n)
     fold = [np.concatenate([f[u[:, j]] for f, u in zip(folds, masks, strict=True)]) for j in joints]
@@ -97,6 +93,14 @@ def both_bands(
     return result | {rows.n + joint: high.of(joint, values) for joint, values in above.items()}
 
 
+def _above(full: Scene) -> Array:
+    """Measured torque (N, n) above the cut-off; the motion holds the low-passed one."""
+    assert full.measured is not None
+    assert full.motion.tau is not None
+    above: Array = full.measured - full.motion.tau
+    return above
+
+
 def _full(scene: Scene) -> Scene:
     return scene if scene.full is None else scene.full
 
@@ -111,9 +115,7 @@ def full_residual(scene: Scene, left: Array) -> Array:
         Low-passed residual at the scene's rate.
     """
     full = _full(scene)
-    assert full.measured is not None
-    high = full.measured - full.motion.filtered(full.measured, times=2)
     slow = [np.interp(full.motion.t, scene.motion.t, left[:, j]) for j in range(left.shape[1])]
-    total = high + np.stack(slow, axis=1)
+    total = _above(full) + np.stack(slow, axis=1)
     total[~full.motion.usable] = 0.0
     return total

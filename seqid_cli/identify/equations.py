@@ -9,8 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.errors import InputError
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.base import Basis, base_regressor
@@ -30,12 +29,7 @@ def torque_motion(recording: Recording, robot: Robot, options: MotionOptions) ->
     InputError
         If the log carries neither torque nor current.
     """
-    if recording.tau is None:
-        raise InputError(
-            "the log has neither joint torque nor motor current",
-            hint="record current (with torque_constant in the robot file) or torque",
-            where=str(recording.path),
-        )
+    torque_of(recording)
     return decimated(estimate_motion(recording, robot, options))
 
 

@@ -37,7 +37,7 @@ from seqid_cli.model.torque import friction_surfaces, friction_torque, known_rot
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base import Basis, base_parameters, gear_ratios, standard_names
+from seqid_cli.robot.base import Basis, free_basis, gear_ratios, standard_names
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 
@@ -77,8 +77,7 @@ def identify_inertia(
     """
     if stages.friction is None:
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
-    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
-    basis = base_parameters(robot, rotor=rotor)
+    basis = free_basis(robot)
     equations = InertiaEquations(robot, basis, stages, options)
     for recording in recordings:
         equations.add(recording)

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.errors import InputError
 from seqid_cli.identify.inertia import slowest_speeds
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, sliding
@@ -98,12 +97,8 @@ def _predict_log(
 ) -> LogPrediction:
     encoder = estimate_motion(recording, robot, options.motion)
     motion = best_motion(recording, robot, stages.imu, encoder, source=options.source)
-    if motion.tau is None:
-        raise InputError(
-            "the log has neither joint torque nor motor current",
-            hint="record current (with torque_constant in the robot file) or torque",
-            where=str(recording.path),
-        )
+    torque_of(recording)
+    assert motion.tau is not None
     slowest = slowest_speeds(model.surfaces)
     slides = sliding(motion, slowest)
     added = None

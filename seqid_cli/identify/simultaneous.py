@@ -35,7 +35,7 @@ from seqid_cli.params.schema import (
     SpeedLevel,
     Verdict,
 )
-from seqid_cli.robot.base import Basis, base_parameters, gear_ratios
+from seqid_cli.robot.base import Basis, free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -75,8 +75,7 @@ def identify_simultaneous(
     QualityError
         If no joint moves.
     """
-    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
-    basis = base_parameters(robot, rotor=rotor)
+    basis = free_basis(robot)
     equations = SimultaneousEquations(robot, basis, offset=offset)
     for recording in recordings:
         equations.add(torque_motion(recording, robot, options))
@@ -161,10 +160,7 @@ class SimultaneousEquations:
         own = self._own(j)
         values = solution.theta[own]
         fast = float(self.fastest[j])
-        # Chebyshev over [0, fast]: |v| = fast (1 + T_1(u)) / 2; the offset has the sign of motion
-        # taken off.
-        ahead = np.array([[1.0, fast / 2, 1.0], [0.0, fast / 2, 0.0]])[:, : len(self.terms)]
-        back = ahead * np.array([1.0, 1.0, -1.0])[: len(self.terms)]
+        ahead, back = surface_entries(fast, len(self.terms))
         directional = len(self.terms) == len(TERMS)
         both = np.vstack([ahead, back]) if directional else ahead
         covariance = both @ solution.covariance[own, own] @ both.T
@@ -226,3 +222,24 @@ class SimultaneousEquations:
         reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
         verdicts.append(Verdict(good=not missing, reason=reason))
         return verdicts
+
+
+def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
+    """Entries of a friction surface, forward and backward, per Coulomb, viscous and offset.
+
+    Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
+    taken off.
+
+    Parameters
+    ----------
+    fastest : float
+        Upper end of the surface's speed range [rad/s; m/s where prismatic].
+    terms : int
+        How many of the three there are.
+
+    Returns
+    -------
+    tuple of two (2, terms) arrays
+    """
+    ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
+    return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

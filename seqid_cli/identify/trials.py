@@ -15,8 +15,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from seqid_cli.errors import InputError
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segments import Stretch, constant_velocity, noise_step
 from seqid_cli.robot.kinematics import forward
@@ -78,12 +77,7 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
     """
     trials: list[Trial] = []
     for recording in recordings:
-        if recording.tau is None:
-            raise InputError(
-                "the log has neither joint torque nor motor current",
-                hint="record current (with torque_constant in the robot file) or torque",
-                where=str(recording.path),
-            )
+        torque_of(recording)
         step = noise_step(recording.q, encoder_resolution(robot))
         stretches = constant_velocity(
             recording.q, recording.rate_hz, step=step, valid=recording.valid

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.errors import InputError
+
 Array = NDArray[np.float64]
 
 
@@ -53,3 +55,20 @@ class Recording:
     def rate_hz(self) -> float:
         """Samples per second."""
         return self.health.rate_hz
+
+
+def torque_of(recording: Recording) -> Array:
+    """Measured torque (N, n) N m of a log that must have it.
+
+    Raises
+    ------
+    InputError
+        If the log carries neither torque nor current.
+    """
+    if recording.tau is None:
+        raise InputError(
+            "the log has neither joint torque nor motor current",
+            hint="record current (with torque_constant in the robot file) or torque",
+            where=str(recording.path),
+        )
+    return recording.tau

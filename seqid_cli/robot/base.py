@@ -212,6 +212,12 @@ def base_parameters(
     )
 
 
+def free_basis(robot: Robot) -> Basis:
+    """Return the base parameters with the rotor inertias that the robot file leaves open."""
+    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
+    return base_parameters(robot, rotor=rotor)
+
+
 def _reading_order(chain: Chain) -> list[int]:
     """Order link columns for keeping; a link's own axis decides among its inertias."""
     order = []

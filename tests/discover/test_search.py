@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.base import free_basis
 from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.gates import Gates
 from seqid_cli.discover.search import Search, best_of_each, searched, simplest
@@ -16,6 +15,7 @@ from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
+from seqid_cli.robot.base import free_basis
 from tests.discover.arms import arm_scenes, at_joint, candidate, search_in
 
 Array = NDArray[np.float64]

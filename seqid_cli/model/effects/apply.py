@@ -13,8 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.errors import InputError
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths, temperature_at
@@ -185,12 +184,7 @@ def without_effects(
     InputError
         If the log carries neither torque nor current.
     """
-    if recording.tau is None:
-        raise InputError(
-            "the log has neither joint torque nor motor current",
-            hint="record current (with torque_constant in the robot file) or torque",
-            where=str(recording.path),
-        )
+    torque_of(recording)
     rest: list[Fitted] = []
     for item in fitted:
         if isinstance(item, FittedEffect) and isinstance(item.effect, MeasurementEffect):

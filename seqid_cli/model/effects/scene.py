@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.torque import TorqueModel, known_rotors
+from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base import gear_ratios
 from seqid_cli.robot.types import Robot
@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 LONGEST_SESSION_S = 30 * 86400.0
 DEFAULT_SIGN_SHARE = 0.01  # of a joint's top speed
+SLIDES = 2.0  # sign widths, below which a joint does not certainly slide
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,11 @@ class Scene:
     def time(self) -> Array:
         """Time (N,) s on the shared clock."""
         return self.start + self.motion.t
+
+    @cached_property
+    def slides(self) -> NDArray[np.bool_]:
+        """Samples (N, n) at which a joint certainly slides."""
+        return sliding(self.motion, SLIDES * self.sign_width)
 
     @cached_property
     def sign(self) -> Array:

@@ -19,7 +19,7 @@ BIN := $(VENV)/bin
 RUN := $(VENV)/.installed
 DEV := $(VENV)/.installed-dev
 SEQID := $(BIN)/seqid
-STAGES := friction gravity imu inertia prediction diagnosis refined
+STAGES := friction gravity imu inertia prediction diagnosis changed_diagnosis refined
 
 .PHONY: help
 help: ## list the targets
@@ -92,9 +92,13 @@ $(OUT)/%/prediction.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call 
 $(OUT)/%/diagnosis.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,validation) | $(RUN)
 	$(SEQID) diagnose sample_logs/$*/validation -r $< -p $(word 2,$^) -o $@
 
-$(OUT)/%/refined.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,inertia) $(call logs,validation) | $(RUN)
-	$(SEQID) refine sample_logs/$*/inertia sample_logs/$*/validation/fourier_1.parquet \
-		--holdout sample_logs/$*/validation/point_to_point.parquet -r $< -p $(word 2,$^) -o $@
+# After that something on the arm changed, and nobody told: what, and the model that knows it.
+$(OUT)/%/changed_diagnosis.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,changed) | $(RUN)
+	$(SEQID) diagnose sample_logs/$*/changed -r $< -p $(word 2,$^) -o $@
+
+$(OUT)/%/refined.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,changed) | $(RUN)
+	$(SEQID) refine sample_logs/$*/changed/fourier.parquet sample_logs/$*/changed/trapezoids.parquet \
+		--holdout sample_logs/$*/changed/held_out.parquet -r $< -p $(word 2,$^) -o $@
 
 # Made on the way, kept all the same: the next stage starts from them.
 .SECONDARY:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "seqid diagnose sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
     " -p inertia.json -o diagnosis.json",
-    "seqid diagnose sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    "seqid diagnose sample_logs/six_joint/changed -r sample_logs/six_joint/robot.toml"
     " -p inertia.json --strict --json",
 )
 # What each quantity is measured in: for a revolute joint, for a prismatic one.

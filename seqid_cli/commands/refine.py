@@ -41,10 +41,12 @@ if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
 
 EXAMPLES = (
-    "seqid refine sample_logs/six_joint/inertia --holdout sample_logs/six_joint/validation"
+    "seqid refine sample_logs/six_joint/changed/fourier.parquet"
+    " --holdout sample_logs/six_joint/changed/held_out.parquet"
     " -r sample_logs/six_joint/robot.toml -p inertia.json -o refined.json",
-    "seqid refine sample_logs/six_joint/inertia sample_logs/six_joint/validation/fourier_1.parquet"
-    " --holdout sample_logs/six_joint/validation/point_to_point.parquet"
+    "seqid refine sample_logs/six_joint/changed/fourier.parquet"
+    " sample_logs/six_joint/changed/trapezoids.parquet"
+    " --holdout sample_logs/six_joint/changed/held_out.parquet"
     " -r sample_logs/six_joint/robot.toml -p inertia.json --rounds 2 --json",
 )
 _FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"

@@ -23,7 +23,8 @@ Offset = Annotated[
 EXAMPLES = (
     "seqid simultaneous sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
     " -o simultaneous.json",
-    "seqid simultaneous sample_logs/six_joint -r sample_logs/six_joint/robot.toml --json",
+    "seqid simultaneous sample_logs/six_joint/friction sample_logs/six_joint/inertia"
+    " -r sample_logs/six_joint/robot.toml --json",
 )
 _FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 

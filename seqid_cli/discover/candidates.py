@@ -21,6 +21,7 @@ GOLDEN = 0.381966
 SEARCH_STEPS = 9
 SHARPENED = 3  # times that settings are moved to where the coefficients say
 CLOSE = 0.8  # of the best grid point's gain, from which another shape is searched as well
+AS_USUAL = 0.98  # of the best gain, from which a setting's usual value is taken
 TOGETHER = 64  # candidates whose columns are low-passed at once
 
 
@@ -200,6 +201,7 @@ def refined(stage: Stage, system: System, tried: Tried, spacing: float = 2.5) ->
     for setting in tried.candidate.effect.settings:
         if setting.continuous:
             best = _searched(stage, system, best, setting, spacing)
+            best = _as_usual(stage, system, best, setting)
     for number in range(SHARPENED):
         candidate = best.candidate
         settings = candidate.effect.sharpened(candidate.settings, best.trial.coefficients)
@@ -247,6 +249,18 @@ def _searched(
             y = b - GOLDEN * (b - a)
             gy = gain(y)
     return best
+
+
+def _as_usual(stage: Stage, system: System, tried: Tried, setting: Setting) -> Tried:
+    """The candidate with a usual value of a setting, where that gains nearly as much."""
+    c = tried.candidate
+    usual = [replace(c, settings={**c.settings, setting.name: x}) for x in setting.usual]
+    near = [
+        t
+        for t in stage.try_all(system, usual)
+        if t.trial.total >= AS_USUAL * tried.trial.total and stage.plausible(t)
+    ]
+    return max(near, key=lambda t: t.trial.total, default=tried)
 
 
 def _bracket(setting: Setting, value: float, spacing: float) -> tuple[float, float]:

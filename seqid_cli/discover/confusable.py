@@ -35,11 +35,17 @@ class Rivalry:
 
 
 def rivalries(leader: Tried, ranked: Sequence[Tried]) -> list[Rivalry]:
-    """Compare all other effects that touch a joint of the leader's with it."""
+    """Compare all other effects that touch a joint of the leader's with it.
+
+    The same effect at the same joints is no other: a drive of two joints can be either's.
+    """
+    name, joints = leader.candidate.effect.name, set(leader.columns)
     return [
         Rivalry(t, t.trial.total / max(leader.trial.total, 1e-300), behind(leader.trial, t.trial))
         for t in ranked
-        if t.candidate.key != leader.candidate.key and set(t.columns) & set(leader.columns)
+        if t.candidate.key != leader.candidate.key
+        and (t.candidate.effect.name != name or set(t.columns) != joints)
+        and set(t.columns) & joints
     ]
 
 

@@ -71,7 +71,8 @@ def dependence(
     candidates = filtered.rivals(joint, system.residual()[joint])
     loss = max(float(system.loss[:, joint].sum()), 1e-300)
     chosen: list[tuple[Rival, Trial]] = []
-    current = system
+    # The functions have no constant, and not every base has one.
+    start = current = extended(system, {joint: np.ones((rows.count(joint), 1))})
     while len(chosen) < most:
         rival, trial = simplest(tried(current, candidates, filtered))
         least = max(least_gain * loss, LEAST_SHARE * chosen[0][1].total if chosen else 0.0)
@@ -79,7 +80,9 @@ def dependence(
             break
         chosen.append((rival, trial))
         current = extended(current, filtered.columns(rival))
-    kept = _needed(system, chosen, [filtered.columns(rival) for rival, _ in chosen])
+    if not chosen:
+        return Dependence(joint, (), (), (), 0.0)
+    kept = _needed(start, chosen, [filtered.columns(rival) for rival, _ in chosen])
     rest = float(current.loss[:, joint].sum())
     return Dependence(
         joint,

@@ -37,8 +37,9 @@ MARGIN = 2.0  # over the largest gain on clean data
 # that for rows that are correlated, and twice again to be sure.
 CHANCE = 50.0
 LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
+SHARED = 5.0  # folds that must share a gain; one of fewer must be larger by as much
 SMOOTH_RUNS = 2  # clean data sets that smooth functions look at, being slow
-EVENT_MARGIN = 1.25
+EVENT_MARGIN = 1.4
 SMOOTH = ""  # the name under which smooth functions are counted
 
 
@@ -61,10 +62,11 @@ class Gates:
         return max(floor, MARGIN * self.clean.get(name, 0.0))
 
     def least_of(self, tried: Tried) -> float:
-        """Relative gain from which a candidate is believed: more where there are few rows."""
+        """Relative gain from which a candidate is believed: more of few rows, or of few folds."""
         rows = max(len(X) for X in tried.columns.values())
         chance = CHANCE / max(rows, 1)
-        return max(self.least(tried.candidate.effect.name, tried.trial.joints), chance)
+        least = max(self.least(tried.candidate.effect.name, tried.trial.joints), chance)
+        return least * max(1.0, SHARED / max(steadiness(tried), LEAST_STEADY) ** 2)
 
     def passes(self, tried: Tried) -> bool:
         """Whether a candidate gains more than clean data show, on the folds alike."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Stage, Tried
@@ -42,6 +43,7 @@ CLEARLY = (
 WORTH = 0.02  # of the squared residual, by which they must be better
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 AROUND_S = 0.5
+STANDS_OUT = 1.5  # times the gate, that the strongest event must reach for any to be believed
 AS_GOOD = 0.05  # relative excess that a kept file with few changes may have
 
 
@@ -93,7 +95,7 @@ def investigate(
     if result.search.accepted or events or any(d.quantities for d in dependences):
         smooth = [d for d in dependences if d.quantities]
         gates = calibrated(logs, result.search, smooth, stages, options)
-        if any(event.score < gates.event for event in events):
+        if events and (min(e.score for e in events) < gates.event or not _stand_out(events, gates)):
             result, events = _without_events(rows, stages, gates, options)
         before = [t.candidate for t in result.search.accepted]
         result = _again(result.search, gates, options)
@@ -127,17 +129,23 @@ def _without_events(
     left = result.search.system().left_out()[: rows.n]
     events = find_events(rows, left, gate=gates.event)
     events = [event for event in events if not _of_shape(result.search, event)]
-    if not events:
-        return result, events
+    if not _stand_out(events, gates):
+        return result, []
     quiet = rows.without(event_masks(rows, events))
     return _both_stances(Stage(quiet), base_of(quiet, stages), gates, options), events
+
+
+def _stand_out(events: Sequence[Interval], gates: Gates) -> bool:
+    """Whether the strongest event is so strong that all of them are believed."""
+    return max((event.score for event in events), default=0.0) >= STANDS_OUT * gates.event
 
 
 def _of_shape(search: Search, event: Interval) -> bool:
     """Whether an event may only be where accepted effects, large there, have not quite the shape.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect
-    shows is looked at a little around the event too: shapes are wrong where effects change sign.
+    shows is looked at a little around the event too, where it shows most in as short a time: shapes
+    are wrong where effects change sign.
     """
     if not search.accepted:
         return False
@@ -148,7 +156,8 @@ def _of_shape(search: Search, event: Interval) -> bool:
     around = (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)
     left = search.residual(system)[event.scene][inside][:, joints] / search.noise[joints]
     shown = search.shown(system)[event.scene][around][:, joints] / search.noise[joints]
-    return bool(np.mean(left**2) < BESIDE**2 * np.mean(shown**2))
+    strongest = float(np.max(uniform_filter1d(np.mean(shown**2, axis=1), int(inside.sum()))))
+    return bool(np.mean(left**2) < BESIDE**2 * strongest)
 
 
 def _again(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:

@@ -304,7 +304,7 @@ class Filtered:
 
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
-        self._made: dict[Shape | Line, Single] = {}
+        self._made: dict[tuple[int, Shape | Line], Single] = {}
         self._lasting: dict[int, list[Rival]] = {}
 
     @classmethod
@@ -322,11 +322,12 @@ class Filtered:
 
     def columns(self, rival: Rival) -> dict[int, Array]:
         """Columns (M_j, k) on the rows of the rival's joint."""
-        if rival.source not in self._made:
+        key = (rival.joint, rival.source)  # one line in time may be at several joints
+        if key not in self._made:
             per_scene = [{rival.joint: rival.source.basis(scene)} for scene in self.rows.scenes]
             basis = self.rows.columns(per_scene, passes=2)[rival.joint]
-            self._made[rival.source] = basis.astype(np.float32)
-        return {rival.joint: self._made[rival.source].astype(np.float64) @ rival.mixing}
+            self._made[key] = basis.astype(np.float32)
+        return {rival.joint: self._made[key].astype(np.float64) @ rival.mixing}
 
 
 def best_rivals(

@@ -30,9 +30,12 @@ Index = NDArray[np.intp]
 SAMPLES_PER_CUTOFF = 5
 BLOCK_S = 2.0
 FOLDS = 10
+ONLY_HERE = 0.5  # share of a joint's rows in one log, from which that log has folds enough for it
+FOLDS_OF_ONE = 5
 MOST_ROWS = 40_000
 FEWEST_ROWS = 50  # of a joint, all logs together, that are worth looking at
 SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
+SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
 REACH_OUTSIDE = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 MOST_OUTSIDE = 0.6  # share of a log outside the identified friction, from which it counts all
 REACH = 6  # of the low-pass's settling: what lies further off weighs less than 1e-4 in all
@@ -139,13 +142,9 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         block.append(own[kept] + first)
         lengths.append(count)
         first += count
-    return Rows(
-        tuple(scenes),
-        tuple(picked),
-        _moved(scenes, picked, used),
-        tuple(block),
-        _folds(lengths),
-    )
+    kept = _moved(scenes, picked, used)
+    folds = _folds(lengths, _fewest_folds(kept))
+    return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
 
 
 def extrapolated(scene: Scene) -> Mask:
@@ -201,14 +200,16 @@ def _weights(
 def _moved(
     scenes: Sequence[Scene], picked: Sequence[Index], used: Sequence[Mask]
 ) -> tuple[Mask, ...]:
-    """Leave out joints in logs in which they are only shaken, and those of next to no rows.
+    """Leave out joints in logs in which they are only shaken or hardly move, or of next to no rows.
 
     Where a held joint gives way a little, its brake or stiction holds what its base columns, and
-    its few rows elsewhere, would have to explain.
+    its few rows elsewhere, would have to explain. A single move of a joint whose motion is in other
+    logs is not foretold by those: left out, it would count for more than all of them.
     """
     parts = zip(scenes, picked, used, strict=True)
     travel = np.array([_travel(s.motion.q[p], u) for s, p, u in parts])
-    moves = travel > SHAKEN * travel.max(axis=0)
+    often = np.array([u.mean(axis=0) for u in used])
+    moves = (travel > SHAKEN * travel.max(axis=0)) & (often > SELDOM * often.max(axis=0))
     kept = [u & m for u, m in zip(used, moves, strict=True)]
     enough = sum(u.sum(axis=0) for u in kept) >= FEWEST_ROWS
     return tuple(u & enough for u in kept)
@@ -229,12 +230,22 @@ def _thinning(scenes: Sequence[Scene]) -> int:
     return max(1, int(np.ceil(rows / MOST_ROWS)))
 
 
-def _folds(lengths: Sequence[int]) -> Index:
-    """Folds of contiguous blocks: about FOLDS over all logs, and at least two in each log."""
+def _fewest_folds(used: Sequence[Mask]) -> list[int]:
+    """Folds that each log must have: two, or more where some joint hardly moves in any other.
+
+    Half of a joint's only log would not foretell the other half.
+    """
+    counts = np.array([u.sum(axis=0) for u in used])
+    most = counts > ONLY_HERE * np.maximum(counts.sum(axis=0), 1)
+    return [FOLDS_OF_ONE if only else 2 for only in most.any(axis=1)]
+
+
+def _folds(lengths: Sequence[int], fewest: Sequence[int]) -> Index:
+    """Folds of contiguous blocks: about FOLDS over all logs, and so many in each at the least."""
     total = sum(lengths)
     folds: list[Index] = []
-    for length in lengths:
-        pieces = max(min(2, length), round(FOLDS * length / total))
+    for length, least in zip(lengths, fewest, strict=True):
+        pieces = max(min(least, length), round(FOLDS * length / total))
         start = folds[-1][-1] + 1 if folds else 0
         folds.append(start + (np.arange(length) * pieces) // length)
     return np.concatenate(folds).astype(np.intp)

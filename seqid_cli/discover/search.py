@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined, shapes
 from seqid_cli.discover.rivals import Filtered, Rival
+from seqid_cli.discover.stretches import chance
 from seqid_cli.discover.system import Block, System
 from seqid_cli.model.effects.effect import Effect
 
@@ -25,6 +26,9 @@ Array = NDArray[np.float64]
 # Standard errors of the file, in multiples, that the base may move by: the freest first.
 FREE_INFLATIONS = (30.0, 10.0, 3.0, 1.0, 0.1)
 KEPT_INFLATIONS = (3.0, 1.0, 0.1)
+TIGHTER = 0.3  # of a kept base's inflation, as often as it takes to keep it near the file
+NEAR = 3.0  # standard errors of the file, RMS, that a kept base may be away
+TIGHTENINGS = 8
 FEW_TERMS = 4  # of a joint's friction: Coulomb, viscous, offset
 BETTER_HELD = 0.02  # of the squared residual left out, that holding the base must be worth
 OWN_OFFSET = 0.75  # of a sample period: time offset that every drive has, and no effect
@@ -32,6 +36,7 @@ REFINED = 6  # candidates whose settings are searched
 TIE = 0.02  # of the gain, that one more parameter must be worth
 ROUNDS_OF_WEIGHTS = 3
 LEAST_VISIBLE = 0.02
+BY_CHANCE = 1e-3  # that any joint's slow effect is slow noise: not believed from there on
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -69,6 +74,8 @@ class Search:
         search.inflation = (KEPT_INFLATIONS if kept else FREE_INFLATIONS)[0]
         search.settle()
         search._hold()
+        if kept:
+            search._tie()
         search.bare = search.noise
         return search
 
@@ -90,6 +97,21 @@ class Search:
         if chosen != self.inflation:
             self.inflation = chosen
             self.settle()
+
+    def _tie(self) -> None:
+        """Hold a kept base so that it stays near the file, however loudly the rows call it away."""
+        for _ in range(TIGHTENINGS):
+            if self._away() <= NEAR:
+                return
+            self.inflation *= TIGHTER
+            self.settle()
+
+    def _away(self) -> float:
+        """Standard errors of the file, RMS, by which rigid body or some friction has moved."""
+        system, base = self.system(), self.base
+        priors = [base.prior_rigid, *base.prior_friction]
+        moved = [P @ system.theta[w] for P, w in zip(priors, system.where, strict=False) if len(P)]
+        return max((float(np.sqrt(np.mean(m**2))) for m in moved), default=0.0)
 
     def settle(self) -> None:
         """Weigh joints by what is left, and decide whose time offset is no more than ordinary."""
@@ -212,7 +234,7 @@ class Search:
         residual = self.residual(system)
         candidates = list(candidates_of(self.stage.scenes, effects, residual, near))
         believed = self._believed(self.stage.try_all(system, candidates))
-        best = best_of_each(believed)
+        best = [t for t in best_of_each(believed) if self._lasts(t, system)]
         head = [self._refined(system, shapes(t, believed)) for t in best[:refine]]
         return sorted([*head, *best[refine:]], key=_order)
 
@@ -221,6 +243,11 @@ class Search:
 
     def _believed(self, tried: Sequence[Tried]) -> list[Tried]:
         return [t for t in tried if t.trial.visible > LEAST_VISIBLE and self.stage.plausible(t)]
+
+    def _lasts(self, tried: Tried, system: System) -> bool:
+        """Whether a slow effect's gain is more than what slow noise gives by chance."""
+        least = BY_CHANCE / self.stage.rows.n
+        return not tried.candidate.effect.slow or chance(system, tried.columns) < least
 
     def energy(self, tried: Tried) -> float:
         """Gain as a share of the squared residual that the base alone leaves at its joints."""
@@ -233,7 +260,7 @@ class Search:
         return any(
             energy < SHAPE * self.energies[a.candidate.key]
             for a in self.accepted
-            if joints & set(a.columns)
+            if joints & set(a.columns) and not _apart(tried, a)
         ) or any(_again(tried, a) for a in self.accepted)
 
     def effect_torques(self, system: System) -> list[Array]:
@@ -268,8 +295,12 @@ class Search:
             gains = [self.marginal(t) for t in self.accepted]
             weakest = min(range(len(gains)), key=lambda k: gains[k].trial.total)
             weak = gains[weakest]
-            near = [t.trial.total for t in gains if set(t.columns) & set(weak.columns)]
-            if gate(weak) and weak.trial.total >= SHAPE * max(near):
+            near = [
+                t.trial.total
+                for t in gains
+                if set(t.columns) & set(weak.columns) and not _apart(weak, t)
+            ]
+            if gate(weak) and weak.trial.total >= SHAPE * max(near, default=0.0):
                 return
             del self.accepted[weakest]
             self.settle()
@@ -286,6 +317,12 @@ class Search:
 def _again(tried: Tried, accepted: Tried) -> bool:
     """Whether it is the accepted effect once more, and not another line of it."""
     return tried.candidate.key == accepted.candidate.key and not tried.candidate.effect.wide
+
+
+def _apart(tried: Tried, other: Tried) -> bool:
+    """Whether a candidate lives above the cut-off, where the other's shape has no error."""
+    above = tried.candidate.effect.wide and not tried.candidate.below
+    return above and not other.candidate.effect.wide
 
 
 def _block(tried: Tried) -> Block:
@@ -306,10 +343,14 @@ def _add_effect(
 
 
 def best_of_each(tried: Sequence[Tried]) -> list[Tried]:
-    """The best setting of every effect and joint, the largest gain first."""
-    best: dict[tuple[str, int | None], Tried] = {}
+    """The best setting of every effect and joint, the largest gain first.
+
+    Of what shows above the cut-off as well, that one too: below it alone more may be gained, of
+    fewer rows, and the gate is another.
+    """
+    best: dict[tuple[str, int | None, bool], Tried] = {}
     for t in tried:
-        key = t.candidate.key
+        key = (*t.candidate.key, t.candidate.below)
         if key not in best or t.trial.total > best[key].trial.total:
             best[key] = t
     return sorted(best.values(), key=_order)

@@ -248,6 +248,21 @@ class System:
             for y, noise, (index, X) in zip(self.y, self.noise, self._local, strict=True)
         ]
 
+    def beside(self, candidate: Joints) -> dict[int, tuple[Array, Array]]:
+        """Rows of a candidate (M_j, k) projected off the base, and the residual (M_j,), scaled."""
+        width = next(iter(candidate.values())).shape[1]
+        scaled = {j: X / self.noise[j][:, None] for j, X in candidate.items()}
+        crossed = np.zeros((self.size, width))
+        for j, X in scaled.items():
+            index, B = self._local[j]
+            crossed[index] += B.T @ X
+        Z = self._solved(self._whole[0], crossed)
+        left = self.residual()
+        return {
+            j: (X - self._local[j][1] @ Z[self._local[j][0]], left[j] / self.noise[j])
+            for j, X in scaled.items()
+        }
+
     def tried(self, candidates: Sequence[Joints]) -> list[Trial]:
         """Try each candidate by itself against the base."""
         if not candidates:

@@ -18,8 +18,9 @@ from seqid_cli.params.schema import SCHEMA
 
 RIG = Path(__file__).parents[2] / "sample_logs" / "one_joint"
 ROBOT = ["-r", str(RIG / "robot.toml")]
-FITTED = RIG / "validation" / "fourier_1.parquet"
-HELD_OUT = RIG / "validation" / "point_to_point.parquet"
+FITTED = [RIG / "changed" / "fourier.parquet", RIG / "changed" / "trapezoids.parquet"]
+HELD_OUT = RIG / "changed" / "held_out.parquet"
+TRUTH = json.loads((RIG / "truth.json").read_text())["changed"]
 needs = {
     name: pytest.mark.skipif(
         importlib.util.find_spec(f"seqid_cli.discover.{name}") is None,
@@ -34,11 +35,13 @@ def parameters(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stages")
     friction, inertia = folder / "friction.json", folder / "inertia.json"
     logs = str(RIG / "friction")
-    gravity = folder / "gravity.json"
+    gravity, imu = folder / "gravity.json", folder / "imu.json"
     assert main(["friction", logs, *ROBOT, "-o", str(friction), "-q"]) == 0
     assert main(["gravity", logs, *ROBOT, "-p", str(friction), "-o", str(gravity), "-q"]) == 0
-    stage = ["inertia", str(RIG / "inertia"), *ROBOT, "-p", str(gravity), "-o", str(inertia)]
-    assert main([*stage, "--motion", "encoder", "-q"]) == 0
+    stage = ["imu-calib", str(RIG / "imu"), *ROBOT, "-p", str(gravity), "-o", str(imu)]
+    assert main([*stage, "-q"]) == 0
+    stage = ["inertia", str(RIG / "inertia"), *ROBOT, "-p", str(imu), "-o", str(inertia)]
+    assert main([*stage, "-q"]) == 0
     return inertia
 
 
@@ -54,15 +57,30 @@ def test_a_diagnosis_of_real_logs(
     jsonschema.validate(document, json_schema(DIAGNOSIS_SCHEMA))
     joint = document["joints"]["joint_1"]
     assert 0.0 < joint["noise_floor"] <= 1.2 * joint["rmse"]
-    strict = main([*command, "--strict", "-q"])
-    assert strict == (document["verdict"] != "nothing_missing")
+    assert document["verdict"] == "nothing_missing"
+    assert main([*command, "--strict", "-q"]) == 0
+
+
+@needs["diagnose"]
+def test_a_diagnosis_of_logs_after_a_change(tmp_path: Path, parameters: Path) -> None:
+    output = tmp_path / "diagnosis.json"
+    command = ["diagnose", str(RIG / "changed"), *ROBOT, "-p", str(parameters), "--strict"]
+    assert main([*command, "-o", str(output), "-q"]) == 1
+    document = json.loads(output.read_text())
+    assert document["verdict"] == "effect_found"
+    first = document["findings"][0]
+    assert (first["effect"], first["joint"]) == (TRUTH["effect"], TRUTH["joint"])
+    values = {p["name"]: p["value"] for p in first["parameters"]}
+    assert values["stiffness"] == pytest.approx(TRUTH["stiffness"], rel=0.25)
+    joint = document["joints"]["joint_1"]
+    assert joint["rmse_explained"] < 0.6 * joint["rmse"]
 
 
 @needs["diagnose"]
 def test_a_log_without_torque_is_refused(
     tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    table = pq.read_table(FITTED)
+    table = pq.read_table(HELD_OUT)
     kept = [name for name in table.column_names if not name.endswith(("current", "torque"))]
     pq.write_table(table.select(kept), tmp_path / "bare.parquet")
     command = ["diagnose", str(tmp_path / "bare.parquet"), *ROBOT, "-p", str(parameters)]
@@ -77,14 +95,16 @@ def test_a_refinement_of_real_logs(
     tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "refined.json"
-    command = ["refine", str(FITTED), "--holdout", str(HELD_OUT), *ROBOT, "-p", str(parameters)]
-    assert main([*command, "-o", str(output), "--json"]) == 0, capsys.readouterr().err
+    command = ["refine", *map(str, FITTED), "--holdout", str(HELD_OUT), *ROBOT]
+    command += ["-p", str(parameters), "-o", str(output), "--json"]
+    assert main(command) == 0, capsys.readouterr().err
     jsonschema.validate(json.loads(output.read_text()), json_schema(SCHEMA))
     file = read_parameters(output)
     loop = file.closed_loop
     assert loop is not None
     assert loop.evaluated_on == [str(HELD_OUT)]
-    assert loop.after["joint_1"].rmse <= 1.05 * loop.before["joint_1"].rmse
+    assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse
+    assert [(tried.effect, tried.joint) for tried in loop.rounds[:1]] == [("spring", "joint_1")]
     assert len(file.stages.effects or []) == len(loop.rounds)
     assert str(HELD_OUT) not in {log.path for log in file.inputs}
     prediction = ["predict", str(HELD_OUT), *ROBOT, "-p", str(output), "-q"]

@@ -13,6 +13,7 @@ from seqid_cli.discover.gates import (
     LEAST_SMOOTH,
     LEAST_STEADY,
     MARGIN,
+    SHARED,
     SMOOTH,
     Gates,
     steadiness,
@@ -71,6 +72,15 @@ def test_a_gain_of_a_single_fold_does_not_pass() -> None:
     assert steadiness(tried(0.5, two)) == pytest.approx(np.sqrt(2))
     assert LEAST_STEADY**2 < 2.0
     assert Gates().passes(tried(0.5, two))
+
+
+def test_a_gain_that_few_folds_share_must_be_larger() -> None:
+    few = np.zeros(FOLDS)
+    few[[2, 7]] = 5.0
+    assert Gates().least_of(tried(0.5, few)) == pytest.approx(LEAST * SHARED / 2)
+    assert not Gates().passes(tried(0.9 * LEAST * SHARED / 2, few))
+    half = np.repeat([0.0, 1.0], FOLDS // 2)
+    assert Gates().least_of(tried(0.5, half)) == pytest.approx(LEAST * SHARED / (FOLDS // 2))
 
 
 def test_noise_is_not_steady() -> None:

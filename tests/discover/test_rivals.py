@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.dependence import dependence, simplest
-from seqid_cli.discover.rivals import Filtered, Rival, Shape, best_rivals, rivals
+from seqid_cli.discover.rivals import Filtered, Line, Rival, Shape, best_rivals, rivals
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.smoothest import knots_of, smoothest
 from seqid_cli.discover.system import Trial
@@ -113,6 +113,15 @@ def test_columns_are_filtered_like_any_effect() -> None:
     some = [r for r in rivals(rows, 0, np.zeros(rows.count(0))) if "position" in r.label][:3]
     direct = rows.columns([some[-1].columns(scene) for scene in rows.scenes], passes=2)
     np.testing.assert_allclose(Filtered(rows).columns(some[-1])[0], direct[0], atol=1e-5)
+
+
+def test_a_line_at_two_joints_has_the_rows_of_each() -> None:
+    rows = rows_of(related_scenes(0, logs=2, seconds=8.0))
+    filtered, line = Filtered(rows), Line(3.3, 2)
+    for joint in (0, 1):
+        rival = Rival(joint, ("time",), "line", line, np.eye(4))
+        direct = rows.columns([{joint: line.basis(scene)} for scene in rows.scenes], passes=2)
+        np.testing.assert_allclose(filtered.columns(rival)[joint], direct[joint], atol=1e-5)
 
 
 def test_a_joint_at_rest_is_no_quantity() -> None:

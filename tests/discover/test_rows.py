@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from seqid_cli.discover.rows import BLOCK_S, FOLDS, Rows, rows_of
+from seqid_cli.discover.rows import BLOCK_S, FOLDS, FOLDS_OF_ONE, Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sliding
 from tests.discover.arms import arm_scenes
-from tests.model.effects.scenes import RATE_HZ, motion_of, wander
+from tests.model.effects.scenes import RATE_HZ, motion_of, scene_of, wander
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +126,27 @@ def test_without_events(scenes: list[Scene], rows: Rows) -> None:
         np.testing.assert_array_equal(after[~taken], before[~taken])
     assert quiet.count(0) < rows.count(0)
     np.testing.assert_array_equal(quiet.fold, rows.fold)
+
+
+def test_a_joint_that_moves_in_one_log_only_has_folds_enough_in_it() -> None:
+    rows = rows_of([scene_of(wander(20.0, seed=k, still=(1 - k,)), log=k) for k in (0, 1)])
+    four = rows_of(
+        [scene_of(wander(20.0, seed=k, still=(1,) if k < 3 else ()), log=k) for k in range(4)]
+    )
+    assert np.max(rows.fold) + 1 == 2 * FOLDS_OF_ONE
+    for joint in (0, 1):
+        assert len(np.unique(rows.folds_of(joint))) == FOLDS_OF_ONE
+    assert len(np.unique(four.folds_of(1))) == FOLDS_OF_ONE
+    assert len(np.unique(four.folds_of(0))) < 4 * FOLDS_OF_ONE
+
+
+def test_a_single_move_of_a_joint_does_not_count_beside_a_whole_log_of_it() -> None:
+    q = wander(30.0, seed=2)
+    settled = int(1.5 * RATE_HZ)
+    q[settled:, 1] = q[settled, 1]
+    alone = rows_of([scene_of(q)])
+    both = rows_of([scene_of(wander(30.0, seed=1)), scene_of(q, log=1)])
+    assert alone.used[0][:, 1].any()
+    assert not both.used[1][:, 1].any()
+    assert both.used[1][:, 0].any()
+    assert both.used[0][:, 1].any()

@@ -22,10 +22,13 @@ from tests.plants.experiments import (
     inertia_trials,
     validation_trials,
 )
+from tests.plants.laws import Extra
 from tests.plants.rigid import PHI_NAMES
 from tests.plants.rigs import one_joint, six_joint, two_joint
 from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.simulate import Log, Plant, simulate
+from tests.plants.trials import PERIODS, moves, waves, zigzags
+from tests.plants.undeclared import Injection, inject
 
 Array = NDArray[np.float64]
 Encoding = Literal["cdr", "json"]
@@ -34,23 +37,48 @@ T0_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 
 
 @dataclass(frozen=True)
+class Changed:
+    """The logs after the change, `every` control periods per row."""
+
+    trials: Sequence[Trial]
+    every: int
+
+
+@dataclass(frozen=True)
 class Recipe:
     """What one robot's samples consist of.
 
     `every` control periods per row; `formats` says which stages, or "stage/trial", are MCAP and in
-    which encoding; the others are Parquet.
+    which encoding; the others are Parquet. `change` is what happened to the arm before `changed`
+    were recorded; nobody declared it.
     """
 
     plant: Plant
     trials: Sequence[Trial]
+    change: Injection
+    changed: Changed
     every: int
     formats: Mapping[str, Encoding]
     urdf: str | None = None
     base: Mapping[str, float] | None = None
 
 
+def changed_trials(
+    plant: Plant, rng: np.random.Generator, *, seconds: float, imus: bool
+) -> list[Trial]:
+    """All joints at 80 % of their speeds: two logs to learn from and one to hold out."""
+    fourier = waves(plant, rng, period=PERIODS[0], share=0.8, seconds=seconds)
+    trapezoids = zigzags(plant, rng, share=0.8, seconds=seconds)
+    held_out = moves(plant, rng, share=0.8, seconds=seconds)
+    return [
+        Trial("changed", "fourier", fourier, imus=imus),
+        Trial("changed", "trapezoids", trapezoids, imus=imus),
+        Trial("changed", "held_out", held_out, imus=imus),
+    ]
+
+
 def one_joint_recipe() -> Recipe:
-    """Sec. 4.1 at 1 kHz, all Parquet."""
+    """Sec. 4.1 at 1 kHz, all Parquet; then a hose pulls at the link."""
     plant, rng, home = one_joint(), np.random.default_rng(SEED), [np.zeros(1)]
     trials = [
         *friction_trials(plant, home),
@@ -60,11 +88,13 @@ def one_joint_recipe() -> Recipe:
         *validation_trials(plant, rng, runs=1, seconds=12.0),
     ]
     base = {"mx_1": float(plant.arm.phi[0, 1]), "my_1": 0.0, "Izz_1": float(plant.arm.phi[0, 9])}
-    return Recipe(plant, trials, 1, {}, base=base)
+    later = changed_trials(plant, np.random.default_rng([SEED, 1]), seconds=35.0, imus=True)
+    change = inject("spring", plant, 0)
+    return Recipe(plant, trials, change, Changed(later, 4), 1, {}, base=base)
 
 
 def two_joint_recipe() -> Recipe:
-    """Sec. 4.2 at 250 Hz; the IMU rotations as JSON MCAP."""
+    """Sec. 4.2 at 250 Hz, the IMU rotations as JSON MCAP; then the elbow's gear has worn."""
     plant, rng = two_joint(), np.random.default_rng(SEED + 1)
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     trials = [
@@ -82,7 +112,9 @@ def two_joint_recipe() -> Recipe:
         "pi_4": float(phi[1, 1]),
         "pi_5": float(phi[1, 2]),
     }
-    return Recipe(plant, trials, 4, {"imu": "json"}, base=base)
+    later = changed_trials(plant, np.random.default_rng([SEED + 1, 1]), seconds=35.0, imus=True)
+    change = inject("load_dependent_friction", plant, 1)
+    return Recipe(plant, trials, change, Changed(later, 8), 4, {"imu": "json"}, base=base)
 
 
 SIX_POSTURES = np.array(
@@ -98,7 +130,10 @@ SIX_POSTURES = np.array(
 
 
 def six_joint_recipe() -> Recipe:
-    """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP."""
+    """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP.
+
+    Then a hose has been laid over its elbow.
+    """
     plant, rng, postures = six_joint(), np.random.default_rng(SEED + 2), list(SIX_POSTURES)
     trials = [
         *friction_trials(plant, postures[:1], lowest=0.08),
@@ -108,7 +143,10 @@ def six_joint_recipe() -> Recipe:
         *validation_trials(plant, rng, runs=1, seconds=15.0, points=6),
     ]
     shoulder = [f"inertia/{trial.name}" for trial in trials if trial.stage == "inertia"][:3]
-    return Recipe(plant, trials, 4, dict.fromkeys(shoulder, "cdr"), urdf="six_joint.urdf")
+    later = changed_trials(plant, np.random.default_rng([SEED + 2, 1]), seconds=27.0, imus=False)
+    change, changed = inject("spring", plant, 2), Changed(later, 4)
+    formats: dict[str, Encoding] = dict.fromkeys(shoulder, "cdr")
+    return Recipe(plant, trials, change, changed, 4, formats, urdf="six_joint.urdf")
 
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
@@ -148,7 +186,17 @@ def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
             }
             for imu in plant.imus
         },
+        "changed": change_table(recipe.change),
     }
+
+
+def change_table(change: Injection) -> dict[str, object]:
+    """What happened to the arm: the effect, its joint, its numbers in SI."""
+    plant, joint = change.plant, change.joint
+    law = plant.friction.curve if isinstance(plant.friction, Extra) else plant.hidden.torques[-1]
+    numbers = {name: value for name, value in vars(law).items() if name != "joint"}
+    name = None if joint is None else plant.arm.names[joint]
+    return {"effect": change.kind, "joint": name, **numbers}
 
 
 def friction_table(plant: Plant, joint: int) -> dict[str, object]:
@@ -231,6 +279,11 @@ def make(outdir: Path, name: str) -> None:
     for number, trial in enumerate(recipe.trials):
         seed = SEED + 1000 + number
         log = simulate(recipe.plant, trial.reference, seed, every=recipe.every, imus=trial.imus)
+        save(folder, recipe, trial, log)
+    plant, changed = recipe.change.plant, recipe.changed
+    for number, trial in enumerate(changed.trials):
+        seed = SEED + 2000 + number
+        log = simulate(plant, trial.reference, seed, every=changed.every, imus=trial.imus)
         save(folder, recipe, trial, log)
 
 

@@ -50,7 +50,7 @@ class Setting:
 
     `low` and `high` bound the search between the grid's values; a setting that is not `continuous`
     (an order, the number of a log) keeps the grid's value. `logarithmic` ones are searched by
-    ratio.
+    ratio. A `usual` value is taken where no other does clearly better.
     """
 
     name: str
@@ -59,6 +59,7 @@ class Setting:
     high: float = np.inf
     continuous: bool = True
     logarithmic: bool = False
+    usual: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,8 @@ class Effect(abc.ABC):
     first_order : bool
         Whether the grid's columns hold for small sizes only, so that gains count once `sharpened`
         has been followed.
+    slow : bool
+        Whether the effect changes over minutes only, as slow noise of the measured torque does.
     change : bool
         Whether a constant effect of this kind hides in the base parameters once they are free: it
         is then visible against earlier parameters only.
@@ -114,6 +117,7 @@ class Effect(abc.ABC):
     wide: ClassVar[bool] = False
     timing: ClassVar[bool] = False
     first_order: ClassVar[bool] = False
+    slow: ClassVar[bool] = False
     change: ClassVar[bool] = False
     alike: ClassVar[tuple[str, ...]] = ()
     separate_by: ClassVar[str]

@@ -104,12 +104,9 @@ def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
     list of float
         Cycles per turn.
     """
-    orders, power = profile.spectrum()
-    inside = (orders >= lowest) & (orders <= profile.highest)
-    orders, power = orders[inside], power[inside]
+    orders, power, clear = _lines(profile, lowest)
     if len(power) < 3:
         return []
-    clear = power / np.maximum(_floor(power), 1e-300)
     top = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
     chosen: list[int] = []
     for score in (clear, power):
@@ -122,6 +119,21 @@ def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
                 found += 1
     width = 1.0 / profile.span / PADDING
     return [_refined(profile, float(orders[k]), width) for k in chosen]
+
+
+def clearest(profile: Profile, lowest: float) -> float:
+    """How many times its surroundings' level the clearest line has; 0 where there are none."""
+    return float(np.max(_lines(profile, lowest)[2], initial=0.0))
+
+
+def _lines(profile: Profile, lowest: float) -> tuple[Array, Array, Array]:
+    """Orders from `lowest` on, their power, and how clear they stand above their surroundings."""
+    orders, power = profile.spectrum()
+    inside = (orders >= lowest) & (orders <= profile.highest)
+    orders, power = orders[inside], power[inside]
+    if len(power) == 0:
+        return orders, power, power
+    return orders, power, power / np.maximum(_floor(power), 1e-300)
 
 
 def _without_trend(x: Array, rm: Array, mm: Array) -> Array:

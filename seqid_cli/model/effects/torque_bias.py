@@ -23,6 +23,7 @@ class TorqueBias(TorqueMeasurement):
 
     name = "torque_bias"
     family = "measurement"
+    slow = True
     change = True
     alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
     separate_by = (

@@ -1,6 +1,6 @@
 """Torque that repeats with the angle: cogging, commutation, the strain wave, a gear's mesh.
 
-    tau = m (c_s sin(p) + c_c cos(p)),        p = order N q
+    tau = m (c_s sin(p) + c_c cos(p)),        p = order N (q - lag dq)
 
 `order` is in cycles per motor turn (N the gear ratio; per joint turn where the robot file gives
 none, N = 1). The multiplier m is the law by which the ripple scales:
@@ -8,6 +8,10 @@ none, N = 1). The multiplier m is the law by which the ripple scales:
     law 0, constant:   m = 1            cogging, also without current [N m]
     law 1, torque:     m = tau_model    commutation, phase gains, mesh under load [-]
     law 2, direction:  m = s(v)         friction that varies round the turn [N m]
+
+`lag` [s] is how late a fast ripple shows in the measured torque: the drive answers it with a delay
+of its own, and what is left of it shakes the arm. Both ways and at many speeds its waves then fall
+on different angles, and no sine of the angle alone sums them up. It is looked for with law 0.
 
 Candidate orders are the peaks of the residual's least-squares spectrum over position. Cogging:
 Piccoli, Yim, "Anticogging: torque ripple suppression, modeling, and parameter selection", IJRR
@@ -30,7 +34,7 @@ from seqid_cli.model.effects.effect import (
     Settings,
     Value,
 )
-from seqid_cli.model.effects.orders import Profile, peaks
+from seqid_cli.model.effects.orders import Profile, clearest, peaks
 from seqid_cli.model.effects.periodic import amplitude_and_phase
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.units import unit_of
@@ -45,6 +49,9 @@ FINE = 12.0  # cycles per joint turn, from which a ripple need not be a whole nu
 HIGHEST = 4000.0
 CYCLES_IN_RANGE = 2.0
 WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
+TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
+LAGS_S = (0.005, 0.01, 0.015, 0.02)
+CLEAR = 15.0  # times the level around it, that a line with lag must have: the luckiest of noise
 SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
 
 
@@ -56,6 +63,7 @@ class TorqueRipple(Effect):
     settings = (
         Setting("order", "cycles per motor turn", low=0.0, continuous=False),
         Setting("law", "1", low=0.0, high=2.0, continuous=False),
+        Setting("lag", "s", low=0.0, high=max(LAGS_S), continuous=False),
     )
     wide = True
     alike = ("encoder_eccentricity", "periodic_disturbance")
@@ -77,24 +85,18 @@ class TorqueRipple(Effect):
     def grid(
         self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
     ) -> Iterator[dict[str, float]]:
-        """Yield the strongest and the clearest lines of every law."""
+        """Yield the strongest and the clearest lines of every law, and of the best lag."""
         assert joint is not None
         gear = abs(float(scenes[0].gear[joint]))
-        highest = highest_order(scenes, joint)
-        for law in range(len(LAWS)):
-            profile = Profile.of(
-                [scene.angle[:, joint] / (2 * np.pi) for scene in scenes],
-                [r[:, joint] for r in residual],
-                [multiplier(scene, joint, law) for scene in scenes],
-                highest,
-            )
-            if profile is None:
-                continue
+        speed = max(usual_speed(scene, joint) for scene in scenes)
+        for law, lag, profile in _profiles(scenes, joint, residual):
             lowest = max(LOWEST, CYCLES_IN_RANGE / profile.span)
             orders = (self._named(profile, k / gear, gear) for k in peaks(profile, lowest, PEAKS))
             for order in dict.fromkeys(orders):
-                if order == round(order) or order * gear >= FINE:
-                    yield {"order": order, "law": float(law)}
+                turned = order * gear * lag * speed
+                fine = order == round(order) or order * gear >= FINE
+                if fine and (lag == 0.0 or turned > TURNED):
+                    yield {"order": order, "law": float(law), "lag": lag}
 
     def _named(self, profile: Profile, order: float, gear: float) -> float:
         """A whole number of cycles per motor turn where it explains as much."""
@@ -107,7 +109,7 @@ class TorqueRipple(Effect):
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """Sine and cosine of the angle, times the law's multiplier."""
         assert joint is not None
-        p = settings["order"] * scene.gear[joint] * scene.angle[:, joint]
+        p = settings["order"] * scene.gear[joint] * _angle(scene, joint, settings["lag"])
         m = multiplier(scene, joint, int(settings["law"]))
         return {joint: np.stack([m * np.sin(p), m * np.cos(p)], axis=1)}
 
@@ -119,6 +121,32 @@ class TorqueRipple(Effect):
         return amplitude_and_phase(
             c, covariance, unit_of(unit, bool(robot.chain.prismatic[joint or 0]))
         )
+
+
+def _profiles(
+    scenes: Sequence[Scene], joint: int, residual: Sequence[Array]
+) -> Iterator[tuple[int, float, Profile]]:
+    """Residual over the angle for every law without lag, and for law 0 at the clearest one's."""
+    highest = highest_order(scenes, joint)
+    r = [values[:, joint] for values in residual]
+
+    def profile_of(law: int, lag: float) -> Profile | None:
+        turns = [_angle(scene, joint, lag) / (2 * np.pi) for scene in scenes]
+        return Profile.of(turns, r, [multiplier(scene, joint, law) for scene in scenes], highest)
+
+    prompt = [profile_of(law, 0.0) for law in range(len(LAWS))]
+    yield from ((law, 0.0, profile) for law, profile in enumerate(prompt) if profile is not None)
+    late = [(lag, profile_of(0, lag)) for lag in LAGS_S]
+    there = [(clearest(profile, FINE), lag, profile) for lag, profile in late if profile]
+    clear, lag, profile = max(there, key=lambda found: found[0], default=(0.0, 0.0, None))
+    if profile is not None and clear > CLEAR:
+        yield 0, lag, profile
+
+
+def _angle(scene: Scene, joint: int, lag: float) -> Array:
+    """Angle (N,) rad of a joint as it was `lag` seconds before."""
+    before: Array = scene.angle[:, joint] - lag * scene.motion.dq[:, joint]
+    return before
 
 
 def multiplier(scene: Scene, joint: int, law: int) -> Array:
@@ -134,12 +162,16 @@ def highest_order(scenes: Sequence[Scene], joint: int) -> float:
     """Most cycles per joint turn that speed, sampling rate and encoder can tell apart."""
     limits = [HIGHEST]
     for scene in scenes:
-        speed = np.abs(scene.motion.dq[:, joint])
-        moving = speed[scene.motion.moving[:, joint]]
+        speed = usual_speed(scene, joint)
         step = float(scene.motion.cutoff.encoder_step[joint])
         if step > 0.0:
             limits.append(1.0 / step)
-        if len(moving):
-            usual = max(float(np.quantile(moving, 0.75)), 1e-6)
-            limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / usual)
+        if speed > 0.0:
+            limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / max(speed, 1e-6))
     return min(limits)
+
+
+def usual_speed(scene: Scene, joint: int) -> float:
+    """Speed [rad/s] that a joint exceeds in a quarter of the time that it moves; 0 if never."""
+    speed = np.abs(scene.motion.dq[:, joint])[scene.motion.moving[:, joint]]
+    return float(np.quantile(speed, 0.75)) if len(speed) else 0.0

@@ -50,7 +50,34 @@ def test_order_law_and_size_come_back(order: float, gear: float, law: int) -> No
     assert values[0].value == pytest.approx(scale, rel=0.1)
     assert values[0].unit == ("1" if law == 1 else "N m")
     assert values[1].value == pytest.approx(np.arctan2(COS, SIN), abs=0.15)
-    assert len(tried) <= 15
+    assert len(tried) <= 16
+
+
+def test_a_ripple_that_comes_late_is_found_both_ways() -> None:
+    """At some 20 Hz no sine of the angle itself holds for both directions."""
+    lag, order = 0.015, 2.0
+    scene, _ = rippling(order, 0, seed=3)
+    motion, rng = scene.motion, np.random.default_rng(3)
+    p = order * GEAR[1] * (motion.q[:, 1] - lag * motion.dq[:, 1])
+    residual = rng.normal(size=motion.q.shape)
+    residual[:, 1] += SIN * np.sin(p) + COS * np.cos(p)
+    residual[~motion.usable] = 0.0
+    y = residual[:, 1]
+    gains = {}
+    for settings in TorqueRipple().grid([scene], 1, [residual]):
+        X = TorqueRipple().columns(scene, 1, settings)[1]
+        c = np.linalg.lstsq(X[y != 0.0], y[y != 0.0])[0]
+        gains[settings["order"], settings["law"], settings["lag"]] = float(
+            np.sum(y**2) - np.sum((y - X @ c)[y != 0.0] ** 2)
+        )
+    assert max(gains, key=lambda key: gains[key]) == (order, 0.0, lag)
+    assert all(law == 0.0 for _, law, late in gains if late > 0.0)
+
+
+def test_without_a_line_no_lag_is_tried() -> None:
+    scene, _ = rippling(2.0, 0, seed=4)
+    noise = np.random.default_rng(4).normal(size=scene.motion.q.shape)
+    assert all(s["lag"] == 0.0 for s in TorqueRipple().grid([scene], 1, [noise]))
 
 
 def test_a_joint_that_does_not_move_has_no_orders() -> None:

@@ -1,0 +1,71 @@
+"""Slow candidates: whether their coefficients hold from one stretch of time to the next.
+
+Torque noise has slow parts, and each log comes with its own. An offset or a ramp fits a few such
+values well however many samples they were made of, so that its error is what leaving out one
+stretch after the other changes (cluster jackknife, F distribution; Cameron and Miller, "A
+practitioner's guide to cluster-robust inference", 2015).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+from seqid_cli.discover.rows import BLOCK_S, Rows
+from seqid_cli.discover.system import System
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+STRETCH_S = 10.0  # well beyond the slowest noise of a drive
+
+
+def chance(system: System, columns: Mapping[int, Array]) -> float:
+    """Probability that coefficients as far from zero come from slow noise alone.
+
+    Parameters
+    ----------
+    system : System
+        Base and accepted effects, without the candidate.
+    columns : joint -> (M_j, k)
+        The candidate's rows.
+
+    Returns
+    -------
+    float
+        1 where there are no more stretches than coefficients.
+    """
+    of_block = _stretch_of_block(system.rows)
+    count = int(of_block.max()) + 1
+    width = next(iter(columns.values())).shape[1]
+    squares, scores = np.zeros((count, width, width)), np.zeros((count, width))
+    for joint, (X, r) in system.beside(columns).items():
+        own = of_block[system.rows.blocks_of(joint)]
+        np.add.at(squares, own, X[:, :, None] * X[:, None, :])
+        np.add.at(scores, own, X * r[:, None])
+    present = np.flatnonzero(np.any(squares, axis=(1, 2)))
+    free = len(present) - width
+    if free < 1:
+        return 1.0
+    whole, given = squares.sum(axis=0), scores.sum(axis=0)
+    a = np.linalg.pinv(whole) @ given
+    without = np.array([np.linalg.pinv(whole - squares[g]) @ (given - scores[g]) for g in present])
+    shift = without - a
+    covariance = shift.T @ shift * (len(present) - 1) / len(present)
+    wald = float(a @ np.linalg.pinv(covariance) @ a) / width
+    return float(f_distribution.sf(wald, width, free))
+
+
+def _stretch_of_block(rows: Rows) -> Index:
+    """Number of the stretch that each block belongs to; stretches end with their log."""
+    whole = max(1, round(STRETCH_S / BLOCK_S))
+    stretch, first = np.zeros(len(rows.fold), dtype=np.intp), 0
+    for block in rows.block:
+        start, blocks = int(block.min()), int(block.max() - block.min()) + 1
+        count = max(1, blocks // whole)
+        stretch[start : start + blocks] = first + np.arange(blocks) * count // blocks
+        first += count
+    return stretch

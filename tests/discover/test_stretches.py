@@ -1,0 +1,44 @@
+"""Slow candidates against the slow part of torque noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seqid_cli.discover.stretches import chance
+from seqid_cli.model.effects.scene import Scene
+from tests.discover.arms import arm_scenes, at_joint, candidate, search_in
+
+LOGS, SIZE, JOINT = 5, 0.4, 1  # N m
+SESSION_S = 200.0
+LEAST = 1e-3
+
+
+def chance_of_drift(offsets: np.ndarray, rate: float = 0.0) -> float:
+    """Return the chance stated for a drift where each log has its own offset, and a ramp."""
+
+    def torque(scene: Scene) -> np.ndarray:
+        return offsets[scene.log] + rate * scene.time
+
+    scenes = arm_scenes(at_joint(JOINT, torque), logs=LOGS, seconds=12.0)
+    search = search_in(scenes)
+    (columns,) = search.stage.columns([candidate("drift", JOINT, duration=SESSION_S)])
+    return chance(search.system(), columns)
+
+
+def test_a_ramp_is_no_chance() -> None:
+    assert chance_of_drift(np.zeros(LOGS), rate=SIZE / SESSION_S) < LEAST
+
+
+def test_offsets_that_each_log_draws_are_seldom_a_drift() -> None:
+    """Were samples counted instead of stretches, every one of them would be."""
+    rng = np.random.default_rng(3)
+    found = [chance_of_drift(SIZE * rng.normal(size=LOGS)) for _ in range(12)]
+    assert sum(p < LEAST for p in found) == 0
+    assert np.median(found) > 0.01
+
+
+def test_one_stretch_says_nothing() -> None:
+    scenes = arm_scenes(at_joint(JOINT, lambda scene: SIZE * scene.time), logs=1, seconds=12.0)
+    search = search_in(scenes)
+    (columns,) = search.stage.columns([candidate("drift", JOINT, duration=SESSION_S)])
+    assert chance(search.system(), columns) == 1.0

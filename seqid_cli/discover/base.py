@@ -45,6 +45,7 @@ class Base:
     prior_rigid: Array
     prior_friction: tuple[Array, ...]
     whole: tuple[Whole, ...]
+    start: Array
 
     def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
         """Torque (N, n) N m of the base's deviations at every sample of each scene."""
@@ -102,12 +103,13 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         for scene in rows.scenes
     ]
     own = [rows.of(j, [per_scene[j] for per_scene in friction]) for j in range(robot.n)]
+    y = tuple(rows.of(j, [r[:, j] for r in left]) for j in range(robot.n))
     return Base(
         basis=basis,
         rigid=tuple(rows.of(j, [h[:, j] for h in H]) for j in range(robot.n)),
         friction=tuple(own),
         timing=tuple(rows.of(j, [t[:, j : j + 1] for t in timing]) for j in range(robot.n)),
-        y=tuple(rows.of(j, [r[:, j] for r in left]) for j in range(robot.n)),
+        y=y,
         prior_rigid=_rigid_prior(basis, [stages.gravity, stages.inertia]),
         prior_friction=tuple(
             _friction_prior(stages.friction, robot.joint_names[j], own[j].shape[1])
@@ -117,6 +119,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
             Whole(h.astype(np.float32), tuple(f), r)
             for h, f, r in zip(H, friction, left, strict=True)
         ),
+        start=np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in y]),
     )
 
 

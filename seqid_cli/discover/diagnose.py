@@ -43,6 +43,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 SLOW_NOISE = 3.0  # times the level of other quantities, that a dependence on time must reach
+REST = 0.5  # of the certainty, where a finding may be the rest of another
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
@@ -99,8 +100,24 @@ def described(found: Investigation, robot: Robot) -> Diagnosis:
 def _ordered(findings: Sequence[Finding]) -> list[Finding]:
     """The weightiest first; none is more certain than one that it was found beside."""
     ordered = sorted(findings, key=lambda f: -f.explains * f.confidence)
+    ordered = [_beside(f, ordered[:k]) for k, f in enumerate(ordered)]
     certainties = np.minimum.accumulate([f.confidence for f in ordered])
     return [replace(f, confidence=float(c)) for f, c in zip(ordered, certainties, strict=True)]
+
+
+def _beside(finding: Finding, before: Sequence[Finding]) -> Finding:
+    """A finding that may be the rest of a weightier one like it at its joint is half as certain."""
+    alike = CATALOGUE[finding.effect].alike
+    same = [
+        f.effect
+        for f in before
+        if f.joint == finding.joint
+        and (f.effect in alike or finding.effect in CATALOGUE[f.effect].alike)
+    ]
+    if not same:
+        return finding
+    names = dict.fromkeys((*finding.confusable_with, *same))
+    return replace(finding, confidence=REST * finding.confidence, confusable_with=tuple(names))
 
 
 def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:

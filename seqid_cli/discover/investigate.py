@@ -26,6 +26,7 @@ from seqid_cli.discover.events import Interval, event_masks, find_events
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.gates import SMOOTH, Gates, calibrated
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.relinearise import moved, relinearised
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.search import Search, searched
@@ -40,10 +41,12 @@ CHANGED = 0.05  # relative excess over a free base from which the file counts as
 CLEARLY = (
     0.7  # of what a joint's effects leave, below which smooth functions are the better account
 )
-WORTH = 0.02  # of the squared residual, by which they must be better
+WORTH = 0.08  # of the squared residual, by which they must be better
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 AROUND_S = 0.5
 STANDS_OUT = 1.5  # times the gate, that the strongest event must reach for any to be believed
+MOVED = 0.05  # of a joint's rigid-body torque, from which effects are looked at from there
+RELINEARISED = 2  # times at most
 AS_GOOD = 0.05  # relative excess that a kept file with few changes may have
 
 
@@ -107,13 +110,12 @@ def investigate(
     if outside:
         result = _beside(result.search, outside, gates, options)
         dependences = _dependences(result.search, gates)
-    start = [np.sqrt(np.mean(y**2)) if len(y) else 0.0 for y in result.search.base.y]
     left = result.search.residual(result.search.system())
     return Investigation(
         tuple(logs),
         result,
         gates,
-        np.array(start),
+        result.search.base.start,
         noise_floor(logs, scenes, result.search.stage.rows, left),
         dependences,
         tuple(events),
@@ -195,7 +197,7 @@ def _beside(
     """Search anew with smooth functions in place of those joints' effects.
 
     What touches those joints is left out, and constant changes: with part of a joint's torque free,
-    nothing tells them any more.
+    nothing tells them any more. What the whole arm has shown beside them stays.
     """
     taken = {dependence.joint for dependence in outside}
 
@@ -204,6 +206,9 @@ def _beside(
 
     smooth = [rival for dependence in outside for rival in dependence.rivals]
     fresh = Search.begin(search.stage, search.base, kept=search.kept, smooth=smooth)
+    for tried in search.accepted:
+        if tried.candidate.joint is None and gates.passes(fresh.marginal(tried)):
+            fresh.add(tried)
     effects = [effect for effect in CATALOGUE.values() if not effect.change]
     ranked = searched(fresh, effects, gate, options.max_effects)
     return Searched(fresh, tuple(ranked))
@@ -232,13 +237,23 @@ def _both_stances(stage: Stage, base: Base, gates: Gates, options: DiscoverOptio
     held = Search.begin(stage, base, kept=True)
     scale = np.maximum(search.rms(), 1e-12)
     off = float(np.mean((held.rms() / scale) ** 2)) > 1 + CHANGED
-    free = _search(search, gates, options)
+    free = _about_itself(_search(search, gates, options), gates, options)
     if not off:
         return free
     kept = _search(held, gates, options)
     scale = np.maximum(free.search.rms(), 1e-12)
     as_good = float(np.mean((kept.search.rms() / scale) ** 2)) <= 1 + AS_GOOD
     return kept if kept.search.accepted and as_good else free
+
+
+def _about_itself(found: Searched, gates: Gates, options: DiscoverOptions) -> Searched:
+    """Search anew about the model that a search has found, where that is another."""
+    for _ in range(RELINEARISED):
+        if not found.search.accepted or moved(found.search) < MOVED:
+            break
+        stage, base = relinearised(found.search)
+        found = _search(Search.begin(stage, base, kept=False), gates, options)
+    return found
 
 
 def _search(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:

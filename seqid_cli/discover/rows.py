@@ -116,6 +116,10 @@ class Rows:
     def _sieves(self) -> dict[tuple[int, int], csr_array]:
         return {}
 
+    def keep_sieves_of(self, other: Rows) -> None:
+        """Take over the low-pass of rows that were picked alike."""
+        self._sieves.update(other._sieves)
+
     def without(self, events: Sequence[Mask]) -> Rows:
         """The same rows without the samples (N,) of each scene that belong to events."""
         used = tuple(

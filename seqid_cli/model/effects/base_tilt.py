@@ -11,18 +11,21 @@ serial robots", IEEE Trans. Robotics and Automation 6(3), 1990.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.robot.base import STANDARD
+from seqid_cli.robot.regressor import gravity_regressor, inverse_dynamics
+from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
 LARGEST_RAD = 0.35
+PARALLEL = 1e-6
 
 
 class BaseTilt(Effect):
@@ -33,6 +36,7 @@ class BaseTilt(Effect):
     arm = True
     passes = 1
     change = True
+    settings = (Setting("upright", "1", low=0.0, high=1.0, continuous=False),)
     alike = ("payload", "spring", "torque_bias")
     separate_by = (
         "an accelerometer on the base, or fast moves of the proximal joints: inertial torque does "
@@ -40,29 +44,58 @@ class BaseTilt(Effect):
     )
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the two rotations."""
-        return tuple(
+        """Return the two rotations, and the first link's moments where they are new."""
+        rotations = tuple(
             Coefficient(f"tilt_{k}", "rad", low=-LARGEST_RAD, high=LARGEST_RAD) for k in (1, 2)
         )
+        moments = tuple(Coefficient(f"moment_{k}", "N m") for k in (1, 2))
+        return (*rotations, *moments) if settings["upright"] else rotations
 
     def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
         """Gravity parameters are needed."""
         return scenes[0].model.phi is not None and bool(scenes[0].robot.gravity.any())
 
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """Whether the first joint turns about gravity."""
+        return {"upright": [float(first_joint_upright(scenes[0].robot))]}
+
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """Gravity torque of two directions square to gravity."""
         q, phi = scene.motion.q, scene.model.phi
+        new = int(settings["upright"])
         if phi is None:
-            return {j: np.zeros((scene.samples, 2)) for j in range(scene.robot.n)}
+            return {j: np.zeros((scene.samples, 2 + 2 * new)) for j in range(scene.robot.n)}
         still = np.zeros_like(q)
-        turned = [
-            inverse_dynamics(
-                scene.robot.chain, np.cross(axis, scene.robot.gravity), phi, q, still, still
-            )
-            for axis in tilt_axes(scene.robot.gravity)
-        ]
+        chain, gravity = scene.robot.chain, scene.robot.gravity
+        across = [np.cross(axis, gravity) for axis in tilt_axes(gravity)]
+        turned = [inverse_dynamics(chain, g, phi, q, still, still) for g in across]
         stacked = np.stack(turned, axis=2)
-        return {j: np.ascontiguousarray(stacked[:, j]) for j in range(scene.robot.n)}
+        columns = {j: np.ascontiguousarray(stacked[:, j]) for j in range(scene.robot.n)}
+        if new:
+            moments = np.zeros((scene.samples, scene.robot.n, 2))
+            moments[:, 0] = first_link_moments(scene.robot, across[0], q)
+            columns = {j: np.hstack([X, moments[:, j]]) for j, X in columns.items()}
+        return columns
+
+
+def first_joint_upright(robot: Robot) -> bool:
+    """Whether the first joint turns about gravity, so that its link's weight never shows."""
+    chain, gravity = robot.chain, robot.gravity
+    axis = chain.rotation[0] @ chain.axis[0]
+    across = np.cross(axis, gravity)
+    return not chain.prismatic[0] and bool(
+        np.linalg.norm(across) < PARALLEL * np.linalg.norm(gravity)
+    )
+
+
+def first_link_moments(robot: Robot, gravity: Array, q: Array) -> Array:
+    """Torque (N, 2) at the first joint of two first moments square to its axis, of unit weight."""
+    axis = robot.chain.axis[0]
+    square = np.linalg.svd(axis[None, :])[2][1:].T  # (3, 2)
+    moments = slice(STANDARD.index("mx"), STANDARD.index("mz") + 1)
+    Y = gravity_regressor(robot.chain, gravity, q)[:, 0, moments]
+    torque: Array = Y @ square / np.linalg.norm(gravity)
+    return torque
 
 
 def tilt_axes(gravity: Array) -> tuple[Array, Array]:

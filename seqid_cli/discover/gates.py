@@ -37,7 +37,7 @@ MARGIN = 2.0  # over the largest gain on clean data
 # that for rows that are correlated, and twice again to be sure.
 CHANCE = 50.0
 LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
-SHARED = 5.0  # folds that must share a gain; one of fewer must be larger by as much
+SHARED = 6.0  # folds that must share a gain; one of fewer must be larger by as much
 SMOOTH_RUNS = 2  # clean data sets that smooth functions look at, being slow
 EVENT_MARGIN = 1.4
 SMOOTH = ""  # the name under which smooth functions are counted
@@ -52,6 +52,12 @@ class Gates:
 
     clean: Mapping[str, float] = field(default_factory=dict)
     event: float = GATE
+
+    def joined(self, other: Gates) -> Gates:
+        """The higher levels of two calibrations."""
+        names = {*self.clean, *other.clean}
+        top = {k: max(self.clean.get(k, 0.0), other.clean.get(k, 0.0)) for k in sorted(names)}
+        return Gates(top, max(self.event, other.event))
 
     def least(self, name: str, joints: int = 1) -> float:
         """Relative gain from which an effect at so many joints is believed.

@@ -97,11 +97,8 @@ def investigate(
     dependences, stage = _dependences(result.search, gates), result.search.stage
     if result.search.accepted or events or any(d.quantities for d in dependences):
         smooth = [d for d in dependences if d.quantities]
-        gates = calibrated(logs, result.search, smooth, stages, options)
-        if events and (min(e.score for e in events) < gates.event or not _stand_out(events, gates)):
-            result, events = _without_events(rows, stages, gates, options)
         before = [t.candidate for t in result.search.accepted]
-        result = _again(result.search, gates, options)
+        result, events, gates = _judged(logs, result, events, smooth, rows, stages, options)
         same = result.search.stage is stage and before == [
             t.candidate for t in result.search.accepted
         ]
@@ -121,6 +118,26 @@ def investigate(
         tuple(events),
         outside,
     )
+
+
+def _judged(
+    logs: Sequence[Recording],
+    result: Searched,
+    events: list[Interval],
+    smooth: Sequence[Dependence],
+    rows: Rows,
+    stages: Stages,
+    options: DiscoverOptions,
+) -> tuple[Searched, list[Interval], Gates]:
+    """Hold what was found against clean data; what is found instead, too."""
+    gates = calibrated(logs, result.search, smooth, stages, options)
+    if events and (min(e.score for e in events) < gates.event or not _stand_out(events, gates)):
+        result, events = _without_events(rows, stages, gates, options)
+    result = _again(result.search, gates, options)
+    if {t.candidate.effect.name for t in result.search.accepted} - set(gates.clean):
+        gates = gates.joined(calibrated(logs, result.search, smooth, stages, options))
+        _take_back(result.search, gates)
+    return result, events, gates
 
 
 def _without_events(
@@ -164,13 +181,17 @@ def _of_shape(search: Search, event: Interval) -> bool:
 
 def _again(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:
     """Take back what does not pass the calibrated gates, and look for more."""
+    _take_back(search, gates)
+    return _search(search, gates, options)
+
+
+def _take_back(search: Search, gates: Gates) -> None:
     while search.accepted:
         failing = [k for k, t in enumerate(search.accepted) if not gates.passes(search.marginal(t))]
         if not failing:
-            break
+            return
         del search.accepted[failing[-1]]
         search.settle()
-    return _search(search, gates, options)
 
 
 def _outside(search: Search, gates: Gates) -> tuple[Dependence, ...]:

@@ -33,11 +33,17 @@ def _rounds(screen: Screen, rounds: Sequence[RefinementRound]) -> None:
             percent(item.training_gain),
             percent(item.held_out_gain),
             _interval(item.interval),
-            "added" if item.accepted else f"refused: {item.reason or 'no gain'}",
+            _outcome(item),
         )
         for item in rounds
     ]
     screen.table(columns, rows)
+
+
+def _outcome(item: RefinementRound) -> str:
+    if item.accepted:
+        return f"added: {item.reason}" if item.reason else "added"
+    return f"refused: {item.reason or 'no gain'}"
 
 
 def _errors(screen: Screen, loop: ClosedLoop) -> None:

@@ -75,7 +75,7 @@ def dependence(
     start = current = extended(system, {joint: np.ones((rows.count(joint), 1))})
     while len(chosen) < most:
         rival, trial = simplest(tried(current, candidates, filtered))
-        least = max(least_gain * loss, LEAST_SHARE * chosen[0][1].total if chosen else 0.0)
+        least = LEAST_SHARE * chosen[0][1].total if chosen else least_gain * loss * trial.scarcity
         if trial.total < least:
             break
         chosen.append((rival, trial))

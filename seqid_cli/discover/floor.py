@@ -1,16 +1,18 @@
 """How small the residual could become: torque noise in the band, that no model explains.
 
-Three ways, the best that a joint's logs allow:
+Noise is a property of a joint's drive, white and 1/f^a, looked for in all logs together; how much
+of it passes a log's low-pass depends on the log. Three ways, the best that a joint's logs allow:
 
 repeats
     Motion that comes back with a period, or in another log: half the mean square of the residual's
     differences, which no model of the motion can take away.
 rests
     All joints stand for several lengths of the filter: the spectrum of the raw torque there, white
-    noise and 1/f^a, integrated over the band.
+    noise and 1/f^a.
 spectrum
-    The same of the raw torque above the cut-off, with a = 1, while the joint slides. What it really
-    does there counts as noise; 1/f noise that white noise hides there is missing.
+    The least that the raw torque shows above the cut-off of any log while the joint slides, as
+    white noise. What it really does there counts as noise; 1/f noise that white noise hides there
+    is missing.
 
 Fits of spectra are Whittle's: P. Whittle, "Estimation and information in stationary time series",
 Arkiv foer Matematik 2(5), 1953.
@@ -18,7 +20,7 @@ Arkiv foer Matematik 2(5), 1953.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -34,6 +36,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import runs, shrink
+from seqid_cli.motion.motion import Motion
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -43,10 +46,13 @@ FEWEST_REPEATED = 20.0  # periods of the cut-off that must repeat
 SHORTEST_REST = 6.0  # periods of the cut-off
 FEWEST_RESTED = 20.0  # periods of the cut-off, over all rests
 STRETCH = 4.0  # periods of the cut-off per spectrum, while joints move
+FEWEST_FREQUENCIES = 8
+GRID = 400  # frequencies, over which a band is integrated
 EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)
 CLEARLY = 3.0  # log-likelihood that flicker, or an exponent other than the first, must gain
 BELOW = 4.0  # times the lowest frequency seen, to which 1/f is continued
 ABOVE = 2.0  # cut-offs, from which the torque is taken for noise
+UP_TO = 6.0  # cut-offs: what lies further off tells little of the band
 NYQUIST_SHARE = 0.9
 ROUNDS = 30
 
@@ -64,6 +70,7 @@ def noise_floor(
     scenes: Sequence[Scene],
     rows: Rows,
     residual: Sequence[Array],
+    judged: Collection[int] | None = None,
 ) -> NoiseFloor:
     """Find the noise floor of every joint.
 
@@ -78,26 +85,63 @@ def noise_floor(
     residual : sequence of (N, n) arrays
         Low-passed residual [N m] at the scenes' samples after all that was found has been taken
         out; zero where it does not count.
+    judged : collection of int, optional
+        The logs whose floor is wanted, by number; the others only help to find the noise.
 
     Returns
     -------
     NoiseFloor
-        Never above the RMS of `residual` over the rows.
+        Never above the RMS of `residual` over the rows of these logs.
     """
-    least = [rms(rows.of(j, [r[:, j] for r in residual])) for j in range(rows.n)]
-    repeated = _from_repeats(scenes, residual)
-    rested = _from_rests(recordings, scenes)
+    wanted = range(len(scenes)) if judged is None else sorted(judged)
+    rested, lowest = _from_rests(recordings, scenes), _above_cutoff(recordings, scenes)
+    repeats = _repeats(scenes, residual)
     floors, ways = [], []
     for j in range(rows.n):
-        found: list[tuple[Way, float]] = [
-            ("repeats", repeated[j]),
-            ("rests", rested[j]),
-            ("spectrum", _above_cutoff(recordings, scenes, j)),
-        ]
-        way, value = next((w, x) for w, x in found if np.isfinite(x))
-        floors.append(min(value, least[j]))
+        way, level = _level(j, repeats, rested, float(lowest[j]))
+        parts = [residual[k][rows.picked[k]][rows.used[k][:, j], j] for k in wanted]
+        weight = np.array([float(len(part)) for part in parts])
+        squares = np.array([level.square(scenes[k].motion) for k in wanted])
+        mean = float(weight @ squares) / max(float(weight.sum()), 1.0)
+        floors.append(min(float(np.sqrt(mean)), rms(np.concatenate(parts))))
         ways.append(way)
     return NoiseFloor(np.array(floors), tuple(ways))
+
+
+@dataclass(frozen=True)
+class Level:
+    """Torque noise of one joint: two-sided density w + c f^-a, constant below `least` Hz."""
+
+    white: float  # N^2 m^2 / Hz
+    flicker: float = 0.0
+    exponent: float = EXPONENTS[0]
+    least: float = 0.0
+
+    def square(self, motion: Motion) -> float:
+        """Mean square N^2 m^2 that two passes of a log's low-pass leave."""
+        of_white, of_flicker = _passed(motion, self.exponent, self.least)
+        return self.white * of_white + self.flicker * of_flicker
+
+
+def _passed(motion: Motion, exponent: float, least: float = 0.0) -> tuple[float, float]:
+    """Mean squares after two passes of white noise and of 1/f^a noise of unit density."""
+    top = min(0.5 * motion.rate_hz, 2.0 * motion.lowpass.cutoff_hz)
+    frequency = np.geomspace(1.0 / motion.t[-1], top, GRID)
+    gain = 2.0 * power_gain(motion.lowpass, frequency, 2)
+    coloured = gain * np.maximum(frequency, least) ** -exponent
+    return float(np.trapezoid(gain, frequency)), float(np.trapezoid(coloured, frequency))
+
+
+def _level(
+    joint: int, repeats: Repeats, rested: Sequence[Level] | None, lowest: float
+) -> tuple[Way, Level]:
+    """Noise of one joint by the best way that there is."""
+    if repeats.periods[joint] >= FEWEST_REPEATED:
+        white = min(lowest, rested[joint].white if rested else np.inf)
+        return "repeats", repeats.level(joint, white)
+    if rested:
+        return "rests", rested[joint]
+    return "spectrum", Level(lowest)
 
 
 def rms(values: Array) -> float:
@@ -105,10 +149,29 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
-def _from_repeats(scenes: Sequence[Scene], residual: Sequence[Array]) -> Array:
-    """RMS (n,) of what differs between repeats, NaN where too little repeats."""
-    n = scenes[0].robot.n
-    square, count, periods = np.zeros(n), np.zeros(n), np.zeros(n)
+@dataclass(frozen=True)
+class Repeats:
+    """What differs between repeats: squares (S, n) and samples (S, n) by log, periods (n,)."""
+
+    squares: Array
+    samples: Array
+    periods: Array
+    motions: tuple[Motion, ...]
+
+    def level(self, joint: int, white: float) -> Level:
+        """The joint's noise: as white as can be, the rest 1/f."""
+        at = np.flatnonzero(self.samples[:, joint])
+        weight = self.samples[at, joint] / self.samples[at, joint].sum()
+        total = 0.5 * float(self.squares[at, joint].sum() / self.samples[at, joint].sum())
+        passed = np.array([_passed(self.motions[k], EXPONENTS[0]) for k in at])
+        of_white, of_flicker = weight @ passed
+        white = min(white, total / float(of_white))
+        return Level(white, (total - white * float(of_white)) / float(of_flicker))
+
+
+def _repeats(scenes: Sequence[Scene], residual: Sequence[Array]) -> Repeats:
+    shape = (len(scenes), scenes[0].robot.n)
+    square, count, periods = np.zeros(shape), np.zeros(shape), np.zeros(shape[1])
     for repeat in repeats_of(scenes):
         then = scenes[repeat.second].motion
         own = residual[repeat.first][repeat.at]
@@ -119,21 +182,19 @@ def _from_repeats(scenes: Sequence[Scene], residual: Sequence[Array]) -> Array:
         counts = (own != 0) & (before != 0) & (after != 0)
         # Straight lines between two samples take away a share of what is near the cut-off.
         off = before * (1 - share) + after * share - own
-        square += np.sum(np.where(counts, off**2, 0.0), axis=0)
-        count += counts.sum(axis=0)
+        square[repeat.first] += np.sum(np.where(counts, off**2, 0.0), axis=0)
+        count[repeat.first] += counts.sum(axis=0)
         periods += counts.sum(axis=0) / then.rate_hz * then.lowpass.cutoff_hz
-    enough = periods >= FEWEST_REPEATED
-    return np.where(enough, np.sqrt(0.5 * square / np.maximum(count, 1)), np.nan)
+    return Repeats(square, count, periods, tuple(scene.motion for scene in scenes))
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Two-sided density (F, n) of one log's torque noise at frequencies (F,) Hz, and its scene."""
+    """Two-sided density (F, n) of one log's torque noise at frequencies (F,) Hz."""
 
     frequency: Array
     density: Array
     segments: int
-    scene: Scene
     least: Array  # (n,) density of the torque's quantisation
 
 
@@ -154,7 +215,7 @@ def _at_rest(recording: Recording, scene: Scene) -> Spectrum | None:
     density = np.mean(np.abs(np.fft.rfft(segments, axis=1)) ** 2, axis=0) / (rate * length)
     frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
     kept = (np.arange(len(frequency)) >= 2) & (frequency < 0.5 * NYQUIST_SHARE * rate)
-    return Spectrum(frequency[kept], density[kept], len(starts), scene, _quantised(recording))
+    return Spectrum(frequency[kept], density[kept], len(starts), _quantised(recording))
 
 
 def _quantised(recording: Recording) -> Array:
@@ -164,33 +225,18 @@ def _quantised(recording: Recording) -> Array:
     return least
 
 
-def _from_rests(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> Array:
-    """RMS (n,) in the band, over the logs that rest for long enough; NaN where none does."""
+def _from_rests(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[Level] | None:
+    """Noise of every joint from the log that rests longest; None where none does for long."""
     spectra = [_at_rest(*pair) for pair in zip(recordings, scenes, strict=True)]
     found = [spectrum for spectrum in spectra if spectrum is not None]
     if not found:
-        return np.full(scenes[0].robot.n, np.nan)
-    square = np.array([_integrated(spectrum, EXPONENTS) for spectrum in found])
-    weight = np.array([spectrum.segments * len(spectrum.frequency) for spectrum in found])
-    mean: Array = np.sqrt(np.average(square, axis=0, weights=weight))
-    return mean
-
-
-def _integrated(spectrum: Spectrum, exponents: Sequence[float]) -> Array:
-    """Mean square (n,) N^2 m^2 of the fitted noise after the scene's two passes."""
-    motion = spectrum.scene.motion
-    top = min(0.5 * motion.rate_hz, 2.0 * motion.lowpass.cutoff_hz)
-    frequency = np.geomspace(1.0 / motion.t[-1], top, 400)
-    gain = power_gain(motion.lowpass, frequency, 2)
-    squares = []
-    for density, least in zip(spectrum.density.T, spectrum.least, strict=True):
-        white, flicker, exponent = fitted(
-            spectrum.frequency, density, exponents, averaged=spectrum.segments
-        )
-        seen = np.maximum(frequency, spectrum.frequency[0] / BELOW)
-        shape = np.maximum(white, least) + flicker * seen**-exponent
-        squares.append(2.0 * float(np.trapezoid(shape * gain, frequency)))
-    return np.array(squares)
+        return None
+    best = max(found, key=lambda spectrum: spectrum.segments * len(spectrum.frequency))
+    levels = []
+    for density, least in zip(best.density.T, best.least, strict=True):
+        white, flicker, a = fitted(best.frequency, density, EXPONENTS, averaged=best.segments)
+        levels.append(Level(max(white, least), flicker, a, best.frequency[0] / BELOW))
+    return levels
 
 
 def fitted(
@@ -239,21 +285,21 @@ def _whittle(columns: Array, density: Array) -> tuple[Array, Array]:
     return c, shape
 
 
-def _above_cutoff(recordings: Sequence[Recording], scenes: Sequence[Scene], joint: int) -> float:
-    """RMS [N m] in the band, from what the raw torque shows above it while the joint moves."""
-    squares, weights = [], []
-    for recording, scene in zip(recordings, scenes, strict=True):
-        spectrum = _in_motion(recording, scene, joint)
-        if spectrum is not None:
-            squares.append(float(_integrated(spectrum, (1.0,))[0]))
-            weights.append(spectrum.segments)
-    return float(np.sqrt(np.average(squares, weights=weights))) if squares else np.inf
+def _above_cutoff(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> Array:
+    """Density (n,) N^2 m^2 / Hz of white noise, the least that any log shows above its cut-off."""
+    n = scenes[0].robot.n
+    shown = [
+        [_in_motion(recording, scene, j) for j in range(n)]
+        for recording, scene in zip(recordings, scenes, strict=True)
+    ]
+    least: Array = np.min(shown, axis=0)
+    return least
 
 
-def _in_motion(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
-    """Spectrum of the raw torque above the cut-off where the joint slides, away from reversals.
+def _in_motion(recording: Recording, scene: Scene, joint: int) -> float:
+    """Density of the raw torque above the cut-off where the joint slides, away from reversals.
 
-    Where it never slides for long enough, of all the log.
+    Where it never slides for long enough, of all the log; infinite of a log that shows none.
     """
     assert recording.tau is not None
     rate, cutoff = recording.rate_hz, scene.motion.lowpass.cutoff_hz
@@ -262,9 +308,9 @@ def _in_motion(recording: Recording, scene: Scene, joint: int) -> Spectrum | Non
     slid = nearest(slides, len(recording.t))[:, 0] & recording.valid
     starts = stretches(slid, length) or stretches(recording.valid, length)
     frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
-    kept = (frequency > ABOVE * cutoff) & (frequency < 0.5 * NYQUIST_SHARE * rate)
-    if not starts or kept.sum() < 8:
-        return None
-    density = median_spectrum(recording.tau[:, joint], starts, length, rate)[kept, None]
-    least = _quantised(recording)[[joint]]
-    return Spectrum(frequency[kept], density, len(starts), scene, least)
+    top = min(UP_TO * cutoff, 0.5 * NYQUIST_SHARE * rate)
+    kept = (frequency > ABOVE * cutoff) & (frequency < top)
+    if not starts or kept.sum() < FEWEST_FREQUENCIES:
+        return np.inf
+    density = median_spectrum(recording.tau[:, joint], starts, length, rate)[kept]
+    return max(float(np.mean(density)), float(_quantised(recording)[joint]))

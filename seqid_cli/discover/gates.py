@@ -22,6 +22,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.search import Search
+from seqid_cli.discover.system import LEAST_STEADY
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
@@ -36,8 +37,6 @@ MARGIN = 2.0  # over the largest gain on clean data
 # Rows' worth of gain that the luckiest of some hundred candidates has on noise: 2 ln(200), twice
 # that for rows that are correlated, and twice again to be sure.
 CHANCE = 50.0
-LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
-SHARED = 6.0  # folds that must share a gain; one of fewer must be larger by as much
 SMOOTH_RUNS = 2  # clean data sets that smooth functions look at, being slow
 EVENT_MARGIN = 1.4
 SMOOTH = ""  # the name under which smooth functions are counted
@@ -72,18 +71,12 @@ class Gates:
         rows = max(len(X) for X in tried.columns.values())
         chance = CHANCE / max(rows, 1)
         least = max(self.least(tried.candidate.effect.name, tried.trial.joints), chance)
-        return least * max(1.0, SHARED / max(steadiness(tried), LEAST_STEADY) ** 2)
+        return least * tried.trial.scarcity
 
     def passes(self, tried: Tried) -> bool:
         """Whether a candidate gains more than clean data show, on the folds alike."""
         enough = tried.trial.relative >= self.least_of(tried)
-        return enough and steadiness(tried) >= LEAST_STEADY
-
-
-def steadiness(tried: Tried) -> float:
-    """Gain over the root of the folds' summed squares: noise scatters about zero."""
-    gain = tried.trial.gain
-    return float(gain.sum()) / max(float(np.linalg.norm(gain)), 1e-300)
+        return enough and tried.trial.steadiness >= LEAST_STEADY
 
 
 def calibrated(

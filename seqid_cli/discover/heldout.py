@@ -39,6 +39,15 @@ class HeldOutError:
     sliding: Array
     sliding_samples: Array
 
+    def beside(self, other: HeldOutError) -> HeldOutError:
+        """The blocks of both."""
+        pairs = zip(self._parts, other._parts, strict=True)
+        return HeldOutError(*(np.vstack(pair) for pair in pairs))
+
+    @property
+    def _parts(self) -> tuple[Array, Array, Array, Array]:
+        return self.squares, self.samples, self.sliding, self.sliding_samples
+
     def rmse(self) -> Array:
         """RMS error (n,) N m as `predict` reports it; NaN for a joint that is not judged."""
         judged = self.sliding_samples.sum(axis=0) > 0
@@ -58,6 +67,11 @@ class Gain:
     def certain(self) -> bool:
         """Whether it is worth an effect, and not by chance."""
         return self.value >= LEAST_GAIN and self.low > 0.0
+
+    @property
+    def loses(self) -> bool:
+        """Whether something is lost that counts, and not by chance."""
+        return self.value <= -LEAST_GAIN and self.high < 0.0
 
 
 def held_out_error(

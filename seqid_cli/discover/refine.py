@@ -1,8 +1,11 @@
 """Refinement: add what a model lacks, as long as logs that were never fitted are predicted better.
 
 Every round an investigation of the training logs, with all effects so far taken out, names the next
-effect; model and effects are fitted anew (see `reidentify`), and the held-out logs decide. An
-effect that helps the training logs alone is refused, and said to be.
+effect; model and effects are fitted anew under two accounts: the effect was there all along, or it
+came after the file was identified (see `reidentify`). The account that explains the logs of all
+stages better is tried first; where these do not tell, the one that foretells the held-out logs
+better. The held-out logs decide. An effect that helps the training logs alone, or one joint at the
+expense of another, is refused, and said to be.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Tried
+from seqid_cli.discover.events import Interval
 from seqid_cli.discover.floor import noise_floor
 from seqid_cli.discover.heldout import (
     LEAST_GAIN,
@@ -26,7 +30,15 @@ from seqid_cli.discover.heldout import (
 )
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.reidentify import Material, Refitted, refitted
+from seqid_cli.discover.reidentify import (
+    Key,
+    Material,
+    Refitted,
+    identity,
+    key_of,
+    refitted,
+    unique,
+)
 from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
@@ -45,6 +57,11 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 
+ALL_ALONG = "was there all along"
+LATE = "came after the file was identified"
+TOLERATED = 0.05  # of a joint's squared error, that it may lose where others gain
+
+
 @dataclass
 class Loop:
     """The model as it grows, its error on the held-out logs, and what was tried."""
@@ -54,7 +71,7 @@ class Loop:
     model: Refitted
     error: HeldOutError
     rounds: list[Round]
-    refused: set[tuple[str, int | None]]
+    refused: set[Key]
     rng: np.random.Generator
 
     @property
@@ -64,11 +81,41 @@ class Loop:
 
     def judged(self, model: Refitted) -> HeldOutError:
         """Error of a model on the held-out logs."""
-        stages = with_effects(model, self.material.robot)
+        return self._error(self.held_out, model.stages, model.effects)
+
+    def explained(self, model: Refitted) -> HeldOutError:
+        """Error of a model on all logs that it is to explain, each with the effects it had."""
+        logs = unique([log for logs in self.material.earlier.values() for log in logs])
+        fitted = {identity(log) for log in self.material.training}
+        before = [log for log in logs if identity(log) not in fitted and _drives(log)]
+        now = self._error(self.material.training, model.stages, model.effects)
+        if not before:
+            return now
+        return now.beside(self._error(before, model.stages, model.lasting))
+
+    def _error(
+        self, logs: Sequence[Recording], stages: Stages, effects: Sequence[Fitted]
+    ) -> HeldOutError:
+        whole = with_effects(Refitted(stages, tuple(effects)), self.material.robot)
         motion = self.material.options.motion
-        return held_out_error(
-            self.held_out, self.material.robot, stages, options=motion, unexplained=True
-        )
+        return held_out_error(logs, self.material.robot, whole, options=motion, unexplained=True)
+
+
+@dataclass(frozen=True)
+class Account:
+    """A model with one effect more, when that effect came, and what the held-out logs say."""
+
+    model: Refitted
+    late: bool
+    error: HeldOutError
+    change: Gain  # at the joints of the effect
+    whole: Gain
+    losing: tuple[int, ...]  # joints that lose more than is tolerated
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the held-out logs agree."""
+        return self.change.certain and self.whole.value > 0.0 and not self.losing
 
 
 def refine(
@@ -109,7 +156,8 @@ def refine(
     held_out, more = usable_logs(held_out, robot)
     material = Material(tuple(training), earlier, robot, options)
     known = fitted_effects(file.stages, robot, unexplained=True)
-    start = Refitted(msgspec.structs.replace(file.stages, effects=None), tuple(known))
+    bare = msgspec.structs.replace(file.stages, effects=None)
+    start = Refitted(bare, tuple(known), _late(file, known, robot))
     rng = np.random.default_rng(options.seed)
     error = held_out_error(held_out, robot, file.stages, options=options.motion)
     loop = Loop(material, tuple(held_out), start, error, [], set(), rng)
@@ -120,11 +168,26 @@ def refine(
     return with_effects(loop.model, robot), _closed(loop, error, (*notes, *more))
 
 
+def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozenset[Key]:
+    """Effects of the file that an earlier refinement found to have come late."""
+    rounds = file.closed_loop.rounds if file.closed_loop is not None else []
+    names = {(r.effect, r.joint) for r in rounds if r.reason == LATE}
+    keys = [key for key in map(key_of, known) if key is not None]
+    return frozenset(
+        key
+        for key in keys
+        if (key[0], None if key[1] is None else robot.joint_names[key[1]]) in names
+    )
+
+
+def _drives(log: Recording) -> bool:
+    return log.tau is not None
+
+
 def _investigated(loop: Loop) -> Investigation:
     """What the model, with its effects, lacks on the training logs."""
     material, model = loop.material, loop.model
-    freed = material.freed(material.training, model.stages, model.effects)
-    return investigate(freed, material.robot, model.stages, material.options)
+    return investigate(material.now(model), material.robot, model.stages, material.options)
 
 
 def _round(loop: Loop) -> bool:
@@ -132,30 +195,67 @@ def _round(loop: Loop) -> bool:
     found = _investigated(loop)
     search = found.search
     ordered = sorted(search.accepted, key=lambda t: -search.energies[t.candidate.key])
-    added = False
+    added, seen = False, loop.material
+    if found.events:
+        loop.material = replace(seen, training=quiet(seen.training, found.events))
     for tried in ordered:
         if tried.candidate.key in loop.refused or loop.added >= loop.material.options.max_effects:
             continue
         added |= _try(loop, tried, search.marginal(tried).trial.relative, kept=search.kept)
+    loop.material = seen
     return added
+
+
+def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:
+    """The logs with the events that were found in them marked as not to be used."""
+    result = []
+    for number, log in enumerate(logs):
+        t, valid = log.t - log.t[0], log.valid.copy()
+        for event in events:
+            if event.scene == number:
+                valid &= (t < event.start) | (t > event.end)
+        result.append(replace(log, valid=valid))
+    return tuple(result)
 
 
 def _try(loop: Loop, tried: Tried, training_gain: float, *, kept: bool) -> bool:
     """Fit the model with one effect more; keep it if the held-out logs agree."""
-    candidates = [*_candidates(loop.model.effects), tried.candidate]
-    model = refitted(loop.material, loop.model.stages, candidates, kept=kept)
-    n = loop.material.robot.n
-    joints = [j for j in tried.columns if j < n]
-    error = loop.judged(model)
-    change = gain(loop.error, error, joints, loop.rng)
-    whole = gain(loop.error, error, range(n), loop.rng)
-    accepted = change.certain and whole.value > 0.0
-    loop.rounds.append(_told(loop, tried.candidate, training_gain, change, accepted))
-    if accepted:
-        loop.model, loop.error = model, error
+    accounts = _ordered(loop, [_account(loop, tried, late=late) for late in (kept, not kept)])
+    account = next((a for a in accounts if a.accepted), accounts[0])
+    loop.rounds.append(_told(loop, tried.candidate, training_gain, account))
+    if account.accepted:
+        loop.model, loop.error = account.model, account.error
     else:
         loop.refused.add(tried.candidate.key)
-    return accepted
+    return account.accepted
+
+
+def _account(loop: Loop, tried: Tried, *, late: bool) -> Account:
+    """The model with one effect more, that came late or was there all along."""
+    candidates = [*_candidates(loop.model.effects), tried.candidate]
+    came = loop.model.late | ({tried.candidate.key} if late else set())
+    model = refitted(loop.material, loop.model, candidates, late=came, kept=late)
+    n = loop.material.robot.n
+    error = loop.judged(model)
+    each = [gain(loop.error, error, [j], loop.rng) for j in range(n)]
+    return Account(
+        model=model,
+        late=late,
+        error=error,
+        change=gain(loop.error, error, [j for j in tried.columns if j < n], loop.rng),
+        whole=gain(loop.error, error, range(n), loop.rng),
+        losing=tuple(j for j, g in enumerate(each) if g.loses and g.value < -TOLERATED),
+    )
+
+
+def _ordered(loop: Loop, accounts: list[Account]) -> list[Account]:
+    """The more likely account first: by all logs that were fitted, else by the held-out ones."""
+    first, second = accounts
+    n = loop.material.robot.n
+    change = gain(loop.explained(first.model), loop.explained(second.model), range(n), loop.rng)
+    if not (change.certain or change.loses):
+        change = gain(first.error, second.error, range(n), loop.rng)
+    return [second, first] if change.certain else [first, second]
 
 
 def _candidates(effects: Sequence[Fitted]) -> list[Candidate]:
@@ -166,27 +266,33 @@ def _candidates(effects: Sequence[Fitted]) -> list[Candidate]:
     ]
 
 
-def _told(
-    loop: Loop, candidate: Candidate, training_gain: float, change: Gain, accepted: bool
-) -> Round:
+def _told(loop: Loop, candidate: Candidate, training_gain: float, account: Account) -> Round:
     names = loop.material.robot.joint_names
-    reason = ""
-    if not accepted and candidate.effect.wide and abs(change.value) < LEAST_GAIN:
-        reason = "lies above the low-pass, where the model is not judged"
-    elif not accepted:
-        reason = (
-            f"takes {100 * training_gain:.1f} % off the logs that were fitted, but "
-            f"{100 * change.value:.1f} % ({100 * change.low:.1f} to {100 * change.high:.1f} %) "
-            "off the held-out ones"
-        )
     return Round(
         effect=candidate.effect.name,
         joint=None if candidate.joint is None else names[candidate.joint],
-        accepted=accepted,
+        accepted=account.accepted,
         training_gain=float(training_gain),
-        held_out_gain=change.value,
-        interval=(change.low, change.high),
-        reason=reason,
+        held_out_gain=account.change.value,
+        interval=(account.change.low, account.change.high),
+        reason=_reason(loop, candidate, training_gain, account),
+    )
+
+
+def _reason(loop: Loop, candidate: Candidate, training_gain: float, account: Account) -> str:
+    """Why an effect was refused, or when one that was added came."""
+    change = account.change
+    if account.accepted:
+        return LATE if account.late and not loop.material.known else ALL_ALONG
+    if candidate.effect.wide and abs(change.value) < LEAST_GAIN:
+        return "lies above the low-pass, where the model is not judged"
+    if account.losing and change.certain:
+        names = [loop.material.robot.joint_names[j] for j in account.losing]
+        return f"predicts {', '.join(names)} worse on the held-out logs"
+    return (
+        f"takes {100 * training_gain:.1f} % off the logs that were fitted, but "
+        f"{100 * change.value:.1f} % ({100 * change.low:.1f} to {100 * change.high:.1f} %) "
+        "off the held-out ones"
     )
 
 
@@ -226,27 +332,33 @@ def with_effects(model: Refitted, robot: Robot) -> Stages:
 
 def _closed(loop: Loop, before: HeldOutError, notes: tuple[str, ...]) -> ClosedLoop:
     robot = loop.material.robot
-    old, new, floor = before.rmse(), loop.error.rmse(), _floor(loop)
+    old, new = before.rmse(), loop.error.rmse()
+    # What was measured bounds the noise in it.
+    floor = np.fmin(_floor(loop), new)
     judged = [j for j in range(robot.n) if np.isfinite(old[j]) and np.isfinite(new[j])]
     names = {j: robot.joint_names[j] for j in judged}
-    intervals = {names[j]: gain(before, loop.error, [j], loop.rng) for j in judged}
+    changes = {names[j]: gain(before, loop.error, [j], loop.rng) for j in judged}
+    lost = [f"{name} ({-100 * g.value:.1f} %)" for name, g in changes.items() if g.loses]
+    said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
     return ClosedLoop(
         rounds=tuple(loop.rounds),
         before={names[j]: float(old[j]) for j in judged},
         after={names[j]: float(new[j]) for j in judged},
         noise_floor={names[j]: float(floor[j]) for j in judged},
-        gain_interval={name: (g.low, g.high) for name, g in intervals.items()},
+        gain_interval={name: (g.low, g.high) for name, g in changes.items()},
         evaluated_on=tuple(str(log.path) for log in loop.held_out),
-        notes=notes,
+        notes=(*notes, *((said,) if lost else ())),
     )
 
 
 def _floor(loop: Loop) -> Array:
-    """Noise floor (n,) N m of the held-out logs."""
+    """Noise floor (n,) N m of the held-out logs; the training logs help to find it."""
     material, model = loop.material, loop.model
-    freed = material.freed(loop.held_out, model.stages, model.effects)
+    logs = [*loop.held_out, *material.training]
+    freed = material.freed(logs, model.stages, model.effects)
     scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
     rows = rows_of(scenes)
     left = [whole.residual for whole in base_of(rows, model.stages).whole]
-    floor: Array = noise_floor(freed, scenes, rows, left).rms
+    judged = range(len(loop.held_out))
+    floor: Array = noise_floor(freed, scenes, rows, left, judged).rms
     return floor

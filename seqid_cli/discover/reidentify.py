@@ -1,16 +1,19 @@
-"""The whole model anew, with effects in it.
+"""The whole model anew, with effects in it, under either of two accounts of an effect.
 
-An effect that was there when a stage was identified has biased it. The effects' torque is taken out
-of the recordings, and every stage runs again on them by its own recipe; effects and base are
-fitted together on the training logs, in turn with the stages. Where the logs of the earlier stages
-are not at hand, the base moves as the joint fit on the training logs says, held by what the file
-knew.
+*All along*: it was there when the earlier stages were identified, and has biased them. The effects'
+torque is taken out of the recordings, and every stage runs again on them by its own recipe; effects
+and base are fitted together on the training logs, in turn with the stages. Where the logs of the
+earlier stages are not at hand, the base moves as the joint fit on the training logs says, held by
+what the file knew.
+
+*Late*: it came with the training logs. The stages stay as they are, and only the effects are
+fitted, beside a base that may move within the errors that the file gives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -32,21 +35,38 @@ from seqid_cli.identify.simultaneous import TERMS, identify_simultaneous, surfac
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
-from seqid_cli.params.schema import FrictionJoint, RigidStage, Stages
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base import standard_names
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
+LOOSE = 3.0  # variance of a direction over that of its parameters, from which it may be held
+CLEAR = 2.0  # standard errors, that such a direction must move by to leave the file
+FIRM = 0.1  # standard errors of the file, by which its base may move while effects are written
 TURNS = 2  # of effects and stages
+MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
+
+Key = tuple[str, int | None]  # name of an effect, and its joint
 
 
 @dataclass(frozen=True)
 class Refitted:
-    """A model with effects: the stages without them, and the effects."""
+    """A model with effects: the stages without them, the effects, and which of these came late."""
 
     stages: Stages
     effects: tuple[Fitted, ...]
+    late: frozenset[Key] = frozenset()
+
+    @property
+    def lasting(self) -> list[Fitted]:
+        """Effects that were there all along."""
+        return [f for f in self.effects if key_of(f) not in self.late]
+
+
+def key_of(fitted: Fitted) -> Key | None:
+    """What tells a fitted effect from the others; None for a smooth term."""
+    return (fitted.effect.name, fitted.joint) if isinstance(fitted, FittedEffect) else None
 
 
 @dataclass(frozen=True)
@@ -73,32 +93,68 @@ class Material:
             for log in logs
         ]
 
+    def before(self, stage: str, model: Refitted) -> list[Recording]:
+        """The logs of an earlier stage without what was there all along, each once.
+
+        Those that are fitted are left to `now`.
+        """
+        fitted = {identity(log) for log in self.training}
+        logs = [x for x in unique(self.earlier.get(stage, ())) if identity(x) not in fitted]
+        return self.freed(logs, model.stages, model.lasting)
+
+    def now(self, model: Refitted) -> list[Recording]:
+        """The training logs without any effect."""
+        return self.freed(self.training, model.stages, model.effects)
+
+    def before_or_now(self, stage: str, model: Refitted) -> list[Recording]:
+        """All logs of an earlier stage; those that are fitted as well, without any effect."""
+        own = {identity(log) for log in self.earlier.get(stage, ())}
+        fitted = [log for log in self.training if identity(log) in own]
+        return [*self.before(stage, model), *self.freed(fitted, model.stages, model.effects)]
+
+    @property
+    def known(self) -> bool:
+        """Whether the file was identified from all of the training logs."""
+        logs = {identity(log) for stage in self.earlier.values() for log in stage}
+        return all(identity(log) in logs for log in self.training)
+
 
 def refitted(
-    material: Material, stages: Stages, candidates: Sequence[Candidate], *, kept: bool
+    material: Material,
+    model: Refitted,
+    candidates: Sequence[Candidate],
+    *,
+    late: frozenset[Key],
+    kept: bool,
 ) -> Refitted:
     """Fit effects and model together.
 
     Parameters
     ----------
     material : Material
-    stages : Stages
+    model : Refitted
         The model as it stands.
     candidates : sequence of Candidate
         All effects that it is to have.
+    late : frozenset of Key
+        Those of them that the logs of the earlier stages do not have.
     kept : bool
-        Whether the stages are right as they are: the arm has changed since, and only the effects
-        are fitted.
+        Whether the stages are right as they are, and only the effects are fitted.
     """
-    for _ in range(1 if kept else TURNS):
-        search = _fitted_search(material, stages, candidates, kept=kept)
-        effects = _effects_of(material, search)
-        if not kept:
-            stages = _stages(material, stages, effects, search)
-            candidates = [t.candidate for t in search.accepted]
-    if not kept:
-        effects = _effects_of(material, _fitted_search(material, stages, candidates, kept=True))
-    return Refitted(stages, tuple(effects))
+    stages = model.stages
+    for _ in range(0 if kept else TURNS):
+        search = _fitted_search(material, stages, candidates, kept=False)
+        found = Refitted(stages, tuple(_effects_of(material, search)), late)
+        stages = _stages(material, found, search)
+        candidates = [t.candidate for t in search.accepted]
+    search = _fitted_search(material, stages, candidates, kept=True)
+    # Their errors are beside a base that may move; but it is the file's that they are written to.
+    effects = _effects_of(material, search)
+    search.inflation = min(search.inflation, FIRM)
+    search.settle()
+    values = [x.coefficients for x in _effects_of(material, search)]
+    pairs = zip(effects, values, strict=True)
+    return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
 
 
 def _fitted_search(
@@ -114,7 +170,7 @@ def _fitted_search(
     return search
 
 
-def _effects_of(material: Material, search: Search) -> list[Fitted]:
+def _effects_of(material: Material, search: Search) -> list[FittedEffect]:
     """The accepted effects with their coefficients, and errors that autocorrelation widens."""
     system = search.system()
     covariance = system.block_covariance()
@@ -133,51 +189,122 @@ def _effects_of(material: Material, search: Search) -> list[Fitted]:
     ]
 
 
-def _stages(
-    material: Material, stages: Stages, effects: Sequence[Fitted], search: Search
-) -> Stages:
+def _stages(material: Material, model: Refitted, search: Search) -> Stages:
     """Every stage again, on logs without the effects."""
-    robot, motion = material.robot, material.options.motion
+    robot, motion, stages = material.robot, material.options.motion, model.stages
     friction, earlier = stages.friction, material.earlier
     if friction is not None and friction.method == "simultaneous":
-        logs = unique([*earlier.get("friction", ()), *material.training])
+        freed = [*material.before("friction", model), *material.now(model)]
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
-        freed = material.freed(logs, stages, effects)
         new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
-        return Stages(friction=new, imu=stages.imu, inertia=inertia)
+        found = Stages(friction=new, imu=stages.imu, inertia=inertia)
+        return held(found, stages, search) if material.known else found
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
-    if all(earlier.get(name) for name in needed):
-        return _sequential(material, stages, effects)
+    if all(earlier.get(stage) for stage in needed):
+        return _sequential(material, model)
     return moved(stages, search, search.system())
 
 
-def _sequential(material: Material, stages: Stages, effects: Sequence[Fitted]) -> Stages:
-    robot, motion, earlier = material.robot, material.options.motion, material.earlier
+def _sequential(material: Material, model: Refitted) -> Stages:
+    robot, motion, stages = material.robot, material.options.motion, model.stages
     new = Stages(friction=stages.friction, gravity=stages.gravity, imu=stages.imu)
     new.inertia = stages.inertia
     if stages.friction is not None:
-        freed = material.freed(earlier["friction"], stages, effects)
-        options = FrictionOptions(motion=motion.motion)
-        new.friction = identify_friction(freed, robot, options=options)
+        new.friction = _friction(material, model, stages.friction)
     if stages.gravity is not None:
-        freed = material.freed(earlier["gravity"], stages, effects)
+        freed = material.before_or_now("gravity", model)
         new.gravity = identify_gravity(freed, robot, new, options=motion.motion)
     if stages.inertia is not None:
-        logs = unique([*earlier["inertia"], *material.training])
-        freed = material.freed(logs, stages, effects)
+        freed = [*material.before("inertia", model), *material.now(model)]
         new.inertia = identify_inertia(freed, robot, new, options=motion)
     return new
 
 
+def _friction(material: Material, model: Refitted, old: FrictionStage) -> FrictionStage:
+    """Friction again, of the joints whose torque or position the effects change in its logs."""
+    robot = material.robot
+    freed = material.before_or_now("friction", model)
+    known = {identity(log): log for log in material.earlier["friction"]}
+    changed = np.any([_changed(known[identity(log)], log) for log in freed], axis=0)
+    travel = np.array([np.ptp(log.q, axis=0) for log in freed])
+    moves = travel > MOVES * travel.max(axis=0)
+    logs = [log for log, moving in zip(freed, moves, strict=True) if np.any(moving & changed)]
+    names = {name for name, anew in zip(robot.joint_names, changed, strict=True) if anew}
+    if not logs:
+        return old
+    options = FrictionOptions(motion=material.options.motion.motion)
+    new = identify_friction(logs, robot, options=options)
+    joints = {n: j for n, j in new.joints.items() if n in names}
+    verdicts = [v for v in new.verdicts if v.joint in names]
+    return msgspec.structs.replace(
+        old,
+        joints=old.joints | joints,  # in the file's order
+        verdicts=[*(v for v in old.verdicts if v.joint not in names), *verdicts],
+        notes=list(dict.fromkeys([*old.notes, *new.notes])),
+    )
+
+
+def _changed(log: Recording, freed: Recording) -> NDArray[np.bool_]:
+    """Joints (n,) whose torque or position the effects have changed."""
+    assert log.tau is not None
+    assert freed.tau is not None
+    changed: NDArray[np.bool_] = np.any((log.tau != freed.tau) | (log.q != freed.q), axis=0)
+    return changed
+
+
 def unique(logs: Sequence[Recording]) -> list[Recording]:
     """Logs in their order, each once."""
-    return list({(log.sha256, str(log.path)): log for log in logs}.values())
+    return list({identity(log): log for log in logs}.values())
 
 
-def moved(stages: Stages, search: Search, system: System) -> Stages:
-    """The stages with the base's deviations added to what they say."""
+def identity(log: Recording) -> tuple[str, str]:
+    """What tells a log from others."""
+    return log.sha256, str(log.path)
+
+
+def held(new: Stages, old: Stages, search: Search) -> Stages:
+    """Simultaneous stages without what moved by less than its error, where logs hardly tell it.
+
+    Directions that these logs leave loose would wander with every effect that is added. `search` is
+    of the same logs, and `old` are the stages before.
+    """
+    system = search.system()
+    before, after = (_values(stages, search, system) for stages in (old, new))
+    error = after[1]
+    at = np.flatnonzero((error > 0.0) & (before[1] > 0.0))
+    if not len(at):
+        return new
+    white = system.covariance()[np.ix_(at, at)]
+    white *= float(np.median(error[at] ** 2 / np.diag(white)))
+    scale = np.sqrt(np.diag(white))
+    variance, direction = np.linalg.eigh(white / np.outer(scale, scale))
+    change = direction.T @ ((after[0] - before[0])[at] / scale)
+    undone = np.where((change**2 < CLEAR**2 * variance) & (variance > LOOSE), change, 0.0)
+    theta = np.zeros(system.size)
+    theta[at] = -scale * (direction @ undone)
+    return moved(new, search, system, theta)
+
+
+def _values(stages: Stages, search: Search, system: System) -> tuple[Array, Array]:
+    """Values and standard errors of simultaneous stages, as the base's columns are ordered."""
+    names = search.stage.scenes[0].robot.joint_names
+    values, errors = np.zeros((2, system.where[len(names)].stop))
+    rigid = {p.name: p for p in (stages.inertia.parameters if stages.inertia else ())}
+    for k, name in enumerate(search.base.basis.names):
+        if name in rigid:
+            values[k], errors[k] = rigid[name].value, rigid[name].std_error
+    for name, where in zip(names, system.where[1:], strict=False):
+        joint = stages.friction.joints.get(name) if stages.friction else None
+        if joint is not None and joint.parameters:
+            values[where] = [p.value for p in joint.parameters]
+            errors[where] = [p.std_error for p in joint.parameters]
+    return values, errors
+
+
+def moved(stages: Stages, search: Search, system: System, theta: Array | None = None) -> Stages:
+    """The stages with the base's deviations, or others, added to what they say."""
     robot = search.stage.scenes[0].robot
-    theta, n = system.theta, robot.n
+    theta, n = system.theta if theta is None else theta, robot.n
     friction = None
     if stages.friction is not None:
         joints = dict(stages.friction.joints)

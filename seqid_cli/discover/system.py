@@ -30,6 +30,8 @@ Index = NDArray[np.intp]
 
 FLOOR_OF_WHITE = 0.05  # of the white-noise covariance, below which no direction is known
 RIDGE = 1e-9  # of a scaled column's square: keeps directions that these logs leave open harmless
+LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
+SHARED = 6.0  # folds that must share a gain; one of fewer must be larger by as much
 LEAST_LEFT = 1e-7  # of a candidate's square, below which the base absorbs all of it
 # Per fold, from all others: Z, A Z, the base's solution, its score on the fold, and B'X.
 Trained = tuple[Array, Array, Array, Array, Array]
@@ -72,6 +74,16 @@ class Trial:
     def total(self) -> float:
         """Gain over all folds."""
         return float(self.gain.sum())
+
+    @property
+    def steadiness(self) -> float:
+        """Gain over the root of the folds' summed squares: noise scatters about zero."""
+        return self.total / max(float(np.linalg.norm(self.gain)), 1e-300)
+
+    @property
+    def scarcity(self) -> float:
+        """Times by which the gain must be larger because few folds share it."""
+        return max(1.0, SHARED / max(self.steadiness, LEAST_STEADY) ** 2)
 
 
 class System:

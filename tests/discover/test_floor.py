@@ -107,3 +107,18 @@ def test_white_and_flicker_noise_are_told_apart() -> None:
     assert flicker == pytest.approx(30.0, rel=0.2)
     alone = fitted(frequency, 2.0 * rng.gamma(10, 0.1, 500), (1.0, 0.5, 1.5), averaged=10)
     assert alone[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_logs_that_repeat_tell_the_noise_of_others() -> None:
+    rng = np.random.default_rng(9)
+    paths = [wander(30.0, 8), periodic(60.0)]
+    raw = [noise(rng, len(q), STD, coloured=0.0, rate_hz=RATE_HZ) for q in paths]
+    logs = [recording(q, smooth_torque(q) + e) for q, e in zip(paths, raw, strict=True)]
+    found, rows = scenes(logs)
+    left = [low_passed(e, x) for e, x in zip(raw, found, strict=True)]
+    # Steps that the model does not have, in the first log alone.
+    rough = [LOOSE * left[0], left[1]]
+    floor = noise_floor(logs, found, rows, rough, judged=[0])
+    truth = [rms(left[0][rows.picked[0]][rows.used[0][:, j], j]) for j in range(2)]
+    assert floor.ways == ("repeats", "repeats")
+    np.testing.assert_allclose(floor.rms, truth, rtol=0.15)

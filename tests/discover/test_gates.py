@@ -11,14 +11,11 @@ from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.gates import (
     LEAST,
     LEAST_SMOOTH,
-    LEAST_STEADY,
     MARGIN,
-    SHARED,
     SMOOTH,
     Gates,
-    steadiness,
 )
-from seqid_cli.discover.system import Trial
+from seqid_cli.discover.system import LEAST_STEADY, SHARED, Trial
 from tests.discover.arms import candidate
 
 FOLDS, ROWS = 10, 20_000
@@ -64,12 +61,12 @@ def test_few_rows_need_more() -> None:
 def test_a_gain_of_a_single_fold_does_not_pass() -> None:
     one = np.zeros(FOLDS)
     one[3] = 10.0
-    assert steadiness(tried(0.5, one)) == pytest.approx(1.0)
+    assert tried(0.5, one).trial.steadiness == pytest.approx(1.0)
     assert not Gates().passes(tried(0.5, one))
-    assert steadiness(tried(0.5)) == pytest.approx(np.sqrt(FOLDS))
+    assert tried(0.5).trial.steadiness == pytest.approx(np.sqrt(FOLDS))
     two = np.zeros(FOLDS)
     two[[2, 7]] = 5.0
-    assert steadiness(tried(0.5, two)) == pytest.approx(np.sqrt(2))
+    assert tried(0.5, two).trial.steadiness == pytest.approx(np.sqrt(2))
     assert LEAST_STEADY**2 < 2.0
     assert Gates().passes(tried(0.5, two))
 
@@ -85,8 +82,8 @@ def test_a_gain_that_few_folds_share_must_be_larger() -> None:
 
 def test_noise_is_not_steady() -> None:
     rng = np.random.default_rng(1)
-    drawn = [steadiness(tried(0.5, rng.normal(size=FOLDS))) for _ in range(400)]
+    drawn = [tried(0.5, rng.normal(size=FOLDS)).trial.steadiness for _ in range(400)]
     assert np.mean(np.array(drawn) > LEAST_STEADY) < 0.15
     nothing = tried(0.5, np.zeros(FOLDS))
-    assert steadiness(nothing) == 0.0
+    assert nothing.trial.steadiness == 0.0
     assert not Gates().passes(replace(nothing))

@@ -1,0 +1,156 @@
+"""Refinement of the one-joint sample arm: when an effect came, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.events import Interval
+from seqid_cli.discover.heldout import Gain, HeldOutError, gain
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refine import ALL_ALONG, LATE, quiet, refine
+from seqid_cli.discover.reidentify import Material, Refitted, refitted
+from seqid_cli.identify.friction import identify_friction
+from seqid_cli.identify.gravity import identify_gravity
+from seqid_cli.identify.inertia import identify_inertia
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs" / "one_joint"
+STIFFNESS, REST = 0.0046265, 0.26  # N m/rad and rad, as truth.json has them
+Earlier = dict[str, list[Recording]]
+
+
+@cache
+def robot() -> Robot:
+    return load_robot(SAMPLES / "robot.toml")
+
+
+@cache
+def log(name: str) -> Recording:
+    return next(iter(read_recordings([SAMPLES / name], robot())))
+
+
+def sprung(recording: Recording) -> Recording:
+    """The log with a spring at the joint."""
+    assert recording.tau is not None
+    return replace(recording, tau=recording.tau + STIFFNESS * (recording.q - REST))
+
+
+def identified(earlier: Earlier) -> ParameterFile:
+    """The stages of an arm as its first logs show it."""
+    friction = identify_friction(earlier["friction"], robot(), options=FrictionOptions())
+    stages = Stages(friction=friction)
+    stages.gravity = identify_gravity(earlier["gravity"], robot(), stages, options=MotionOptions())
+    inertia = identify_inertia(earlier["inertia"], robot(), stages, options=InertiaOptions())
+    return with_stage(
+        None, robot_id(robot()), [], friction=friction, gravity=stages.gravity, inertia=inertia
+    )
+
+
+def first_logs() -> Earlier:
+    trial = log("friction/joint_1.parquet")
+    return {
+        "friction": [trial],
+        "gravity": [log("gravity/joint_1.parquet"), trial],
+        "inertia": [log("inertia/joint_1.parquet")],
+    }
+
+
+def changed(*names: str) -> list[Recording]:
+    return [log(f"changed/{name}.parquet") for name in names]
+
+
+@pytest.fixture(scope="module")
+def before() -> ParameterFile:
+    return identified(first_logs())
+
+
+def test_what_came_late_leaves_the_file_as_it_is(before: ParameterFile) -> None:
+    training, held_out = changed("fourier", "trapezoids"), changed("held_out")
+    stages, loop = refine(
+        training, held_out, robot(), before, earlier=first_logs(), options=DiscoverOptions()
+    )
+    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, LATE)]
+    assert stages.gravity == before.stages.gravity
+    assert stages.inertia == before.stages.inertia
+    assert stages.friction == before.stages.friction
+    assert stages.effects is not None
+    value = {p.name: p.value for p in stages.effects[0].parameters}
+    assert value["stiffness"] == pytest.approx(STIFFNESS, rel=0.1)
+    assert loop.after["joint_1"] < 0.5 * loop.before["joint_1"]
+    assert 0.5 * loop.after["joint_1"] < loop.noise_floor["joint_1"] <= loop.after["joint_1"]
+
+
+def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
+    logs = {stage: [sprung(x) for x in logs] for stage, logs in first_logs().items()}
+    file = identified(logs)
+    training, held_out = changed("fourier", "trapezoids"), changed("held_out")
+    stages, loop = refine(
+        training, held_out, robot(), file, earlier=logs, options=DiscoverOptions()
+    )
+    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, ALL_ALONG)]
+    assert stages.gravity != file.stages.gravity
+    assert stages.inertia != file.stages.inertia
+    assert loop.gain_interval["joint_1"][0] > 0.1
+
+
+def test_logs_of_both_are_counted_once_and_with_all_effects(before: ParameterFile) -> None:
+    earlier = first_logs()
+    material = Material(tuple(earlier["inertia"]), earlier, robot(), DiscoverOptions())
+    model = Refitted(before.stages, ())
+    assert material.known
+    assert material.before("inertia", model) == []
+    assert len(material.before_or_now("inertia", model)) == 1
+    elsewhere = replace(material, training=tuple(changed("fourier")))
+    assert not elsewhere.known
+    assert len(elsewhere.before("gravity", model)) == 2
+
+
+def test_without_an_effect_the_model_stays(before: ParameterFile) -> None:
+    material = Material(tuple(changed("fourier")), first_logs(), robot(), DiscoverOptions())
+    found = refitted(material, Refitted(before.stages, ()), [], late=frozenset(), kept=True)
+    assert found == Refitted(before.stages, ())
+
+
+def test_events_are_not_fitted() -> None:
+    logs = changed("fourier", "trapezoids")
+    push = Interval(scene=1, start=2.0, end=3.0, joints=(0,), score=1.0)
+    first, second = quiet(logs, [push])
+    np.testing.assert_array_equal(first.valid, logs[0].valid)
+    t = second.t - second.t[0]
+    assert not second.valid[(t >= 2.0) & (t <= 3.0)].any()
+    outside = (t < 2.0) | (t > 3.0)
+    np.testing.assert_array_equal(second.valid[outside], logs[1].valid[outside])
+
+
+def blocks(squares: Sequence[Sequence[float]]) -> HeldOutError:
+    values = np.array(squares, dtype=float)
+    return HeldOutError(values, np.ones_like(values), values, np.ones_like(values))
+
+
+def test_a_certain_loss_at_one_joint_is_seen() -> None:
+    rng = np.random.default_rng(0)
+    old, new = blocks([[1.0, 1.0]] * 12), blocks([[0.1, 1.2]] * 12)
+    assert gain(old, new, [0, 1], rng).certain
+    assert gain(old, new, [1], rng).loses
+    assert not gain(old, new, [0], rng).loses
+    assert not Gain(-0.3, -0.8, 0.1).loses
+    assert not Gain(-0.001, -0.002, -0.0005).loses
+
+
+def test_blocks_of_two_sets_of_logs_stand_beside_each_other() -> None:
+    both = blocks([[1.0, 2.0]]).beside(blocks([[3.0, 6.0], [5.0, 1.0]]))
+    np.testing.assert_allclose(both.rmse(), [np.sqrt(3.0), np.sqrt(3.0)])
+    assert both.samples.sum() == 6

@@ -41,6 +41,7 @@ CHANGED = 0.05  # relative excess over a free base from which the file counts as
 CLEARLY = (
     0.7  # of what a joint's effects leave, below which smooth functions are the better account
 )
+MOST = 0.8  # of what they explain: effects that do as much stay, and the rest is told beside them
 WORTH = 0.08  # of the squared residual, by which they must be better
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 AROUND_S = 0.5
@@ -207,7 +208,9 @@ def _outside(search: Search, gates: Gates) -> tuple[Dependence, ...]:
         by_effects = float(search.system().loss[:, j].sum())
         by_smooth = (1.0 - smooth.relative) * without
         better = by_smooth < CLEARLY * by_effects
-        if smooth.rivals and better and by_effects - by_smooth > WORTH * without:
+        worth = by_effects - by_smooth > WORTH * without
+        short = without - by_effects < MOST * (without - by_smooth)
+        if smooth.rivals and better and worth and short:
             found.append(smooth)
     return tuple(found)
 

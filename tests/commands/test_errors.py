@@ -150,7 +150,7 @@ def test_a_real_interrupt_exits_with_130(tmp_path: Path) -> None:
     program = (
         "import os, signal, sys\n"
         "import seqid_cli.commands.completion as completion\n"
-        "completion.all_words = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        "completion.all_words = lambda: signal.raise_signal(signal.SIGINT)\n"
         "from seqid_cli.__main__ import main\n"
         "sys.exit(main(['completion', 'bash']))\n"
     )

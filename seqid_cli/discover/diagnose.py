@@ -100,24 +100,29 @@ def described(found: Investigation, robot: Robot) -> Diagnosis:
 def _ordered(findings: Sequence[Finding]) -> list[Finding]:
     """The weightiest first; none is more certain than one that it was found beside."""
     ordered = sorted(findings, key=lambda f: -f.explains * f.confidence)
-    ordered = [_beside(f, ordered[:k]) for k, f in enumerate(ordered)]
+    ordered = [_of_company(f, ordered[:k], ordered[k + 1 :]) for k, f in enumerate(ordered)]
     certainties = np.minimum.accumulate([f.confidence for f in ordered])
     return [replace(f, confidence=float(c)) for f, c in zip(ordered, certainties, strict=True)]
 
 
-def _beside(finding: Finding, before: Sequence[Finding]) -> Finding:
-    """A finding that may be the rest of a weightier one like it at its joint is half as certain."""
-    alike = CATALOGUE[finding.effect].alike
-    same = [
+def _of_company(finding: Finding, before: Sequence[Finding], after: Sequence[Finding]) -> Finding:
+    """Findings alike at one joint may be one effect: the lesser is half as sure."""
+    weightier, lesser = (_alike(finding, others) for others in (before, after))
+    names = dict.fromkeys((*finding.confusable_with, *weightier, *lesser))
+    share = REST if weightier else 1.0
+    return replace(finding, confidence=share * finding.confidence, confusable_with=tuple(names))
+
+
+def _alike(finding: Finding, others: Sequence[Finding]) -> list[str]:
+    return [
         f.effect
-        for f in before
+        for f in others
         if f.joint == finding.joint
-        and (f.effect in alike or finding.effect in CATALOGUE[f.effect].alike)
+        and (
+            f.effect in CATALOGUE[finding.effect].alike
+            or finding.effect in CATALOGUE[f.effect].alike
+        )
     ]
-    if not same:
-        return finding
-    names = dict.fromkeys((*finding.confusable_with, *same))
-    return replace(finding, confidence=REST * finding.confidence, confusable_with=tuple(names))
 
 
 def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:

@@ -38,9 +38,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 CHANGED = 0.05  # relative excess over a free base from which the file counts as off
-CLEARLY = (
-    0.7  # of what a joint's effects leave, below which smooth functions are the better account
-)
+CLEARLY = 0.7  # of what a joint's effects leave: smooth functions must leave less to replace them
 MOST = 0.8  # of what they explain: effects that do as much stay, and the rest is told beside them
 WORTH = 0.08  # of the squared residual, by which they must be better
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
@@ -148,7 +146,7 @@ def _without_events(
     result = _both_stances(Stage(rows), base_of(rows, stages), gates, options)
     left = result.search.system().left_out()[: rows.n]
     events = find_events(rows, left, gate=gates.event)
-    events = [event for event in events if not _of_shape(result.search, event)]
+    events = _not_of_shape(result.search, events)
     if not _stand_out(events, gates):
         return result, []
     quiet = rows.without(event_masks(rows, events))
@@ -160,22 +158,29 @@ def _stand_out(events: Sequence[Interval], gates: Gates) -> bool:
     return max((event.score for event in events), default=0.0) >= STANDS_OUT * gates.event
 
 
-def _of_shape(search: Search, event: Interval) -> bool:
-    """Whether an event may only be where accepted effects, large there, have not quite the shape.
+def _not_of_shape(search: Search, events: list[Interval]) -> list[Interval]:
+    """Events without those where accepted effects, large there, may only not have quite the shape.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect
     shows is looked at a little around the event too, where it shows most in as short a time: shapes
     are wrong where effects change sign.
     """
-    if not search.accepted:
-        return False
-    system, scene = search.system(), search.stage.scenes[event.scene]
+    if not search.accepted or not events:
+        return events
+    system = search.system()
+    left, shown = search.residual(system), search.shown(system)
+    return [e for e in events if not _of_shape(search, e, left[e.scene], shown[e.scene])]
+
+
+def _of_shape(search: Search, event: Interval, residual: Array, effects: Array) -> bool:
+    """Whether an event's residual (N, n) is small beside its log's effects (N, n) around it."""
+    scene = search.stage.scenes[event.scene]
     t = scene.motion.t - scene.motion.t[0]
     joints = list(event.joints)
     inside = (t >= event.start) & (t <= event.end)
     around = (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)
-    left = search.residual(system)[event.scene][inside][:, joints] / search.noise[joints]
-    shown = search.shown(system)[event.scene][around][:, joints] / search.noise[joints]
+    left = residual[inside][:, joints] / search.noise[joints]
+    shown = effects[around][:, joints] / search.noise[joints]
     strongest = float(np.max(uniform_filter1d(np.mean(shown**2, axis=1), int(inside.sum()))))
     return bool(np.mean(left**2) < BESIDE**2 * strongest)
 
@@ -199,13 +204,14 @@ def _outside(search: Search, gates: Gates) -> tuple[Dependence, ...]:
     """Joints whose residual smooth functions explain clearly better than their effects do."""
     found = []
     joints = {t.candidate.joint for t in search.accepted if t.candidate.joint is not None}
+    with_effects = search.system().loss.sum(axis=0) if joints else np.zeros(0)
     for j in sorted(joints):
         others = replace(
             search, accepted=[t for t in search.accepted if t.candidate.joint != j]
         ).system()
         smooth = dependence(others, j, least_gain=gates.least(SMOOTH))
         without = float(others.loss[:, j].sum())
-        by_effects = float(search.system().loss[:, j].sum())
+        by_effects = float(with_effects[j])
         by_smooth = (1.0 - smooth.relative) * without
         better = by_smooth < CLEARLY * by_effects
         worth = by_effects - by_smooth > WORTH * without

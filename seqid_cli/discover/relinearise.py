@@ -43,19 +43,13 @@ def relinearised(search: Search) -> tuple[Stage, Base]:
     rows, base, shift = search.stage.rows, search.base, _shift(search)
     standard = base.basis.representative @ shift
     scenes = tuple(_about(scene, standard) for scene in rows.scenes)
-    again = Base(
-        basis=base.basis,
-        rigid=base.rigid,
-        friction=base.friction,
-        timing=base.timing,
+    again = replace(
+        base,
         y=tuple(y - H @ shift for y, H in zip(base.y, base.rigid, strict=True)),
-        prior_rigid=base.prior_rigid,
-        prior_friction=base.prior_friction,
         whole=tuple(
             replace(w, residual=w.residual - (w.H @ shift.astype(np.float32)).astype(np.float64))
             for w in base.whole
         ),
-        start=base.start,
     )
     return Stage(_with_scenes(rows, scenes)), again
 

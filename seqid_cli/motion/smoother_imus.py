@@ -25,7 +25,6 @@ LARGEST_OFFSET = 2.0  # m/s^2 or rad/s, of a mean reading
 LEAST_SEEN = 0.3  # share of the samples
 COMPARE_S = 0.1
 SILENT = 25  # samples alike in all channels
-MOUNT_ROUNDS = 1
 
 
 def mounted_imus(
@@ -76,13 +75,12 @@ def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
     if not chunk.imus:
         return chunk, []
     state = state_of(chunk, c)
-    for _ in range(MOUNT_ROUNDS):
-        cells, told = jacobians(chunk, c), predicted(chunk, state)
-        placed = [
-            _placed(x, y, rows[1] * x.noise[:, None], cells.size)
-            for x, y, rows in zip(chunk.imus, told, cells.rows, strict=True)
-        ]
-        chunk = replace(chunk, imus=tuple(placed))
+    cells, told = jacobians(chunk, c), predicted(chunk, state)
+    placed = [
+        _placed(x, y, rows[1] * x.noise[:, None], cells.size)
+        for x, y, rows in zip(chunk.imus, told, cells.rows, strict=True)
+    ]
+    chunk = replace(chunk, imus=tuple(placed))
     kept, notes = [], []
     for x, expected in zip(chunk.imus, predicted(chunk, state), strict=True):
         reason = _contradiction(x, expected, chunk)

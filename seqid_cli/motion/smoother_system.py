@@ -92,16 +92,13 @@ class Chunk:
 class Linear:
     """What the IMUs add to the normal equations, about one motion.
 
-    Jacobians change slowly: they are taken once for a cell of `size` intervals. `blocks`
-    (4, n, n, K), `border` (4, g, C, n), `corner` (g, g); `rows` has whitened (C, R, 4, n) and
-    (C, R, g') of every IMU.
+    `blocks` (4, n, n, K), `border` (4, g, C, n), `corner` (g, g).
     """
 
-    size: int
+    cells: Cells
     blocks: Array
     border: Array
     corner: Array
-    rows: tuple[tuple[Array, Array], ...]
 
 
 @dataclass(frozen=True)
@@ -205,7 +202,7 @@ def linearised(chunk: Chunk, c: Array, blocks: Array | None = None) -> Linear:
         corner[own, own] = np.tensordot(G * seen, G, ([0, 1], [0, 1]))
     if blocks is None:
         blocks = _blocks(H, cells.size, chunk)
-    return Linear(cells.size, blocks, border, corner, cells.rows)
+    return Linear(cells, blocks, border, corner)
 
 
 def _blocks(H: Array, size: int, chunk: Chunk) -> Array:
@@ -259,11 +256,13 @@ def normal_equations(
         return Normal(lower, none, np.zeros((0, 0)), band.gradient.ravel(), np.zeros(0), ())
     right, misfit = [], []
     for x, (J, G), told in zip(
-        chunk.imus, linear.rows, predicted(chunk, state_of(chunk, c)), strict=True
+        chunk.imus, linear.cells.rows, predicted(chunk, state_of(chunk, c)), strict=True
     ):
         r = np.where(x.seen[:, None], (x.y - told) / x.noise, 0.0)
         misfit.append(float(np.sqrt(np.sum(r**2) / max(x.seen.sum() * r.shape[1], 1))))
-        cells = np.pad(r, [(0, len(J) * linear.size - m), (0, 0)]).reshape(len(J), -1, r.shape[1])
+        cells = np.pad(r, [(0, len(J) * linear.cells.size - m), (0, 0)]).reshape(
+            len(J), -1, r.shape[1]
+        )
         g = (cells @ J.reshape(*J.shape[:2], -1)).reshape(-1, 4, n)[:m]
         for a in range(4):
             band.gradient[a : a + m] += g[:, a]
@@ -271,7 +270,7 @@ def normal_equations(
     prior = np.concatenate([x.prior for x in chunk.imus])
     return Normal(
         lower,
-        spread(linear.border, linear.size, chunk) if bordered else np.zeros((c.size, 0)),
+        spread(linear.border, linear.cells.size, chunk) if bordered else np.zeros((c.size, 0)),
         linear.corner + np.diag(prior**-2.0) if bordered else np.zeros((0, 0)),
         band.gradient.ravel(),
         np.concatenate(right),

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base import Basis, base_regressor, free_basis
 
 Array = NDArray[np.float64]
+
+MOST_TORQUE = 2.0  # of a column, over what the file leaves
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,25 @@ class Base:
     prior_friction: tuple[Array, ...]
     whole: tuple[Whole, ...]
     start: Array
+
+    @cached_property
+    def bounds(self) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
+        """Inverse standard deviations of deviations: of rigid (b,), friction (k_j,), timing (1,).
+
+        No column's torque is likely to be more than some times what the file leaves. That keeps
+        directions harmless which the logs, or some of the folds, leave open.
+        """
+        unit = [MOST_TORQUE * size if size > 0 else np.inf for size in self.start]
+        rows = sum(len(y) for y in self.y)
+        squares = [np.sum(H**2, axis=0) / u**2 for H, u in zip(self.rigid, unit, strict=True)]
+        own = [
+            tuple(
+                np.sqrt(np.sum(X**2, axis=0) / max(len(X), 1)) / u
+                for X, u in zip(columns, unit, strict=True)
+            )
+            for columns in (self.friction, self.timing)
+        ]
+        return np.sqrt(sum(squares, np.zeros(self.basis.size)) / max(rows, 1)), own[0], own[1]
 
     def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
         """Torque (N, n) N m of the base's deviations at every sample of each scene."""

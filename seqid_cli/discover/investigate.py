@@ -258,7 +258,8 @@ def _dependences(
 
 def _stands(known: Dependence, least: float) -> bool:
     """Whether a higher gate leaves a dependence as it is."""
-    return not known.trials or known.trials[0].relative >= least
+    first = known.trials[0] if known.trials else None
+    return first is None or first.relative >= least * first.scarcity
 
 
 def _both_stances(stage: Stage, base: Base, gates: Gates, options: DiscoverOptions) -> Searched:

@@ -59,7 +59,8 @@ Array = NDArray[np.float64]
 
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
-TOLERATED = 0.05  # of a joint's squared error, that it may lose where others gain
+# Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
+TOLERATED, EXCHANGE = 0.05, 0.2
 
 
 @dataclass
@@ -71,7 +72,7 @@ class Loop:
     model: Refitted
     error: HeldOutError
     rounds: list[Round]
-    refused: set[Key]
+    refused: dict[Key, float]  # until so many effects have been added
     rng: np.random.Generator
 
     @property
@@ -115,7 +116,12 @@ class Account:
     @property
     def accepted(self) -> bool:
         """Whether the held-out logs agree."""
-        return self.change.certain and self.whole.value > 0.0 and not self.losing
+        return self.helps and not self.losing
+
+    @property
+    def helps(self) -> bool:
+        """Whether the held-out logs agree, as far as the effect's own joints are concerned."""
+        return self.change.certain and self.whole.value > 0.0
 
 
 def refine(
@@ -160,7 +166,7 @@ def refine(
     start = Refitted(bare, tuple(known), _late(file, known, robot))
     rng = np.random.default_rng(options.seed)
     error = held_out_error(held_out, robot, file.stages, options=options.motion)
-    loop = Loop(material, tuple(held_out), start, error, [], set(), rng)
+    loop = Loop(material, tuple(held_out), start, error, [], {}, rng)
     while loop.added < options.max_effects and _round(loop):
         pass
     if options.with_unexplained:
@@ -199,8 +205,10 @@ def _round(loop: Loop) -> bool:
     if found.events:
         loop.material = replace(seen, training=quiet(seen.training, found.events))
     for tried in ordered:
-        if tried.candidate.key in loop.refused or loop.added >= loop.material.options.max_effects:
+        if loop.added < loop.refused.get(tried.candidate.key, 0):
             continue
+        if loop.added >= loop.material.options.max_effects:
+            break
         added |= _try(loop, tried, search.marginal(tried).trial.relative, kept=search.kept)
     loop.material = seen
     return added
@@ -222,11 +230,14 @@ def _try(loop: Loop, tried: Tried, training_gain: float, *, kept: bool) -> bool:
     """Fit the model with one effect more; keep it if the held-out logs agree."""
     accounts = _ordered(loop, [_account(loop, tried, late=late) for late in (kept, not kept)])
     account = next((a for a in accounts if a.accepted), accounts[0])
-    loop.rounds.append(_told(loop, tried.candidate, training_gain, account))
+    told = _told(loop, tried.candidate, training_gain, account)
+    before = [r for r in loop.rounds if (r.effect, r.joint) == (told.effect, told.joint)]
+    loop.rounds = [r for r in loop.rounds if r.accepted or r not in before] + [told]
     if account.accepted:
         loop.model, loop.error = account.model, account.error
     else:
-        loop.refused.add(tried.candidate.key)
+        # A joint that loses may only lack an effect of its own: worth another try beside that.
+        loop.refused[tried.candidate.key] = loop.added + 1 if account.helps else np.inf
     return account.accepted
 
 
@@ -238,13 +249,15 @@ def _account(loop: Loop, tried: Tried, *, late: bool) -> Account:
     n = loop.material.robot.n
     error = loop.judged(model)
     each = [gain(loop.error, error, [j], loop.rng) for j in range(n)]
+    change = gain(loop.error, error, [j for j in tried.columns if j < n], loop.rng)
+    tolerated = max(TOLERATED, EXCHANGE * change.value)
     return Account(
         model=model,
         late=late,
         error=error,
-        change=gain(loop.error, error, [j for j in tried.columns if j < n], loop.rng),
+        change=change,
         whole=gain(loop.error, error, range(n), loop.rng),
-        losing=tuple(j for j, g in enumerate(each) if g.loses and g.value < -TOLERATED),
+        losing=tuple(j for j, g in enumerate(each) if g.loses and g.value < -tolerated),
     )
 
 

@@ -155,13 +155,15 @@ class Search:
     def _base_blocks(self) -> list[Block]:
         base, n = self.base, self.stage.rows.n
         hold = 1.0 / self.inflation
-        blocks = [Block(dict(enumerate(base.rigid)), hold * base.prior_rigid, lasting=True)]
+        rigid, friction, timing = base.bounds
+        held = np.vstack([hold * base.prior_rigid, np.diag(rigid)])
+        blocks = [Block(dict(enumerate(base.rigid)), held, lasting=True)]
         for j in range(n):
-            held = hold * base.prior_friction[j]
+            held = np.vstack([hold * base.prior_friction[j], np.diag(friction[j])])
             blocks.append(Block({j: base.friction[j]}, held, lasting=True))
         for j in range(n):
             columns = base.timing[j] if self.timed[j] else self.stage.nothing[j]
-            blocks.append(Block({j: columns}, np.zeros((0, 1)), lasting=True))
+            blocks.append(Block({j: columns}, np.diag(timing[j]), lasting=True))
         return blocks
 
     def rms(self) -> Array:

@@ -40,13 +40,15 @@ class Decoded:
 class NameMap:
     """Which entry of a JointState belongs to which joint of the robot.
 
-    Remembers the names that messages bring, for the message that none of them fits.
+    Remembers the names that messages bring, for the message that none of them fits. `effort` says
+    what effort is, "torque" or "current": an interface of that name stands in for it.
     """
 
     _LIMIT = 200
 
-    def __init__(self, joints: Iterable[str]) -> None:
+    def __init__(self, joints: Iterable[str], effort: str = "torque") -> None:
         self.joints = tuple(joints)
+        self.effort = effort
         self._index = {name: i for i, name in enumerate(self.joints)}
         self.seen: dict[str, None] = {}
 

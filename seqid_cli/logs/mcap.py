@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.decoding import JOINT_QUANTITIES, NameMap
+from seqid_cli.logs.decoding import NameMap
+from seqid_cli.logs.joint_topics import find_joint_topic
 from seqid_cli.logs.mcap_records import Scan
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    Mask,
-    RawLog,
-    Stamps,
-    Stream,
-    TimeSource,
+from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.logs.topic_streams import (
+    JOINT_STATES,
+    Streams,
+    imu_topics,
+    needed_topics,
 )
-from seqid_cli.logs.topics import Collector, Kind, Samples
+from seqid_cli.logs.topics import Collector, Kind
 from seqid_cli.robot.types import Imu, Robot
 
-JOINT_STATES = "/joint_states"
-DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
+BLOCK_ROWS = 65_536
 
 _SHOWN = 12  # topics or names listed in a message
 
@@ -60,146 +59,160 @@ def read(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog
     InputError
         No joint states, none of the robot's joints in them, or nothing readable.
     """
-    scan, names = Scan(path), NameMap(robot.joint_names)
-    topics: dict[str, Kind] = {JOINT_STATES: "joint_state", **_imu_topics(robot)}
-    collectors = _collect(scan, topics, names)
-    joint_topic = JOINT_STATES
-    if not collectors[JOINT_STATES].received and _has_topic(scan, DYNAMIC_JOINT_STATES):
-        joint_topic = DYNAMIC_JOINT_STATES
-        other = _collect(Scan(path), {joint_topic: "dynamic_joint_state"}, names)
-        collectors[joint_topic] = other[joint_topic]
-    joints = collectors[joint_topic].samples()
-    if not joints.log_ns.size:
-        raise _no_joint_states(scan, collectors[joint_topic])
-    warnings: list[str] = []
-    stream = _joint_stream(joint_topic, joints, robot, time_source, warnings)
-    if not np.isfinite(stream.channels["position"]).any():
-        raise _no_joints(path, names)
-    imus = {
-        imu.name: streams
-        for imu in robot.imus
-        if (streams := _imu_streams(scan, imu, collectors, time_source, warnings))
-    }
-    unread = [note for collector in collectors.values() if (note := collector.note())]
-    return RawLog(
-        stream,
-        imus,
-        partial=_partial(scan, unread),
-        warnings=tuple(warnings),
-        log_minus_header_s=joints.log_minus_header_s(),
-    )
+    log = _Log.of(path, robot)
+    for _ in log.batches():
+        pass  # everything is kept
+    samples = {topic: collector.samples() for topic, collector in log.collectors.items()}
+    log.check_joints()
+    imus = {imu.name: log.imu_topics(imu, whole=True) for imu in robot.imus}
+    raw = Streams(robot, time_source).raw_log(log.joint_topic, samples, imus, log.partial())
+    if not np.isfinite(raw.joints.channels["position"]).any():
+        raise _no_joints(path, log.names)
+    return raw
+
+
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int = BLOCK_ROWS
+) -> Iterator[RawLog]:
+    """Read an MCAP log block by block, in memory that does not grow with its length.
+
+    Parameters
+    ----------
+    path, robot, time_source
+        As for `read`.
+    rows : int
+        Messages in a block, of all topics together; a block holds a little more.
+
+    Yields
+    ------
+    RawLog
+        The next part of every topic, in the order of the file; streams of topics that have nothing
+        in it are empty. A quantity that no sample of a block has is left out of it. `partial` is
+        told by the last block. Whether a topic has header stamps is decided by its first block.
+
+    Raises
+    ------
+    InputError
+        As for `read`; what only the whole file can tell, after the last block.
+    """
+    log = _Log.of(path, robot)
+    streams = Streams(robot, time_source)
+    positions = False
+    for last in log.blocks(rows):
+        samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
+        if last:
+            log.check_joints()
+        imus = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
+        raw = streams.raw_log(log.joint_topic, samples, imus, log.partial() if last else "")
+        positions |= bool(np.isfinite(raw.joints.channels["position"]).any())
+        if last and not positions:
+            raise _no_joints(path, log.names)
+        yield raw
 
 
 def list_topics(path: Path) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
     """List the topics of an MCAP file, damaged or not, and the names in its joint states."""
-    scan, names = Scan(path), NameMap(())
-    _collect(scan, {JOINT_STATES: "joint_state"}, names)
-    return _topics(scan), tuple(names.seen)
+    names = NameMap(())
+    log = _Log(path, names, {JOINT_STATES: Collector(JOINT_STATES, "joint_state", names)})
+    for _ in log.batches():
+        log.collectors[JOINT_STATES].drain()
+    log.collectors[JOINT_STATES].drain()
+    return _topics(log.scan), tuple(names.seen)
 
 
-def _collect(scan: Scan, topics: dict[str, Kind], names: NameMap) -> dict[str, Collector]:
-    collectors = {topic: Collector(topic, kind, names) for topic, kind in topics.items()}
-    for message in scan.messages():
-        collector = collectors.get(_normal(message.channel.topic))
-        if collector is not None:
-            collector.add(message)
-    for collector in collectors.values():
-        collector.samples()
-    return collectors
+class _Log:
+    """A pass over a file that gathers the messages of some topics."""
+
+    def __init__(self, path: Path, names: NameMap, collectors: dict[str, Collector]) -> None:
+        self.names = names
+        self.collectors = collectors
+        self.joint_topic = JOINT_STATES
+        self._chosen = frozenset(collectors)
+        self.scan = Scan(path, self._wanted)
+
+    @classmethod
+    def of(cls, path: Path, robot: Robot) -> _Log:
+        """Gather what a robot needs."""
+        names = NameMap(robot.joint_names, robot.channels.effort)
+        kinds: dict[str, Kind] = {JOINT_STATES: "joint_state", **imu_topics(robot)}
+        return cls(path, names, {t: Collector(t, kind, names) for t, kind in kinds.items()})
+
+    def _wanted(self, topic: str) -> bool:
+        return _normal(topic) in self._chosen
+
+    def batches(self) -> Iterator[None]:
+        """Pass over the file; a second time where the joint states are of the other kind."""
+        yield from self._pass()
+        if self.has(JOINT_STATES) or JOINT_STATES not in self.collectors:
+            return
+        found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
+        if found is not None:
+            other, kind = found
+            self.joint_topic, self._chosen = other, frozenset((other,))
+            self.collectors[other] = Collector(other, kind, self.names)
+            first, self.scan = self.scan, Scan(self.scan.path, self._wanted)
+            yield from self._pass()
+            self.scan.losses |= first.losses
+
+    def blocks(self, rows: int) -> Iterator[bool]:
+        """Stop whenever `rows` messages are there, and at the end, which is told by True."""
+        for _ in self.batches():
+            if sum(collector.waiting for collector in self.collectors.values()) >= rows:
+                yield False
+        yield True
+
+    def _pass(self) -> Iterator[None]:
+        for batch in self.scan.batches():
+            self.collectors[_normal(batch.channel.topic)].add_batch(batch)
+            yield
+
+    def has(self, topic: str) -> bool:
+        """Tell whether readable messages of a topic have come so far."""
+        return self.collectors[topic].received > self.collectors[topic].damaged
+
+    def partial(self) -> str:
+        """Say in one line what the file lost; empty for a whole one."""
+        unread = [note for collector in self.collectors.values() if (note := collector.note())]
+        return _partial(self.scan, unread)
+
+    def check_joints(self) -> None:
+        """Refuse a file without joint states.
+
+        Raises
+        ------
+        InputError
+            No message of them could be decoded.
+        """
+        collector = self.collectors[self.joint_topic]
+        if collector.received == collector.damaged:
+            raise _no_joint_states(self.scan, collector)
+
+    def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
+        """Name the topics of an IMU, none where the file does not have it.
+
+        Raises
+        ------
+        InputError
+            The whole file lacks one that others of the IMU need.
+        """
+        needed = needed_topics(imu, self.has)
+        missing = [topic for topic in needed if not self.has(topic)]
+        if len(missing) == len(needed):
+            return []
+        if missing and whole:
+            raise InputError(
+                f"IMU {imu.name!r} is only partly in the log; no readable messages on "
+                f"{', '.join(missing)}",
+                hint=f"The robot file gives it {len(imu.positions)} accelerometers"
+                f"{' and a gyro' if imu.gyro else ''}: log all its topics, or correct the robot "
+                f"file. In the file: {_listing(self.scan)}",
+                where=str(self.scan.path),
+            )
+        return needed
 
 
 def _normal(topic: str) -> str:
     return "/" + topic.strip("/")
-
-
-def _has_topic(scan: Scan, topic: str) -> bool:
-    return any(_normal(channel.topic) == topic for channel in scan.channels.values())
-
-
-def _imu_topics(robot: Robot) -> dict[str, Kind]:
-    topics: dict[str, Kind] = {}
-    for imu in robot.imus:
-        for topic in (f"/{imu.name}/data", *_triad_topics(imu)):
-            topics[topic] = "imu"
-    return topics
-
-
-def _triad_topics(imu: Imu) -> list[str]:
-    return [f"/{imu.name}/accel_{k + 1}" for k in range(-(-len(imu.positions) // 3))]
-
-
-def _joint_stream(
-    topic: str, samples: Samples, robot: Robot, time_source: TimeSource, warnings: list[str]
-) -> Stream:
-    parts = np.split(samples.decoded.values, len(JOINT_QUANTITIES), axis=1)
-    channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
-    effort = channels.pop("effort")
-    channels["current" if robot.channels.effort == "current" else "torque"] = effort
-    recorded = {
-        name: values
-        for name, values in channels.items()
-        if name == "position" or np.isfinite(values).any()
-    }
-    stamps, keep = _clock(topic, samples, time_source, warnings)
-    return Stream(topic, stamps, recorded).take(keep)
-
-
-def _clock(
-    topic: str, samples: Samples, time_source: TimeSource, warnings: list[str]
-) -> tuple[Stamps, Mask | slice]:
-    """Choose the stamps of a topic, and the samples that have one."""
-    if time_source == "log":
-        return samples.log_ns, slice(None)
-    stamped = samples.decoded.stamp_ns != 0
-    missing = int(np.count_nonzero(~stamped))
-    if missing == len(stamped):
-        warnings.append(
-            f"the header stamps of {topic} are all zero: the times of logging are used instead; "
-            "make the driver fill in header.stamp"
-        )
-        return samples.log_ns, slice(None)
-    if missing:
-        warnings.append(f"{missing} messages of {topic} have no header stamp and were left out")
-    return samples.decoded.stamp_ns, stamped
-
-
-def _imu_streams(
-    scan: Scan,
-    imu: Imu,
-    collectors: dict[str, Collector],
-    time_source: TimeSource,
-    warnings: list[str],
-) -> tuple[Stream, ...]:
-    """Return the streams that carry an IMU, none where the file does not have it."""
-    count, data = len(imu.positions), f"/{imu.name}/data"
-    triads = _triad_topics(imu)
-    has_data = bool(collectors[data].samples().log_ns.size)
-    use_data = count == 3 and has_data
-    needed = ([] if use_data else triads) + ([data] if use_data or imu.gyro else [])
-    present = [topic for topic in needed if collectors[topic].samples().log_ns.size]
-    if not present:
-        return ()
-    if len(present) < len(needed):
-        missing = ", ".join(topic for topic in needed if topic not in present)
-        raise InputError(
-            f"IMU {imu.name!r} is only partly in the log; no readable messages on {missing}",
-            hint=f"The robot file gives it {count} accelerometers"
-            f"{' and a gyro' if imu.gyro else ''}: log all its topics, or correct the robot file. "
-            f"In the file: {_listing(scan)}",
-            where=str(scan.path),
-        )
-    streams = []
-    for topic in needed:
-        samples = collectors[topic].samples()
-        stamps, keep = _clock(topic, samples, time_source, warnings)
-        channels = {}
-        if topic in triads or use_data:
-            first = 3 * triads.index(topic) if topic in triads else 0
-            channels[ACCELEROMETERS] = samples.decoded.values[:, : min(3, count - first)]
-        if topic == data and imu.gyro:
-            channels[GYRO] = samples.decoded.values[:, 3:]
-        streams.append(Stream(topic, stamps, channels).take(keep))
-    return tuple(streams)
 
 
 def _partial(scan: Scan, unread: list[str]) -> str:
@@ -208,11 +221,12 @@ def _partial(scan: Scan, unread: list[str]) -> str:
     parts = losses[:3]
     if len(losses) > 3:
         parts = [*parts, f"and {len(losses) - 3} more faults"]
-    missing = scan.missing()
+    missing, expected = scan.missing(), scan.expected()
     if missing:
-        parts = [*parts, f"{missing} of {scan.expected} messages are lost"]
+        of = f" of {expected}" if expected else ""
+        parts = [*parts, f"{missing}{of} messages are lost"]
     elif losses:
-        parts = [*parts, f"{sum(scan.counts.values())} messages were read"]
+        parts = [*parts, f"{scan.met()} messages were read"]
     return "; ".join([*parts, *unread])
 
 
@@ -221,7 +235,7 @@ def _topics(scan: Scan) -> tuple[TopicInfo, ...]:
     for number, channel in scan.channels.items():
         schema = scan.schemas.get(channel.schema_id)
         key = (channel.topic, schema.name if schema else "no schema", channel.message_encoding)
-        found[key] = found.get(key, 0) + scan.counts.get(number, 0)
+        found[key] = found.get(key, 0) + scan.total(number)
     return tuple(TopicInfo(*key, count) for key, count in found.items())
 
 

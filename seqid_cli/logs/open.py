@@ -9,22 +9,27 @@ import difflib
 import glob
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.csv_form import is_text, read_form
+from seqid_cli.logs.presets import looks_like_log
 
-SUFFIXES = (".parquet", ".mcap")
-MAGIC = {"mcap": b"\x89MCAP0\r\n", "parquet": b"PAR1"}
+SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
+CSV_SUFFIXES = (".csv", ".tsv")
+MAGIC = {
+    "mcap": b"\x89MCAP0\r\n",
+    "parquet": b"PAR1",
+    "rosbag1": b"#ROSBAG V2.0",
+    "rosbag2": b"SQLite format 3\0",
+}
+METADATA = "metadata.yaml"  # what makes a folder a ROS 2 bag
 
 _OTHER_MAGIC = {
     b"#ROSBAG": (
-        "a ROS 1 bag",
-        "Convert it: `rosbags-convert --src FILE --dst FOLDER --dst-storage mcap`.",
-    ),
-    b"SQLite format 3": (
-        "an SQLite file, probably a ROS 2 bag",
-        "Convert the bag to MCAP with `ros2 bag convert`.",
+        "a ROS bag of an old version",
+        "Convert it: `rosbag fix OLD.bag NEW.bag`.",
     ),
     b"PARE": ("an encrypted Parquet file", "Write it without encryption."),
     b"\x89HDF": ("an HDF5 file", "Save the channels as Parquet."),
@@ -33,17 +38,24 @@ _OTHER_MAGIC = {
     b"\x1f\x8b": ("compressed with gzip", "Unpack it: `gunzip FILE`."),
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "Run `git lfs pull`."),
 }
-_HEAD = 32
+_HEAD = 4096
+_OTHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
+_TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
+
+Note = Callable[[str], None]
 
 
-def expand(paths: Sequence[str]) -> list[Path]:
+def expand(paths: Sequence[str], note: Note | None = None) -> list[Path]:
     """Turn files, folders and globs into log files.
 
     Parameters
     ----------
     paths : sequence of str
-        Files (taken whatever their suffix), folders (searched for *.parquet and *.mcap at any
-        depth, hidden files left out) and globs (`**` for any depth).
+        Files (taken whatever their suffix), folders (searched at any depth for the suffixes of
+        logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth).
+        CSV files met in a folder that are no logs are left out.
+    note : callable, optional
+        Told what was left out, and why.
 
     Returns
     -------
@@ -59,12 +71,41 @@ def expand(paths: Sequence[str]) -> list[Path]:
     found: dict[Path, Path] = {}
     for argument in paths:
         try:
-            matches = _matches(str(argument))
+            matches = _matches(str(argument), note or _silent)
         except OSError as error:
             raise InputError(f"cannot be looked up ({error})", where=str(argument)) from error
         for path in matches:
             found.setdefault(path.resolve(), path)
     return list(found.values())
+
+
+def _silent(text: str) -> None:
+    del text
+
+
+def storage_file(path: Path) -> Path:
+    """Return the one file of a ROS 2 bag folder that holds its messages; a file as it is.
+
+    Raises
+    ------
+    InputError
+        The folder is no bag, or a bag of several files.
+    """
+    if not path.is_dir():
+        return path
+    if not (path / METADATA).is_file():
+        raise InputError(
+            "is a folder, not a log", hint="Name the files in it or use a glob.", where=str(path)
+        )
+    files = _logs_in(path, _silent)
+    if len(files) == 1:
+        return files[0]
+    what = f"of {len(files)} files" if files else "without *.mcap and *.db3"
+    raise InputError(
+        f"is a ROS 2 bag {what}",
+        hint="Name its files." if files else "Unpack what is compressed: `zstd -d FILE`.",
+        where=str(path),
+    )
 
 
 def check_log(path: Path) -> str:
@@ -73,7 +114,7 @@ def check_log(path: Path) -> str:
     Returns
     -------
     str
-        "parquet" or "mcap".
+        "parquet", "mcap", "csv", "rosbag2" (an SQLite file) or "rosbag1".
 
     Raises
     ------
@@ -82,10 +123,7 @@ def check_log(path: Path) -> str:
     """
     where = str(path)
     try:
-        if path.is_dir():
-            raise InputError(
-                "is a folder, not a log", hint="Name the files in it or use a glob.", where=where
-            )
+        path = storage_file(path)
         with path.open("rb") as file:
             head = file.read(_HEAD)
             size = file.seek(0, os.SEEK_END)
@@ -99,7 +137,21 @@ def check_log(path: Path) -> str:
         raise InputError(f"cannot be opened ({error})", where=where) from error
     if not size:
         raise InputError("is empty (0 bytes)", hint="Record or copy it again.", where=where)
-    return _format(head, tail, size, where)
+    kind = _format(head, tail, size, where)
+    if kind == "csv":
+        _check_csv(path)
+    return kind
+
+
+def _check_csv(path: Path) -> None:
+    try:
+        read_form(path)
+    except InputError as error:
+        if path.suffix.lower() in _TEXTS:
+            raise
+        raise InputError(
+            f"{_OTHER}: {error.message}", hint=error.hint, where=error.where
+        ) from error
 
 
 def _format(head: bytes, tail: bytes, size: int, where: str) -> str:
@@ -116,21 +168,23 @@ def _format(head: bytes, tail: bytes, size: int, where: str) -> str:
             return name
     for magic, (kind, remedy) in _OTHER_MAGIC.items():
         if head.startswith(magic):
-            raise InputError(f"is {kind}; logs are Parquet or MCAP", hint=remedy, where=where)
+            raise InputError(f"is {kind}, not a log that can be read", hint=remedy, where=where)
+    if is_text(head) or head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "csv"
     raise InputError(
-        f"is neither Parquet nor MCAP (it starts with {head[:8]!r})",
-        hint="Logs are told by their content, not by their suffix: convert it to one of the two.",
+        f"{_OTHER} (it starts with {head[:8]!r})",
+        hint="Logs are told by their content, not by their suffix: convert it to one of these.",
         where=where,
     )
 
 
-def _matches(argument: str) -> list[Path]:
+def _matches(argument: str, note: Note) -> list[Path]:
     path = Path(argument)
     if path.is_dir():
-        found = _logs_in(path)
+        found = _logs_in(path, note)
         if not found:
             raise InputError(
-                "there is no *.parquet and no *.mcap in this folder",
+                f"there is no log in this folder ({', '.join('*' + s for s in SUFFIXES)})",
                 hint="Name the folder that holds the logs.",
                 where=argument,
             )
@@ -139,7 +193,7 @@ def _matches(argument: str) -> list[Path]:
         if not path.exists():
             raise InputError("does not exist", hint=_nearby(path), where=argument)
         return [path]
-    found = _globbed(argument)
+    found = _globbed(argument, note)
     if not found:
         raise InputError(
             "this pattern matches no file", hint="Check the folder and the suffix.", where=argument
@@ -147,23 +201,49 @@ def _matches(argument: str) -> list[Path]:
     return found
 
 
-def _globbed(pattern: str) -> list[Path]:
+def _globbed(pattern: str, note: Note) -> list[Path]:
     found: list[Path] = []
     names = glob.glob(pattern, recursive=True)  # noqa: PTH207 (patterns may be absolute)
     for path in natural_order(Path(name) for name in names):
         # A pattern such as logs/** also matches folders and files that are no logs.
-        found += _logs_in(path) if path.is_dir() and "**" not in pattern else []
+        found += _logs_in(path, note) if path.is_dir() and "**" not in pattern else []
         found += [path] if path.is_file() else []
     logs = [path for path in found if path.suffix.lower() in SUFFIXES]
-    return logs or found
+    if pattern.lower().endswith(CSV_SUFFIXES):  # then they are named explicitly
+        return logs or found
+    return [path for path in logs if _is_meant(path, note)] or ([] if logs else found)
 
 
-def _logs_in(folder: Path) -> list[Path]:
-    return natural_order(
+def _logs_in(folder: Path, note: Note) -> list[Path]:
+    candidates = natural_order(
         path
         for path in folder.rglob("*")
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
+        if path.suffix.lower() in SUFFIXES
+        and not path.name.startswith(".")
+        and path.is_file()
+        and not _describes_data_set(path)
     )
+    return [path for path in candidates if _is_meant(path, note)]
+
+
+def _describes_data_set(path: Path) -> bool:
+    """Tell whether a file belongs to the description of a LeRobot data set, not to its data."""
+    return any(p.name == "meta" and (p / "info.json").is_file() for p in path.parents)
+
+
+def _is_meant(path: Path, note: Note) -> bool:
+    """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
+    if path.suffix.lower() not in CSV_SUFFIXES:
+        return True
+    try:
+        kind = check_log(path)
+        if kind != "csv" or looks_like_log(read_form(path).names):
+            return True
+        reason = "it has no column of time"
+    except InputError as error:
+        reason = error.message
+    note(f"{path} is left out, it is no log: {reason}; name the file itself if it is one")
+    return False
 
 
 def natural_order(paths: Iterable[Path]) -> list[Path]:

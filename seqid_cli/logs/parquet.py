@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,51 +13,97 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    STAMP_LIMIT_NS,
-    Array,
-    RawLog,
-    Rows,
-    Stamps,
-    Stream,
-    TimeSource,
-)
-from seqid_cli.robot.types import Channels, Imu, Robot
+from seqid_cli.logs.columns import ARROW_ERRORS, is_number
+from seqid_cli.logs.list_names import list_entries
+from seqid_cli.logs.raw import Array, RawLog, TimeSource
+from seqid_cli.logs.tabular import read_table
+from seqid_cli.robot.types import Robot
 
-QUANTITIES = ("position", "velocity", "torque", "current", "temperature")
-ROWS = "the rows"
-TIME_NAMES = ("time", "timestamp")
-
-# UR RTDE recordings (one column per joint) need no [channels].
-_RTDE = Channels(
-    position="actual_q_{index0}",
-    velocity="actual_qd_{index0}",
-    current="actual_current_{index0}",
-    temperature="joint_temperatures_{index0}",
-)
-_PRESETS = (_RTDE,)
-_NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
-# An epoch time of this size cannot be seconds: the largest that it can be in each unit.
-_EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
-_ARROW_ERRORS = (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError)
+_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
+_LONGEST = 256  # elements of a list column that can be one number per joint
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """Which column carries what."""
+class ParquetTable:
+    """An opened Parquet file; see `tabular.TableFile`.
 
-    time: str
-    joints: dict[str, list[str | None]]  # quantity -> column per joint
-    imus: dict[str, tuple[list[str], list[str]]]  # IMU -> accelerometer and gyro columns
+    `lists` are its list columns of numbers and how long their lists are.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    lists: dict[str, int] = field(default_factory=dict)
+    entries: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
-    def columns(self) -> list[str]:
-        names = [self.time]
-        names += [name for row in self.joints.values() for name in row if name is not None]
-        names += [name for pair in self.imus.values() for row in pair for name in row]
-        return list(dict.fromkeys(names))
+    def where(self) -> str:
+        """The file, for messages."""
+        return str(self.path)
+
+    def load(self, columns: Sequence[str]) -> tuple[pa.Table, str]:
+        """Read columns; nothing of a damaged file can be salvaged.
+
+        Raises
+        ------
+        InputError
+            The file is damaged, or lists differ in length.
+        """
+        return self.arranged(_load(self.path, self.stored(columns)), columns), ""
+
+    def stored(self, columns: Sequence[str]) -> list[str]:
+        """Name the columns of the file that hold the given ones."""
+        found = [(name, self._element(name)) for name in columns]
+        return list(dict.fromkeys(each["list"] if each else name for name, each in found))
+
+    def arranged(self, table: pa.Table, columns: Sequence[str]) -> pa.Table:
+        """Turn what was read, whole or in part, into the given columns.
+
+        Raises
+        ------
+        InputError
+            Lists differ in length.
+        """
+        while any(pa.types.is_struct(kind) for kind in table.schema.types):
+            table = table.flatten()
+        elements = {name: found for name in columns if (found := self._element(name))}
+        whole = [name for name in columns if name not in elements]
+        lists = dict.fromkeys(found["list"] for found in elements.values())
+        out: dict[str, pa.ChunkedArray] = {}
+        for name in whole:
+            if table.schema.names.count(name) == 1:
+                out[name] = table.column(name)
+        for name in lists:
+            values = self._matrix(table, name)
+            for element, found in elements.items():
+                if found["list"] == name:
+                    out[element] = pa.chunked_array([values[:, int(found["index"])]])
+        return pa.table(out)
+
+    def _element(self, name: str) -> re.Match[str] | None:
+        found = _ELEMENT.fullmatch(name)
+        return found if found and found["list"] in self.lists else None
+
+    def _matrix(self, table: pa.Table, name: str) -> Array:
+        """Return a list column as (M, length), rows without a list as NaN."""
+        length = self.lists[name]
+        try:
+            column = table.column(name).combine_chunks()
+            counts = np.asarray(pc.fill_null(pc.list_value_length(column), -1))
+            wrong = np.flatnonzero((counts != length) & (counts > 0))
+            if len(wrong):
+                raise InputError(
+                    f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the first row "
+                    f"{length} ({len(wrong)} such rows)",
+                    hint="Write one value per joint in every row, null where one is missing.",
+                    where=self.where,
+                )
+            values = np.full((len(column), length), np.nan)
+            flat = pc.cast(pc.list_flatten(column), pa.float64(), safe=False)
+            values[counts == length] = flat.to_numpy(zero_copy_only=False).reshape(-1, length)
+        except ARROW_ERRORS as error:
+            raise damaged(self.path, error) from error
+        return values
 
 
 def read(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog:
@@ -83,27 +129,33 @@ def read(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog
         Damaged file, missing column, or a column that is no number.
     """
     del time_source
-    names = column_names(path)
-    plan = _plan(path, robot, names)
-    _require_once(path, plan.columns, names)
-    table = _load(path, plan.columns)
-    stamps, keep, warnings = _stamps(path, table, plan.time)
-    channels = {
-        quantity: np.column_stack(
-            [
-                np.full(len(keep), np.nan) if name is None else _numbers(path, table, name)
-                for name in row
-            ]
-        )
-        for quantity, row in plan.joints.items()
-    }
-    joints = Stream(ROWS, stamps, channels).take(keep)
-    imus: dict[str, tuple[Stream, ...]] = {
-        imu: (_imu_stream(path, table, stamps, columns).take(keep),)
-        for imu, columns in plan.imus.items()
-    }
-    prefer_current = robot.channels.current is not None and robot.channels.torque is None
-    return RawLog(joints, imus, warnings=tuple(warnings), prefer_current=prefer_current)
+    return read_table(open_table(path, robot.joint_names), robot)
+
+
+def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
+    """Read the names of the columns, of nested ones as `parent.child`, of lists as `column[k]`.
+
+    `joints` are the names to look for where the file names the elements of its lists.
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
+    try:
+        with pq.ParquetFile(path) as file:
+            fields = _flat(file.schema_arrow)
+            lists = {
+                name: length
+                for name, kind in fields
+                if _is_list(kind) and (length := _length(file, name, kind))
+            }
+            entries, notes = list_entries(path, file, lists, joints)
+    except ARROW_ERRORS as error:
+        raise damaged(path, error) from error
+    names = [name for name, _ in fields]
+    names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
+    return ParquetTable(path, tuple(names), lists, entries, notes)
 
 
 def column_names(path: Path) -> list[str]:
@@ -114,11 +166,7 @@ def column_names(path: Path) -> list[str]:
     InputError
         The file is damaged.
     """
-    try:
-        with pq.ParquetFile(path) as file:
-            return [file.schema.column(i).path for i in range(len(file.schema))]
-    except _ARROW_ERRORS as error:
-        raise _damaged(path, error) from error
+    return list(open_table(path).names)
 
 
 def list_columns(path: Path) -> list[tuple[str, str, int]]:
@@ -134,244 +182,54 @@ def list_columns(path: Path) -> list[tuple[str, str, int]]:
             rows = file.metadata.num_rows
             columns = [file.schema.column(i) for i in range(len(file.schema))]
             return [(column.path, column.physical_type.lower(), rows) for column in columns]
-    except _ARROW_ERRORS as error:
-        raise _damaged(path, error) from error
+    except ARROW_ERRORS as error:
+        raise damaged(path, error) from error
+
+
+def _flat(schema: pa.Schema) -> list[tuple[str, pa.DataType]]:
+    fields: list[tuple[str, pa.DataType]] = []
+    for entry in schema:
+        if pa.types.is_struct(entry.type):
+            inner = pa.schema([entry.type.field(i) for i in range(entry.type.num_fields)])
+            fields += [(f"{entry.name}.{name}", kind) for name, kind in _flat(inner)]
+        else:
+            fields.append((entry.name, entry.type))
+    return fields
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
+    return any(check(kind) for check in lists) and is_number(kind.value_type)
+
+
+def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
+    """Return the length of the first list of a column, 0 where none can hold joints."""
+    if pa.types.is_fixed_size_list(kind):
+        return int(kind.list_size) if kind.list_size <= _LONGEST else 0
+    if "." in name and name not in file.schema_arrow.names:
+        return 0  # a list inside a struct
+    for batch in file.iter_batches(batch_size=1024, columns=[name]):
+        given = batch.column(0).drop_null() if batch.num_columns else []
+        if len(given):
+            length = len(given[0])
+            return length if length <= _LONGEST else 0
+    return 0
 
 
 def _load(path: Path, columns: list[str]) -> pa.Table:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             table = file.read(columns=columns)
-            while any(pa.types.is_struct(kind) for kind in table.schema.types):
-                table = table.flatten()
-    except _ARROW_ERRORS as error:
-        raise _damaged(path, error) from error
+    except ARROW_ERRORS as error:
+        raise damaged(path, error) from error
     return table
 
 
-def _damaged(path: Path, error: BaseException) -> InputError:
+def damaged(path: Path, error: BaseException) -> InputError:
+    """Make the error for what Arrow could not read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
     return InputError(
         f"the Parquet file is damaged or not readable ({reason})",
         hint="Copy it again from the source, or leave this log out.",
         where=str(path),
     )
-
-
-def _plan(path: Path, robot: Robot, names: list[str]) -> _Plan:
-    known = set(names)
-    channels, declared = _channels(robot, known)
-    joints: dict[str, list[str | None]] = {}
-    for quantity in QUANTITIES:
-        pattern: str | None = getattr(channels, quantity)
-        columns = [
-            column_name(pattern or f"{{name}}.{quantity}", joint.name, i)
-            for i, joint in enumerate(robot.joints)
-        ]
-        missing = [name for name in columns if name not in known]
-        required = quantity == "position" or (declared and pattern is not None)
-        if missing and required:
-            raise _missing(path, missing, names)
-        if len(missing) < len(columns):
-            joints[quantity] = [name if name in known else None for name in columns]
-    imus = {}
-    for imu in robot.imus:
-        columns_of_imu = _imu_columns(path, imu, known)
-        if columns_of_imu is not None:
-            imus[imu.name] = columns_of_imu
-    return _Plan(_time_column(path, channels, names), joints, imus)
-
-
-def column_name(pattern: str, joint: str, index0: int) -> str:
-    """Fill a `[channels]` pattern: {name}, {index} (from 1), {index0} (from 0)."""
-    filled = pattern.replace("{index0}", str(index0)).replace("{index}", str(index0 + 1))
-    return filled.replace("{name}", joint)
-
-
-def _channels(robot: Robot, known: set[str]) -> tuple[Channels, bool]:
-    """Return the names to look for, and whether the robot file itself declares them."""
-    first = robot.joint_names[0]
-    if robot.channels.position is None and f"{first}.position" not in known:
-        for preset in _PRESETS:
-            if column_name(preset.position or "", first, 0) in known:
-                return preset, False
-    return robot.channels, True
-
-
-def _time_column(path: Path, channels: Channels, names: list[str]) -> str:
-    if channels.time is not None:
-        if channels.time not in names:
-            raise _missing(path, [channels.time], names)
-        return channels.time
-    if "t" in names:
-        return "t"
-    candidates = [name for name in TIME_NAMES if name in names]
-    if len(candidates) == 1:
-        return candidates[0]
-    if candidates:
-        raise InputError(
-            f"the time column is ambiguous: {' or '.join(candidates)}",
-            hint='Say which in the robot file: [channels] time = "..."',
-            where=str(path),
-        )
-    raise _missing(path, ["t"], names)
-
-
-def _imu_columns(path: Path, imu: Imu, known: set[str]) -> tuple[list[str], list[str]] | None:
-    count = len(imu.positions)
-    numbered = [f"{imu.name}.a{k + 1}" for k in range(count)]
-    triad = [f"{imu.name}.a{axis}" for axis in "xyz"]
-    use_triad = count == 3 and not known.intersection(numbered)
-    accelerometers = triad if use_triad else numbered
-    gyro = [f"{imu.name}.g{axis}" for axis in "xyz"] if imu.gyro else []
-    missing = [name for name in accelerometers + gyro if name not in known]
-    if len(missing) == len(accelerometers) + len(gyro):
-        return None
-    if missing:
-        raise InputError(
-            f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}",
-            hint=f"The robot file gives it {count} accelerometers"
-            f"{' and a gyro' if imu.gyro else ''}: log them all, or correct the robot file.",
-            where=str(path),
-        )
-    return accelerometers, gyro
-
-
-def _imu_stream(
-    path: Path, table: pa.Table, stamps: Stamps, columns: tuple[list[str], list[str]]
-) -> Stream:
-    channels = {
-        quantity: np.column_stack([_numbers(path, table, name) for name in names])
-        for quantity, names in zip((ACCELEROMETERS, GYRO), columns, strict=True)
-        if names
-    }
-    return Stream(ROWS, stamps, channels)
-
-
-def _missing(path: Path, missing: Sequence[str], names: list[str]) -> InputError:
-    close = [difflib.get_close_matches(name, names, n=3, cutoff=0.4) for name in missing[:3]]
-    nearest = list(dict.fromkeys(match for matches in close for match in matches))
-    listed = nearest or names[:12]
-    more = "" if len(missing) <= 6 else f" and {len(missing) - 6} more"
-    return InputError(
-        f"no column {', '.join(repr(name) for name in missing[:6])}{more}; "
-        f"{'nearest' if nearest else 'there are'}: {', '.join(listed) or 'no columns at all'}",
-        hint="Joint names come from the robot file; where the log uses other column names, "
-        'give them there: [channels] position = "..."',
-        where=str(path),
-    )
-
-
-def _require_once(path: Path, columns: list[str], names: list[str]) -> None:
-    for name in columns:
-        if names.count(name) > 1:
-            raise InputError(
-                f"column {name!r} is there {names.count(name)} times",
-                hint="Give each column a name of its own.",
-                where=str(path),
-            )
-
-
-def _column(path: Path, table: pa.Table, name: str) -> pa.ChunkedArray:
-    if table.schema.names.count(name) != 1:
-        raise InputError(
-            f"column {name!r} is not a plain column",
-            hint="Write one number per row and column.",
-            where=str(path),
-        )
-    column = table.column(name)
-    if pa.types.is_dictionary(column.type):
-        column = pc.cast(column, column.type.value_type)
-    return column
-
-
-def _numbers(path: Path, table: pa.Table, name: str) -> Array:
-    """Read a column as float64; nulls become NaN."""
-    try:
-        column = _column(path, table, name)
-        if not _is_number(column.type):
-            raise InputError(
-                f"column {name!r} holds {column.type}, not numbers",
-                hint="Write it as float64 in SI units.",
-                where=str(path),
-            )
-        values: Array = pc.cast(column, pa.float64(), safe=False).to_numpy()
-    except _ARROW_ERRORS as error:
-        raise _damaged(path, error) from error
-    return values
-
-
-def _is_number(kind: pa.DataType) -> bool:
-    return bool(
-        pa.types.is_integer(kind)
-        or pa.types.is_floating(kind)
-        or pa.types.is_decimal(kind)
-        or pa.types.is_null(kind)
-    )
-
-
-def _stamps(path: Path, table: pa.Table, name: str) -> tuple[Stamps, Rows, list[str]]:
-    """Return stamps [ns] (0 where missing), the rows that have one, and warnings."""
-    kind = _column(path, table, name).type
-    timed = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
-    warnings: list[str] = []
-    if any(check(kind) for check in timed):
-        seconds, rest = _from_timestamps(path, table, name, _NS_PER[kind.unit])
-    else:
-        values = _numbers(path, table, name)
-        unit = _unit(values)
-        if unit != "s":
-            warnings.append(f"column {name!r} is too large for seconds: read as {unit}")
-        seconds, rest = _split(values, _NS_PER[unit])
-        warnings += _resolution(name, kind, values)
-    good = np.isfinite(seconds) & (np.abs(seconds) < STAMP_LIMIT_NS / 1e9)
-    lost = int(np.count_nonzero(~good))
-    if lost:
-        warnings.append(f"{lost} rows without a usable time in column {name!r} were left out")
-    stamps = np.where(good, seconds, 0).astype(np.int64) * 1_000_000_000
-    return stamps + np.where(good, rest, 0).astype(np.int64), np.flatnonzero(good), warnings
-
-
-def _from_timestamps(
-    path: Path, table: pa.Table, name: str, ns_per_unit: int
-) -> tuple[Array, Array]:
-    try:
-        column = _column(path, table, name)
-        missing = pc.is_null(column).to_numpy()
-        bits = pa.int32() if column.type.bit_width == 32 else pa.int64()
-        counts = pc.fill_null(pc.cast(pc.cast(column, bits), pa.int64()), 0).to_numpy()
-    except _ARROW_ERRORS as error:
-        raise _damaged(path, error) from error
-    per_second = 1_000_000_000 // ns_per_unit
-    seconds = np.where(missing, np.nan, (counts // per_second).astype(np.float64))
-    return seconds, ((counts % per_second) * ns_per_unit).astype(np.float64)
-
-
-def _unit(values: Array) -> str:
-    finite = values[np.isfinite(values)]
-    middle = float(np.median(np.abs(finite))) if len(finite) else 0.0
-    return next((unit for unit, least in _EPOCH if middle > least), "s")
-
-
-def _split(values: Array, ns_per_unit: int) -> tuple[Array, Array]:
-    """Split into whole seconds and nanoseconds, so that no digit of an epoch time is lost."""
-    per_second = 1_000_000_000 // ns_per_unit
-    with np.errstate(invalid="ignore", over="ignore"):
-        seconds = np.floor(values / per_second)
-        rest: Array = np.rint((values - seconds * per_second) * ns_per_unit)
-    return seconds, rest
-
-
-def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
-    finite = values[np.isfinite(values)]
-    if not (pa.types.is_float32(kind) or pa.types.is_float16(kind)) or len(finite) < 2:
-        return []
-    dtype = np.float32 if pa.types.is_float32(kind) else np.float16
-    step = float(np.spacing(dtype(np.abs(finite).max())))
-    interval = float(finite.max() - finite.min()) / (len(finite) - 1)
-    if step <= 1e-3 * interval:
-        return []
-    return [
-        f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the end of the "
-        f"log ({interval:.3g} s between samples): write time as float64 or timestamp"
-    ]

@@ -10,15 +10,21 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs import echo, health, mcap, parquet
+from seqid_cli.logs import bags, csv_file, echo, health, mcap, parquet
 from seqid_cli.logs.clocks import Tidy, tidy
-from seqid_cli.logs.open import check_log
+from seqid_cli.logs.open import check_log, storage_file
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
 from seqid_cli.robot.types import Robot
 
-READERS: dict[str, Reader] = {"parquet": parquet.read, "mcap": mcap.read}
+READERS: dict[str, Reader] = {
+    "parquet": parquet.read,
+    "mcap": mcap.read,
+    "csv": csv_file.read,
+    "rosbag2": bags.read_rosbag2,
+    "rosbag1": bags.read_rosbag1,
+}
 _ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
@@ -46,11 +52,12 @@ def read_recording(
     Parameters
     ----------
     path : Path
-        A Parquet or MCAP file, told by its first bytes.
+        A Parquet, MCAP, CSV or ROS bag file, told by its content, or the folder of a ROS 2 bag
+        of one file.
     robot : Robot
         Names of joints, channels and IMUs; drive data that turn current into torque.
     time_source : {"header", "log"}
-        MCAP only: the stamps in the messages, or the times of logging.
+        MCAP and bags only: the stamps in the messages, or the times of logging.
     rate_hz : float, optional
         Rate of the base; by default the log's own.
 
@@ -70,6 +77,7 @@ def read_recording(
     """
     path = Path(path)
     kind = check_log(path)
+    path = storage_file(path)
     if time_source not in ("header", "log"):
         raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
     try:

@@ -1,44 +1,32 @@
-"""ROS 2 messages in CDR: JointState and Imu, a batch at a time.
+"""ROS 2 messages in CDR, a batch at a time: JointState, DynamicJointState and Imu.
 
-Consecutive messages of a topic differ in their stamp and numbers only. One of them is parsed field
-by field; the others that have the same length and the same bytes at every place that carries
-structure (encapsulation, counts, names) are decoded together by position.
+The parsers here read one message field by field, with every bound checked, and say where its
+structure and its numbers lie; `layouts` decodes the messages that are alike.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.logs.decoding import Decode, Decoded, NameMap, check_lengths
-from seqid_cli.logs.raw import Array
+from seqid_cli.logs.decoding import (
+    IMU_FIELDS,
+    JOINT_QUANTITIES,
+    Decode,
+    NameMap,
+    check_lengths,
+)
+from seqid_cli.logs.layouts import Layout, LayoutDecoder, Number, Place, make_layout
 
 _ENCAPSULATION = 4
-_STAMP_AT = 4
 _STAMP_END = 12
 # Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1 and 2.
 _REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
-_ROUNDS = 32  # layouts of one length decoded together; what remains goes one by one
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where the values of one message lie."""
-
-    order: str
-    structure: list[slice]  # bytes that a message must share
-    blocks: list[tuple[int, int, list[tuple[int, int]]]]  # offset, count, (entry, column)
-
-
-_Parse = Callable[[bytes], _Layout]
 
 
 class _Cursor:
-    """Reads CDR; every read checks the bounds."""
+    """Reads CDR behind the stamp of a header; every read checks the bounds."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) < _STAMP_END or data[0] or data[1] not in _REPRESENTATIONS:
@@ -46,28 +34,41 @@ class _Cursor:
         self.data = data
         self.order, self._largest = _REPRESENTATIONS[data[1]]
         self.at = _STAMP_END
-        self.structure = [slice(0, _ENCAPSULATION)]
+        self.mask = np.zeros(len(data), np.uint8)
+        self.mask[:_ENCAPSULATION] = 0xFF
 
-    def count(self) -> int:
-        """Read a length (uint32), which is structure."""
+    def count(self, least: int = 0) -> int:
+        """Read a length (uint32) of items of at least that many bytes; it is structure."""
         self._align(4)
         (value,) = struct.unpack_from(f"{self.order}I", self.data, self.at)
-        self.structure.append(slice(self.at, self.at + 4))
+        self.mask[self.at : self.at + 4] = 0xFF
         self.at += 4
+        if value * least > len(self.data):
+            raise ValueError("more items than bytes")
         return int(value)
 
-    def text(self, *, structural: bool) -> str:
+    def text(self, *, structural: bool = True) -> str:
         """Read a string."""
         start, end = self._advance(self.count())
         if structural:
-            self.structure.append(slice(start, end))
+            self.mask[start:end] = 0xFF
         return self.data[start:end].rstrip(b"\0").decode("utf-8")
 
-    def doubles(self, count: int) -> int:
-        """Step over float64 values; returns the offset of the first."""
+    def texts(self) -> list[str]:
+        """Read a list of strings."""
+        return [self.text() for _ in range(self.count(4))]
+
+    def doubles(self, count: int) -> list[Place]:
+        """Step over float64 values; returns where they are."""
         if count:
             self._align(8)
-        return self._advance(8 * count)[0]
+        first = self._advance(8 * count)[0]
+        return [Place(first + 8 * i, f"{self.order}f8", 8) for i in range(count)]
+
+    def layout(self, columns: list[tuple[int, Number]]) -> Layout:
+        """Make the layout of the message; the stamp stands at its beginning."""
+        sec, nanosec = Place(4, f"{self.order}i4", 4), Place(8, f"{self.order}u4", 4)
+        return make_layout(self.data, self.mask, columns, (sec, nanosec))
 
     def _align(self, size: int) -> None:
         size = min(size, self._largest)
@@ -82,30 +83,57 @@ class _Cursor:
 
 def joint_state_decoder(names: NameMap) -> Decode:
     """Decode `sensor_msgs/msg/JointState`."""
+    return LayoutDecoder(lambda data: _joint_state(data, names), names.width)
 
-    def parse(data: bytes) -> _Layout:
-        cursor = _Cursor(data)
-        cursor.text(structural=False)
-        entries = [cursor.text(structural=True) for _ in range(_bounded(cursor))]
-        pairs = names.pairs(entries)
-        blocks, counts = [], []
-        for quantity in range(3):
-            counts.append(cursor.count())
-            shift = quantity * len(names.joints)
-            targets = [(entry, shift + joint) for entry, joint in pairs]
-            blocks.append((cursor.doubles(counts[-1]), counts[-1], targets))
-        check_lengths(len(entries), counts)
-        return _Layout(cursor.order, cursor.structure, [b for b in blocks if b[1]])
 
-    return lambda batch: _decode(batch, parse, names.width)
+def dynamic_joint_state_decoder(names: NameMap) -> Decode:
+    """Decode `control_msgs/msg/DynamicJointState`."""
+    return LayoutDecoder(lambda data: _dynamic_joint_state(data, names), names.width)
 
 
 def imu_decoder() -> Decode:
     """Decode `sensor_msgs/msg/Imu`."""
-    return lambda batch: _decode(batch, _parse_imu, 6)
+    return LayoutDecoder(_imu, len(IMU_FIELDS))
 
 
-def _parse_imu(data: bytes) -> _Layout:
+def _joint_state(data: bytes, names: NameMap) -> Layout:
+    cursor = _Cursor(data)
+    cursor.text(structural=False)
+    entries = cursor.texts()
+    arrays = [cursor.doubles(cursor.count(8)) for _ in JOINT_QUANTITIES]
+    check_lengths(len(entries), [len(places) for places in arrays])
+    pairs = names.pairs(entries)
+    columns: list[tuple[int, Number]] = [
+        (quantity * len(names.joints) + joint, places[entry])
+        for quantity, places in enumerate(arrays)
+        for entry, joint in (pairs if places else ())
+    ]
+    return cursor.layout(columns)
+
+
+def _dynamic_joint_state(data: bytes, names: NameMap) -> Layout:
+    cursor = _Cursor(data)
+    cursor.text(structural=False)
+    entries = cursor.texts()
+    if cursor.count(8) != len(entries):
+        raise ValueError("joints and interfaces differ in number")
+    interfaces = []
+    for _ in entries:
+        kinds = cursor.texts()
+        values = cursor.doubles(cursor.count(8))
+        interfaces.append((kinds, values))
+    columns: dict[int, Number] = {}
+    for entry, joint in names.pairs(entries):
+        given = dict(zip(*interfaces[entry], strict=True))
+        if names.effort in given:
+            given.setdefault("effort", given[names.effort])
+        for quantity, name in enumerate(JOINT_QUANTITIES):
+            if name in given:
+                columns[quantity * len(names.joints) + joint] = given[name]
+    return cursor.layout(list(columns.items()))
+
+
+def _imu(data: bytes) -> Layout:
     cursor = _Cursor(data)
     cursor.text(structural=False)
     cursor.doubles(4 + 9)  # orientation and its covariance
@@ -113,73 +141,4 @@ def _parse_imu(data: bytes) -> _Layout:
     cursor.doubles(9)
     acceleration = cursor.doubles(3)
     cursor.doubles(9)
-    blocks = [
-        (acceleration, 3, [(axis, axis) for axis in range(3)]),
-        (gyro, 3, [(axis, 3 + axis) for axis in range(3)]),
-    ]
-    return _Layout(cursor.order, cursor.structure, blocks)
-
-
-def _bounded(cursor: _Cursor) -> int:
-    """Read the number of names; each takes at least its length."""
-    count = cursor.count()
-    if 4 * count > len(cursor.data):
-        raise ValueError("more names than bytes")
-    return count
-
-
-def _decode(batch: Sequence[bytes], parse: _Parse, width: int) -> Decoded:
-    out = Decoded.empty(len(batch), width)
-    by_length: dict[int, list[int]] = {}
-    for i, data in enumerate(batch):
-        by_length.setdefault(len(data), []).append(i)
-    for length, rows in by_length.items():
-        if length >= _STAMP_END:
-            joined = b"".join(batch[i] for i in rows)
-            raw = np.frombuffer(joined, np.uint8).reshape(len(rows), length)
-            _decode_equal_length(raw, np.array(rows), parse, out)
-    return out
-
-
-def _decode_equal_length(
-    raw: NDArray[np.uint8], rows: NDArray[np.intp], parse: _Parse, out: Decoded
-) -> None:
-    rounds = 0
-    while len(rows):
-        rounds += 1
-        alike = np.zeros(len(rows), np.bool_)
-        alike[0] = True
-        try:
-            layout = parse(raw[0].tobytes())
-        except (ValueError, struct.error):
-            layout = None
-        if layout is not None:
-            if rounds <= _ROUNDS:
-                alike = _same_structure(raw, layout)
-            out.stamp_ns[rows[alike]], sane = _stamps(raw[alike], layout.order)
-            out.values[rows[alike]] = _values(raw[alike], layout, out.values.shape[1])
-            out.good[rows[alike]] = sane
-        raw, rows = raw[~alike], rows[~alike]
-
-
-def _same_structure(raw: NDArray[np.uint8], layout: _Layout) -> NDArray[np.bool_]:
-    alike = np.ones(len(raw), np.bool_)
-    for part in layout.structure:
-        alike &= (raw[:, part] == raw[0, part]).all(axis=1)
-    return alike
-
-
-def _stamps(raw: NDArray[np.uint8], order: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    fields = np.ascontiguousarray(raw[:, _STAMP_AT:_STAMP_END])
-    sec = fields[:, :4].copy().view(f"{order}i4")[:, 0].astype(np.int64)
-    nanosec = fields[:, 4:].copy().view(f"{order}u4")[:, 0].astype(np.int64)
-    return sec * 1_000_000_000 + nanosec, nanosec < 1_000_000_000
-
-
-def _values(raw: NDArray[np.uint8], layout: _Layout, width: int) -> Array:
-    values = np.full((len(raw), width), np.nan)
-    for offset, count, targets in layout.blocks:
-        block = np.ascontiguousarray(raw[:, offset : offset + 8 * count]).view(f"{layout.order}f8")
-        for entry, column in targets:
-            values[:, column] = block[:, entry]
-    return values
+    return cursor.layout(list(enumerate([*acceleration, *gyro])))

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from seqid_cli.logs import mcap, parquet
-from seqid_cli.logs.open import check_log
+from seqid_cli.logs import bags, csv_file, mcap, parquet
+from seqid_cli.logs.open import check_log, storage_file
+from seqid_cli.logs.presets import survey_names
 from seqid_cli.robot.types import Channels
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One column of a Parquet file or one topic of an MCAP file, with its type and samples."""
+    """One column of a table or one topic of an MCAP file or a bag, with its type and samples."""
 
     name: str
     kind: str
@@ -44,36 +45,27 @@ def survey(path: Path) -> Survey:
         It is no log or cannot be read at all.
     """
     kind = check_log(path)
-    return _parquet(path) if kind == "parquet" else _mcap(path)
+    path = storage_file(path)
+    if kind == "parquet":
+        listed = [Channel(*column) for column in parquet.list_columns(path)]
+        return _table(path, kind, listed, parquet.column_names(path))
+    if kind == "csv":
+        names, rows = csv_file.list_columns(path)
+        return _table(path, kind, [Channel(name, "text", rows) for name in names], names)
+    if kind == "mcap":
+        return _topics(path, kind, path)
+    with bags.as_mcap(path, kind) as (copy, _):
+        return _topics(path, kind, copy)
 
 
-def _parquet(path: Path) -> Survey:
-    columns = parquet.list_columns(path)
-    channels = tuple(Channel(*column) for column in columns)
-    names = [channel.name for channel in channels]
-    joints = tuple(name.removesuffix(".position") for name in names if name.endswith(".position"))
-    if joints:
-        return Survey(path, "parquet", channels, joints, Channels())
-    for pattern, first in (("actual_q_", 0), ("q_", 0), ("q_", 1)):
-        joints = _numbered(names, pattern, first)
-        if joints:
-            index = "{index0}" if first == 0 else "{index}"
-            return Survey(path, "parquet", channels, joints, Channels(position=pattern + index))
-    return Survey(path, "parquet", channels, (), Channels())
+def _table(path: Path, kind: str, channels: Sequence[Channel], names: Sequence[str]) -> Survey:
+    joints, position = survey_names(names)
+    return Survey(path, kind, tuple(channels), joints, Channels(position=position))
 
 
-def _numbered(names: list[str], prefix: str, first: int) -> tuple[str, ...]:
-    """Return the joints prefix<first>, prefix<first + 1> ... without a hole."""
-    numbers = {int(m[1]) for name in names if (m := re.fullmatch(rf"{prefix}([0-9]{{1,3}})", name))}
-    count = 0
-    while first + count in numbers:
-        count += 1
-    return tuple(f"joint_{i + 1}" for i in range(count))
-
-
-def _mcap(path: Path) -> Survey:
-    topics, joints = mcap.list_topics(path)
+def _topics(path: Path, kind: str, file: Path) -> Survey:
+    topics, joints = mcap.list_topics(file)
     channels = tuple(
         Channel(info.topic, f"{info.schema} ({info.encoding})", info.messages) for info in topics
     )
-    return Survey(path, "mcap", channels, joints, Channels())
+    return Survey(path, kind, channels, joints, Channels())

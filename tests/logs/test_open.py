@@ -90,9 +90,10 @@ def test_format_is_told_by_content(tmp_path: Path) -> None:
     ("content", "fragment"),
     [
         (b"", "empty"),
-        (b"t,q\n0,1\n", "neither Parquet nor MCAP"),
-        (b"#ROSBAG V2.0\n", "ROS 1 bag"),
-        (b"SQLite format 3\0", "SQLite"),
+        (b"\x00\x01\x02\x03", "neither Parquet nor MCAP, no ROS bag and no CSV"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "neither Parquet"),
+        (b"#ROSBAG V1.2\n", "ROS bag of an old version"),
+        (b"hello", "neither Parquet nor MCAP.*: the table has names but no line of data"),
         (b"\x28\xb5\x2f\xfdxxxx", "zstd"),
         (b"version https://git-lfs.github.com/spec/v1", "LFS"),
         (b"PAR1", "footer"),
@@ -106,6 +107,95 @@ def test_other_files_are_refused_by_name(tmp_path: Path, content: bytes, fragmen
         check_log(path)
     assert caught.value.hint
     assert caught.value.where == str(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"t,q_0\n0,1\n", "csv"),
+        (b"#ROSBAG V2.0\n", "rosbag1"),
+        (b"SQLite format 3\0" + bytes(84), "rosbag2"),
+    ],
+)
+def test_kinds_told_by_the_first_bytes(tmp_path: Path, content: bytes, kind: str) -> None:
+    path = tmp_path / "log.dat"
+    path.write_bytes(content)
+    assert check_log(path) == kind
+
+
+TABLES = {
+    "a/log.csv": "t,q_0\n0,1\n",
+    "a/times.csv": "time_ms q_0\n0 1\n",
+    "a/result.csv": "joint,rmse\nelbow,0.1\n",
+    "a/points.csv": "x,y,z\n0,1,2\n",
+    "a/numbers.tsv": "1\t2\n3\t4\n",
+}
+
+
+@pytest.fixture
+def tables(tmp_path: Path) -> Path:
+    for name, content in TABLES.items():
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(content)
+    return tmp_path
+
+
+@pytest.mark.parametrize("argument", ["", "a", "a/*", "**"])
+def test_csv_files_of_a_folder_that_are_no_logs_are_left_out_and_told(
+    tables: Path, argument: str
+) -> None:
+    notes: list[str] = []
+    found = expand([str(tables / argument)], notes.append)
+    assert names(found, tables) == ["a/log.csv", "a/times.csv"]
+    assert len(notes) == 3
+    told = {
+        word for word in ("result.csv", "points.csv", "numbers.tsv") for n in notes if word in n
+    }
+    assert len(told) == 3
+    assert any("no column of time" in note for note in notes)
+    assert any("header is missing" in note for note in notes)
+
+
+def test_csv_files_named_by_themselves_or_by_suffix_are_taken(tables: Path) -> None:
+    points = tables / "a" / "points.csv"
+    assert expand([str(points)]) == [points]
+    assert len(expand([str(tables / "a" / "*.csv")])) == 4
+
+
+def test_folder_with_other_tables_only(tables: Path) -> None:
+    for name in ("a/log.csv", "a/times.csv"):
+        (tables / name).unlink()
+    with pytest.raises(InputError, match="no log in this folder"):
+        expand([str(tables)])
+
+
+def test_bag_folder_stands_for_its_files(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 5\n")
+    with pytest.raises(InputError, match=r"without \*\.mcap"):
+        check_log(bag)
+    for k in (10, 9):
+        (bag / f"bag_{k}.db3").write_bytes(b"SQLite format 3\0" + bytes(84))
+    assert names(expand([str(tmp_path)]), tmp_path) == ["bag/bag_9.db3", "bag/bag_10.db3"]
+    with pytest.raises(InputError, match="bag of 2 files"):
+        check_log(bag)
+    (bag / "bag_9.db3").unlink()
+    assert check_log(bag) == "rosbag2"
+
+
+def test_description_of_a_data_set_is_no_log(tmp_path: Path) -> None:
+    for name in (
+        "meta/info.json",
+        "meta/tasks.parquet",
+        "meta/episodes/x.parquet",
+        "data/e.parquet",
+    ):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"{}")
+    assert names(expand([str(tmp_path)]), tmp_path) == ["data/e.parquet"]
 
 
 def test_missing_file_folder_and_unreadable_file(tmp_path: Path) -> None:

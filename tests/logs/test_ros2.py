@@ -154,3 +154,51 @@ def test_dynamic_joint_states(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.q, motion.q)
     np.testing.assert_array_equal(recording.tau, motion.tau)
     assert recording.dq is None
+
+
+@pytest.mark.parametrize("effort", ["torque", "current"])
+def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) -> None:
+    from seqid_cli.logs import messages
+    from seqid_cli.logs.topics import _decoder, _is_usual
+
+    kind, line = "control_msgs/msg/DynamicJointState", "=" * 80
+    definition = (
+        "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
+        f"{line}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+        + DEFINITIONS[JOINT_STATE][DEFINITIONS[JOINT_STATE].index(line) :]
+    )
+    rng = random.Random(4)
+    path = tmp_path / "log.mcap"
+    kinds = ("position", "velocity", "effort", "torque", "current", "other")
+    with path.open("wb") as out:
+        writer = Writer(out)
+        schema = writer.register_msgdef(kind, definition)
+        for i in range(200):
+            if i % 20 == 0:
+                names = rng.sample((*NAMES, "x"), rng.randrange(5))
+                interfaces = [rng.sample(kinds, rng.randrange(6)) for _ in names]
+            values = [
+                SimpleNamespace(interface_names=each, values=[rng.gauss(0, 1) for _ in each])
+                for each in interfaces
+            ]
+            content = SimpleNamespace(
+                header=header(i + 1), joint_names=names, interface_values=values
+            )
+            writer.write_message("/dynamic_joint_states", schema, content, 0)
+        writer.finish()
+    batch = payloads(path)
+    found = Schema(1, definition.encode(), "ros2msg", kind)
+    assert _is_usual(found, "dynamic_joint_state")
+    assert not _is_usual(
+        Schema(1, definition.replace("float64[] v", "float32[] v").encode(), "ros2msg", kind),
+        "dynamic_joint_state",
+    )
+    parse = messages.schema_parser(found)
+    decode = _decoder("cdr", found, "dynamic_joint_state", NameMap(NAMES, effort))
+    assert parse is not None
+    assert decode is not None
+    slow = messages.dynamic_joint_state_decoder(parse, NameMap(NAMES, effort))(batch)
+    fast = decode(batch)
+    assert fast.good.all()
+    np.testing.assert_array_equal(fast.values, slow.values)
+    np.testing.assert_array_equal(fast.stamp_ns, slow.stamp_ns)

@@ -11,6 +11,7 @@ import pytest
 
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.survey import survey
+from tests.logs.format_writers import EXACT, FLOAT32, Data
 from tests.logs.samples import JOINTS, grid, make_motion, make_robot
 from tests.logs.writers import write_mcap, write_parquet
 
@@ -46,8 +47,22 @@ def test_parquet_with_numbered_names(tmp_path: Path, prefix: str, first: int) ->
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(columns), path)
     found = survey(path)
+    assert found.joints == ("joint_1", "joint_2", "joint_3")
     recording = read_recording(path, make_robot(found.joints, channels=found.names))
     np.testing.assert_array_equal(recording.q, MOTION.q)
+
+
+@pytest.mark.parametrize("label", ["csv", "csv rtde", "csv libfranka", "rosbag1", "lerobot"])
+def test_other_formats(tmp_path: Path, label: str) -> None:
+    data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
+    path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
+    found = survey(path)
+    named = label in ("csv", "rosbag1")
+    assert set(found.joints) == set(JOINTS if named else ("joint_1", "joint_2", "joint_3"))
+    assert {channel.samples for channel in found.channels} == {100}
+    recording = read_recording(path, make_robot(found.joints, channels=found.names))
+    order = [found.joints.index(name) for name in JOINTS] if named else [0, 1, 2]
+    np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)
 
 
 def test_nothing_known(tmp_path: Path) -> None:

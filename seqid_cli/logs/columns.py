@@ -1,0 +1,208 @@
+"""Columns of a table as numbers, and its time column as integer nanoseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.raw import STAMP_LIMIT_NS, Array, Rows, Stamps
+
+ARROW_ERRORS = (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError)
+NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+# An epoch time of this size cannot be seconds: the largest that it can be in each unit.
+_EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
+_FASTEST_S = 5e-5  # no arm is logged faster than 20 kHz
+
+
+@dataclass(frozen=True)
+class TimeColumn:
+    """Where time stands: one column, or whole seconds and the nanoseconds beside them.
+
+    `unit` is what the name or the format says, None where only the size of the numbers tells;
+    `sure` where it was written with the name.
+    """
+
+    name: str
+    unit: str | None = None
+    sure: bool = False
+    nanoseconds: str | None = None
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns to load."""
+        return [self.name] if self.nanoseconds is None else [self.name, self.nanoseconds]
+
+
+def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
+    """Return a column by name, dictionaries resolved.
+
+    Raises
+    ------
+    InputError
+        The table does not have it exactly once.
+    """
+    if table.schema.names.count(name) != 1:
+        raise InputError(
+            f"column {name!r} is not a plain column",
+            hint="Write one number per row and column.",
+            where=where,
+        )
+    found = table.column(name)
+    if pa.types.is_dictionary(found.type):
+        found = pc.cast(found, found.type.value_type)
+    return found
+
+
+def numbers(where: str, table: pa.Table, name: str) -> Array:
+    """Read a column as float64 (M,); nulls become NaN.
+
+    Raises
+    ------
+    InputError
+        It holds no numbers, or cannot be converted.
+    """
+    try:
+        found = column(where, table, name)
+        if not is_number(found.type):
+            raise InputError(
+                f"column {name!r} holds {found.type}, not numbers",
+                hint="Write it as float64 in SI units.",
+                where=where,
+            )
+        values: Array = pc.cast(found, pa.float64(), safe=False).to_numpy()
+    except ARROW_ERRORS as error:
+        raise InputError(
+            f"column {name!r} cannot be read ({' '.join(str(error).split())[:200]})",
+            hint="Write it as float64 in SI units.",
+            where=where,
+        ) from error
+    return values
+
+
+def is_number(kind: pa.DataType) -> bool:
+    """Tell whether a column of this type can be read as numbers."""
+    return bool(
+        pa.types.is_integer(kind)
+        or pa.types.is_floating(kind)
+        or pa.types.is_decimal(kind)
+        or pa.types.is_null(kind)
+    )
+
+
+def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
+    """Read the stamps of the rows.
+
+    Returns
+    -------
+    tuple
+        Stamps [ns] (M,), 0 where missing; the rows that have one; warnings.
+
+    Raises
+    ------
+    InputError
+        The column holds no times.
+    """
+    warnings: list[str] = []
+    kind = column(where, table, time.name).type
+    if any(is_timed(kind) for is_timed in _TIMED):
+        seconds, rest = _from_counts(where, table, time.name, NS_PER[kind.unit])
+    elif time.nanoseconds is not None:
+        seconds = numbers(where, table, time.name)
+        rest = numbers(where, table, time.nanoseconds)
+        rest = np.where((rest >= 0) & (rest < 1e9), rest, np.nan)
+        seconds = np.where(np.isfinite(rest), seconds, np.nan)
+    else:
+        seconds, rest = _from_numbers(where, table, time, warnings)
+    good = np.isfinite(seconds) & (np.abs(seconds) < STAMP_LIMIT_NS / 1e9)
+    lost = int(np.count_nonzero(~good))
+    if lost:
+        warnings.append(f"{lost} rows without a usable time in column {time.name!r} were left out")
+    stamps = np.where(good, seconds, 0).astype(np.int64) * 1_000_000_000
+    return stamps + np.where(good, rest, 0).astype(np.int64), np.flatnonzero(good), warnings
+
+
+_TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
+
+
+def _from_numbers(
+    where: str, table: pa.Table, time: TimeColumn, warnings: list[str]
+) -> tuple[Array, Array]:
+    values = numbers(where, table, time.name)
+    unit = _unit(values, time, warnings)
+    kind = column(where, table, time.name).type
+    if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
+        return _from_counts(where, table, time.name, NS_PER[unit])
+    warnings += _resolution(time.name, kind, values / (1e9 / NS_PER[unit]))
+    return _split(values, NS_PER[unit])
+
+
+def _unit(values: Array, time: TimeColumn, warnings: list[str]) -> str:
+    """Return the unit: what the name says, or the format, or else the size of the numbers."""
+    if time.unit is not None and time.sure:
+        return time.unit
+    finite = values[np.isfinite(values)]
+    middle = float(np.median(np.abs(finite))) if len(finite) else 0.0
+    steps = np.diff(finite)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+    if time.unit is not None and time.unit != "s" and step * NS_PER[time.unit] * 1e-9 < _FASTEST_S:
+        warnings.append(
+            f"column {time.name!r} is in {time.unit} by its format, but steps by {step:.3g}: "
+            "read as s"
+        )
+        return "s"
+    if time.unit is not None and time.unit != "s":
+        return time.unit
+    unit = next((unit for unit, least in _EPOCH if middle > least), "s")
+    if unit != "s":
+        warnings.append(f"column {time.name!r} is too large for seconds: read as {unit}")
+    return unit
+
+
+def _from_counts(where: str, table: pa.Table, name: str, ns_per_unit: int) -> tuple[Array, Array]:
+    """Split integer counts of a unit into whole seconds and nanoseconds, exactly."""
+    try:
+        found = column(where, table, name)
+        missing = pc.is_null(found).to_numpy()
+        if not pa.types.is_integer(found.type):
+            found = pc.cast(found, pa.int32() if found.type.bit_width == 32 else pa.int64())
+        counts = pc.fill_null(pc.cast(found, pa.int64()), 0).to_numpy()
+    except ARROW_ERRORS as error:
+        raise InputError(
+            f"time column {name!r} cannot be read ({' '.join(str(error).split())[:200]})",
+            hint="Write time as float64 in seconds or as a timestamp.",
+            where=where,
+        ) from error
+    per_second = 1_000_000_000 // ns_per_unit
+    seconds = np.where(missing, np.nan, (counts // per_second).astype(np.float64))
+    return seconds, ((counts % per_second) * ns_per_unit).astype(np.float64)
+
+
+def _split(values: Array, ns_per_unit: int) -> tuple[Array, Array]:
+    """Split into whole seconds and nanoseconds, so that no digit of an epoch time is lost."""
+    per_second = 1_000_000_000 // ns_per_unit
+    with np.errstate(invalid="ignore", over="ignore"):
+        seconds = np.floor(values / per_second)
+        rest: Array = np.rint((values - seconds * per_second) * ns_per_unit)
+    return seconds, rest
+
+
+def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
+    """Warn of floating-point times [s] too coarse for the interval between samples."""
+    finite = values[np.isfinite(values)]
+    if not (pa.types.is_float32(kind) or pa.types.is_float16(kind)) or len(finite) < 2:
+        return []
+    dtype = np.float32 if pa.types.is_float32(kind) else np.float16
+    step = float(np.spacing(dtype(np.abs(finite).max())))
+    forward = np.diff(finite)
+    forward = forward[forward > 0]
+    interval = float(np.mean(forward)) if len(forward) else 0.0
+    if step <= 1e-3 * interval:
+        return []
+    return [
+        f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the end of the "
+        f"log ({interval:.3g} s between samples): write time as float64 or timestamp"
+    ]

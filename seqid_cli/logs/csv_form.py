@@ -1,0 +1,208 @@
+"""How a CSV file is written, told by its first lines: standard library only.
+
+Delimiter, decimal mark, comment lines and names of the columns are found by looking, because no two
+loggers agree on them.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from seqid_cli.errors import InputError
+
+HEAD = 1 << 20  # bytes that are looked at
+_DELIMITERS = (",", ";", "\t", " ")
+_COMMENTS = ("#", "%")
+_LOOKED_AT = 20  # data lines
+_BEGIN = 64  # bytes in which a binary file shows itself
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+MISSING = ("", "nan", "-nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity")
+_CONTROL = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f]")
+_HINT = "Write a line of names, then one line per sample: t,<joint>.position,..."
+
+
+@dataclass(frozen=True)
+class CsvForm:
+    """The form of one file.
+
+    `names` are its columns in order; `skip` lines stand before the data; `filler` columns without
+    a name follow, where every line ends with delimiters.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    names: tuple[str, ...]
+    skip: int
+    filler: int = 0
+
+
+def is_text(head: bytes) -> bool:
+    """Tell whether a file begins as text; a table may hold NUL bytes further on, by accident."""
+    begin = head[:_BEGIN] + head[_BEGIN:].split(b"\n", 1)[0]
+    return bool(head) and b"\0" not in begin and not _CONTROL.search(begin)
+
+
+def read_form(path: Path) -> CsvForm:
+    """Look at the first lines of a CSV file.
+
+    Raises
+    ------
+    InputError
+        It is no table: no names, no numbers, or nothing that separates them.
+    """
+    with path.open("rb") as file:
+        head = file.read(HEAD)
+    where = str(path)
+    _require_text(head, where)
+    encoding = "utf8" if _decodes(head) else "latin-1"
+    lines = _lines(head, encoding, where)
+    header_at, names_line = _header(lines, where)
+    data = [line for line in lines[header_at + 1 :] if line.strip()][:_LOOKED_AT]
+    if not data:
+        raise InputError(
+            "the table has names but no line of data",
+            hint="Was the recording stopped at once? Record again.",
+            where=where,
+        )
+    delimiter = _delimiter(names_line, data[0], where)
+    names = [name.strip() for name in _split(names_line, delimiter)]
+    rows = [_split(line, delimiter) for line in data]
+    while names and not names[-1] and max(map(len, rows)) < len(names):
+        names.pop()  # the header alone ends with a delimiter
+    decimal = _decimal(rows, delimiter)
+    _require_numbers(rows[0], len(names), delimiter, header_at + 2, where)
+    trailing = min(len(row) for row in rows) - len(names)
+    filled = trailing > 0 and all(not "".join(row[len(names) :]).strip() for row in rows)
+    return CsvForm(
+        encoding, delimiter, decimal, tuple(names), header_at + 1, trailing if filled else 0
+    )
+
+
+def _require_text(head: bytes, where: str) -> None:
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(
+            "is UTF-16 text; CSV logs are read as UTF-8",
+            hint="Convert it: `iconv -f UTF-16 -t UTF-8 FILE > NEW.csv`.",
+            where=where,
+        )
+    if b"\0" in head:
+        line = head[: head.index(b"\0")].count(b"\n") + 1
+        raise InputError(
+            f"line {line} holds NUL bytes: it is not text, or the recording computer lost power",
+            hint="Remove the NUL bytes: `tr -d '\\000' < FILE > NEW.csv`.",
+            where=where,
+        )
+
+
+def _decodes(head: bytes) -> bool:
+    try:
+        head[: head.rfind(b"\n") + 1].decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _lines(head: bytes, encoding: str, where: str) -> list[str]:
+    """Return the whole lines of the head."""
+    text = head.decode(encoding, "replace").removeprefix("\ufeff")
+    lines = re.split(r"\r\n|\n|\r", text)
+    if len(head) == HEAD:
+        if len(lines) == 1:
+            raise InputError(
+                f"its first line is longer than {HEAD} bytes: it is no table of samples",
+                hint=_HINT,
+                where=where,
+            )
+        lines.pop()
+    return lines
+
+
+def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
+    """Find the line of names: the first that is no comment, or the last comment before numbers."""
+    comment = ""
+    for at, line in enumerate(lines):
+        stripped = line.strip()
+        if stripped.startswith(_COMMENTS):
+            comment = stripped.lstrip("#% \t")
+            continue
+        if not stripped:
+            continue
+        if not _all_numbers(stripped):
+            return at, stripped if "\t" not in line else line.rstrip("\r\n")
+        if comment and not _all_numbers(comment):
+            return at - 1, comment
+        raise InputError(
+            f"line {at + 1} holds numbers where the names of the columns are expected: "
+            f"the header is missing ({stripped[:40]!r})",
+            hint=_HINT,
+            where=where,
+        )
+    raise InputError("the file holds no line of names", hint=_HINT, where=where)
+
+
+def _all_numbers(line: str) -> bool:
+    fields = [field for field in re.split(r"[,;\t ]+", line) if field]
+    return bool(fields) and all(_is_number(field) for field in fields)
+
+
+def _is_number(field: str) -> bool:
+    stripped = field.strip().strip('"')
+    return bool(_NUMBER.fullmatch(stripped) or _DECIMAL_COMMA.fullmatch(stripped))
+
+
+def _delimiter(names: str, data: str, where: str) -> str:
+    """Choose the delimiter that splits both the names and the numbers into most fields."""
+    counts = {d: min(len(_split(names, d)), len(_split(data, d))) for d in _DELIMITERS}
+    best = max(_DELIMITERS, key=lambda d: counts[d])
+    if counts[best] < 2:
+        raise InputError(
+            f"is text but no table: nothing separates columns in {names[:40]!r} and {data[:40]!r}",
+            hint=_HINT,
+            where=where,
+        )
+    if best == " " and "  " in data.strip():
+        raise InputError(
+            "columns are separated by a varying number of spaces",
+            hint="Write one space or comma between them: `tr -s ' ' < FILE > NEW.csv`.",
+            where=where,
+        )
+    return best
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
+    if delimiter == ",":
+        return "."
+    fields = [field.strip().strip('"') for row in rows for field in row]
+    commas = any(_DECIMAL_COMMA.fullmatch(field) for field in fields)
+    points = any("." in field and _NUMBER.fullmatch(field) for field in fields)
+    return "," if commas and not points else "."
+
+
+def _require_numbers(row: Sequence[str], names: int, delimiter: str, line: int, where: str) -> None:
+    if delimiter == "," and names < len(row) <= 2 * names and all(map(_is_number, row)):
+        raise InputError(
+            f"line {line} has {len(row)} numbers for {names} names: they seem to have decimal "
+            "commas",
+            hint="Write numbers with a decimal point, or separate the columns by semicolons.",
+            where=where,
+        )
+    numeric = [field for field in row if _is_number(field) or field.strip().lower() in MISSING]
+    if not any(_is_number(field) for field in numeric):
+        raise InputError(
+            f"line {line} holds no number: it is no table of samples ({' '.join(row)[:60]!r})",
+            hint=_HINT + " A line of units below the names must go.",
+            where=where,
+        )

@@ -1,0 +1,254 @@
+"""What is inside a chunk: unpacking, and where its messages lie.
+
+The index that follows a chunk says where its messages begin. It is used as a guess only: the
+records that it names must follow each other without a hole and fill the chunk, otherwise the chunk
+is walked record by record. Both ways find the same messages.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from seqid_cli.logs.payloads import Bytes
+
+RECORD = struct.Struct("<BQ")
+CHUNK = struct.Struct("<QQQII")  # first and last time, size, CRC, length of compression's name
+CHUNK_HEAD = CHUNK.size + 8  # with the size of the packed data, without the compression's name
+MESSAGE_SIZE = 22  # channel, sequence, log time, publish time
+_MESSAGE = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("", "V4"), ("log_ns", "<i8")]
+)
+_INDEX = struct.Struct("<HI")
+_ENTRY = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
+_STEP = 1 << 20
+_LIMIT = 1 << 30  # bytes in one unpacked chunk; recorders write about 1 MB
+_HEAD = RECORD.size + MESSAGE_SIZE
+
+Integers = NDArray[np.int64]
+
+
+class DamageError(Exception):
+    """A chunk cannot be used."""
+
+
+class Record(NamedTuple):
+    """A record's kind and where its content lies."""
+
+    opcode: int
+    start: int
+    end: int
+
+
+class Contents(NamedTuple):
+    """Records in a piece of a file.
+
+    Messages by their channel, log time and payload; the other records; and where the last whole
+    record ends.
+    """
+
+    channels: NDArray[np.uint16]
+    log_ns: Integers
+    starts: Integers
+    lengths: Integers
+    others: list[Record]
+    end: int
+
+
+class Unpacker:
+    """Unpacks chunks; keeps the decompressor, which is costly to make."""
+
+    def __init__(self) -> None:
+        self._zstd = zstandard.ZstdDecompressor()
+
+    def unpack(self, content: bytes, complete: bool) -> tuple[bytes, bool]:
+        """Return the records in a chunk, and whether they are all of them.
+
+        Parameters
+        ----------
+        content : bytes
+            Of the chunk record.
+        complete : bool
+            Whether the file holds the whole record; what is there is unpacked anyway.
+
+        Raises
+        ------
+        DamageError
+            A whole chunk is damaged.
+        """
+        if len(content) < CHUNK_HEAD:
+            raise DamageError("its head is incomplete")
+        _, _, size, crc, length = CHUNK.unpack_from(content)
+        start = CHUNK_HEAD + length
+        if len(content) < start:
+            raise DamageError("its head is incomplete")
+        name = content[CHUNK.size : CHUNK.size + length].decode("ascii", "replace")
+        (packed,) = struct.unpack_from("<Q", content, start - 8)
+        payload = memoryview(content)[start : start + packed]
+        whole = complete and packed <= len(content) - start
+        data, fault = self._decompress(name, payload, min(size, _LIMIT))
+        if not whole:
+            return data, False
+        if fault:
+            raise DamageError(fault)
+        if len(data) != size:
+            raise DamageError(f"it unpacks to {len(data)} bytes instead of {size}")
+        if crc and zlib.crc32(data) != crc:
+            raise DamageError("its checksum does not match")
+        return data, True
+
+    def _decompress(self, name: str, payload: memoryview, limit: int) -> tuple[bytes, str]:
+        """Unpack up to a fault; returns the bytes before it and what it was."""
+        if name == "":
+            return bytes(payload), ""
+        if name not in ("zstd", "lz4"):
+            raise DamageError(f"its compression {name[:20]!r} is unknown")
+        if name == "zstd" and (data := self._zstd_frame(payload, limit)) is not None:
+            return data, ""
+        out: list[bytes] = []
+        total = 0
+        pieces = _zstd(payload) if name == "zstd" else _lz4(payload, limit)
+        try:
+            for piece in pieces:
+                out.append(piece)
+                total += len(piece)
+                if total > limit:
+                    return b"".join(out), "it unpacks to more than it declares"
+        except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError) as error:
+            return b"".join(out), f"{name} data are damaged ({error})"
+        return out[0] if len(out) == 1 else b"".join(out), ""
+
+    def _zstd_frame(self, payload: memoryview, size: int) -> bytes | None:
+        """Unpack the usual form, one frame of known size; None where it is another or damaged."""
+        try:
+            if zstandard.frame_content_size(payload) != size:
+                return None
+            data = self._zstd.decompress(payload, allow_extra_data=False)
+        except (zstandard.ZstdError, MemoryError):
+            return None
+        return data if len(data) == size else None
+
+
+def _zstd(payload: memoryview) -> Iterator[bytes]:
+    with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
+        while piece := reader.read(_STEP):
+            yield piece
+
+
+def _lz4(payload: memoryview, limit: int) -> Iterator[bytes]:
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    step = min(limit + 1, 16 * _STEP)
+    piece = decompressor.decompress(payload, max_length=step)
+    while piece:
+        yield piece
+        if decompressor.eof or decompressor.needs_input:
+            return
+        piece = decompressor.decompress(b"", max_length=step)
+
+
+def index_offsets(content: bytes) -> Integers | None:
+    """Read the offsets in a MessageIndex record; None where it is damaged."""
+    if len(content) < _INDEX.size:
+        return None
+    _, size = _INDEX.unpack_from(content)
+    if size != len(content) - _INDEX.size or size % _ENTRY.itemsize:
+        return None
+    offsets = np.frombuffer(content, _ENTRY, offset=_INDEX.size)["offset"]
+    return offsets.astype(np.int64)
+
+
+def find_messages(data: Bytes, index: Sequence[Integers]) -> Contents:
+    """Find the records in a chunk.
+
+    Parameters
+    ----------
+    data : (B,) array
+        The unpacked chunk.
+    index : sequence of (M,) arrays
+        Offsets of the messages, per channel, as far as the file gives them.
+    """
+    offsets = np.concatenate(index) if index else np.zeros(0, np.int64)
+    found = _by_index(data, np.sort(offsets, kind="stable")) if len(offsets) else None
+    return found or walk(data, 0, len(data))
+
+
+def walk(data: Bytes, start: int, end: int, only: frozenset[int] | None = None) -> Contents:
+    """Find the records from `start` on, one after the other, as long as they are of a kind."""
+    view, unpack, size = data.data, RECORD.unpack_from, RECORD.size
+    messages: list[int] = []
+    others: list[Record] = []
+    at = start
+    while at + size <= end:
+        opcode, length = unpack(view, at)
+        after = at + size + length
+        if after > end or (only is not None and opcode not in only):
+            break
+        if opcode == Opcode.MESSAGE:
+            messages.append(at)
+        else:
+            others.append(Record(opcode, at + size, after))
+        at = after
+    return _contents(data, np.array(messages, np.int64), others, at)
+
+
+def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
+    """Find the records by sorted offsets; None where these are not true."""
+    if offsets[0] < 0 or offsets[-1] > len(data) - _HEAD:
+        return None
+    heads = _heads(data, offsets)
+    lengths = heads["length"]
+    if (heads["opcode"] != Opcode.MESSAGE).any() or (lengths > len(data)).any():
+        return None
+    ends = offsets + RECORD.size + lengths.astype(np.int64)
+    holes = np.flatnonzero(offsets[1:] != ends[:-1])
+    if ends[-1] > len(data) or (offsets[1:] < ends[:-1]).any():
+        return None
+    others: list[Record] = []
+    gaps = [(0, int(offsets[0]))]
+    gaps += [(int(ends[i]), int(offsets[i + 1])) for i in holes]
+    gaps += [(int(ends[-1]), len(data))]
+    for start, end in gaps:
+        between = walk(data, start, end) if start < end else None
+        if between is not None:
+            if len(between.starts) or between.end != end:
+                return None  # an index that leaves messages out
+            others += between.others
+    return _contents(data, offsets, others, len(data), heads)
+
+
+def _contents(
+    data: Bytes,
+    offsets: Integers,
+    others: list[Record],
+    end: int,
+    heads: NDArray[np.void] | None = None,
+) -> Contents:
+    if heads is None:
+        fits = offsets <= len(data) - _HEAD  # else the message record is shorter than its head
+        others += [Record(Opcode.MESSAGE, at + RECORD.size, at) for at in offsets[~fits].tolist()]
+        offsets = offsets[fits]
+        heads = _heads(data, offsets)
+    lengths = heads["length"].astype(np.int64) - MESSAGE_SIZE
+    short = lengths < 0
+    if short.any():
+        bad = offsets[short].tolist()
+        others += [Record(Opcode.MESSAGE, at + RECORD.size, at + RECORD.size) for at in bad]
+        heads, offsets, lengths = heads[~short], offsets[~short], lengths[~short]
+    return Contents(heads["channel"], heads["log_ns"], offsets + _HEAD, lengths, others, end)
+
+
+def _heads(data: Bytes, offsets: Integers) -> NDArray[np.void]:
+    """Copy the heads of message records."""
+    size = _MESSAGE.itemsize
+    if not len(offsets):
+        return np.zeros(0, _MESSAGE)
+    every = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+    return every[offsets].view(_MESSAGE)

@@ -1,0 +1,126 @@
+"""Topics of a robot: which ones it needs, and their samples as streams of channels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from seqid_cli.logs.decoding import JOINT_QUANTITIES
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Mask, RawLog, Stamps, Stream, TimeSource
+from seqid_cli.logs.topics import Kind, Samples
+from seqid_cli.robot.types import Imu, Robot
+
+JOINT_STATES = "/joint_states"
+
+
+def imu_topics(robot: Robot) -> dict[str, Kind]:
+    """Name all topics on which the IMUs of a robot may be logged."""
+    topics: dict[str, Kind] = {}
+    for imu in robot.imus:
+        for topic in (data_topic(imu), *triad_topics(imu)):
+            topics[topic] = "imu"
+    return topics
+
+
+def data_topic(imu: Imu) -> str:
+    """Name the topic of a whole IMU."""
+    return f"/{imu.name}/data"
+
+
+def triad_topics(imu: Imu) -> list[str]:
+    """Name the topics of an array of accelerometers, one per three of them."""
+    return [f"/{imu.name}/accel_{k + 1}" for k in range(-(-len(imu.positions) // 3))]
+
+
+def needed_topics(imu: Imu, has: Callable[[str], bool]) -> list[str]:
+    """Choose the topics that an IMU is read from, given which topics there are."""
+    data = data_topic(imu)
+    use_data = len(imu.positions) == 3 and has(data)
+    triads = [] if use_data else triad_topics(imu)
+    return triads + ([data] if use_data or imu.gyro else [])
+
+
+@dataclass
+class Streams:
+    """Turns samples of topics into streams, a whole log or a block of it at a time.
+
+    What kind of stamps a topic has is decided when its first samples come, and kept.
+    """
+
+    robot: Robot
+    time_source: TimeSource
+    warnings: list[str] = field(default_factory=list)
+    _logged: dict[str, bool] = field(default_factory=dict)  # topics without header stamps
+
+    def raw_log(
+        self,
+        joint_topic: str,
+        samples: Mapping[str, Samples],
+        imus: Mapping[str, list[str]],
+        partial: str = "",
+    ) -> RawLog:
+        """Make a log of samples by topic; `imus` are the topics of the IMUs that are there."""
+        joints = samples[joint_topic]
+        stream = self._joints(joint_topic, joints)
+        found = {
+            imu.name: tuple(self._imu(imu, topic, samples[topic]) for topic in imus[imu.name])
+            for imu in self.robot.imus
+            if imus.get(imu.name)
+        }
+        warnings, self.warnings = tuple(self.warnings), []
+        delay = joints.log_minus_header_s()
+        return RawLog(stream, found, partial, warnings, log_minus_header_s=delay)
+
+    def _joints(self, topic: str, samples: Samples) -> Stream:
+        parts = np.split(samples.decoded.values, len(JOINT_QUANTITIES), axis=1)
+        channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
+        effort = channels.pop("effort")
+        channels["current" if self.robot.channels.effort == "current" else "torque"] = effort
+        recorded = {
+            name: values
+            for name, values in channels.items()
+            if name == "position" or np.isfinite(values).any()
+        }
+        stamps, keep = self._clock(topic, samples)
+        return _taken(Stream(topic, stamps, recorded), keep)
+
+    def _imu(self, imu: Imu, topic: str, samples: Samples) -> Stream:
+        count, triads = len(imu.positions), triad_topics(imu)
+        stamps, keep = self._clock(topic, samples)
+        channels = {}
+        if topic in triads:
+            first = 3 * triads.index(topic)
+            channels[ACCELEROMETERS] = samples.decoded.values[:, : min(3, count - first)]
+        elif count == 3:
+            channels[ACCELEROMETERS] = samples.decoded.values[:, :3]
+        if topic == data_topic(imu) and imu.gyro:
+            channels[GYRO] = samples.decoded.values[:, 3:]
+        return _taken(Stream(topic, stamps, channels), keep)
+
+    def _clock(self, topic: str, samples: Samples) -> tuple[Stamps, Mask | None]:
+        """Choose the stamps of a topic, and the samples that have one (None: all)."""
+        count = len(samples.log_ns)
+        if self.time_source == "log" or not count:
+            return samples.log_ns, None
+        stamped = samples.decoded.stamp_ns != 0
+        missing = count - int(np.count_nonzero(stamped))
+        if topic not in self._logged:
+            self._logged[topic] = missing == count
+            if missing == count:
+                self.warnings.append(
+                    f"the header stamps of {topic} are all zero: the times of logging are used "
+                    "instead; make the driver fill in header.stamp"
+                )
+        if self._logged[topic]:
+            return samples.log_ns, None
+        if missing:
+            self.warnings.append(
+                f"{missing} messages of {topic} have no header stamp and were left out"
+            )
+        return samples.decoded.stamp_ns, stamped if missing else None
+
+
+def _taken(stream: Stream, keep: Mask | None) -> Stream:
+    return stream if keep is None else stream.take(keep)

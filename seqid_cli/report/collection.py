@@ -1,0 +1,275 @@
+"""The documents of one report, sorted: one robot, its models, and who judged them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.document import join, present
+from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.params.read_any import Source
+from seqid_cli.params.schema import ParameterFile, RobotId, Stages
+
+Kind = Literal["identified", "refined", "simultaneous"]
+KINDS: tuple[Kind, ...] = ("refined", "identified", "simultaneous")
+_MOST_JOINTS = 200
+
+
+@dataclass(frozen=True)
+class Model:
+    """Parameter files that belong to one model, joined.
+
+    `identified` step by step, `refined` with effects in it, or `simultaneous` in one least squares.
+    """
+
+    kind: Kind
+    sources: tuple[tuple[str, str], ...]  # path, SHA-256; the one that holds most comes last
+    file: ParameterFile
+
+    @property
+    def path(self) -> str:
+        """The file that holds most of it."""
+        return self.sources[-1][0]
+
+    @property
+    def stages(self) -> Stages:
+        """What was identified."""
+        return self.file.stages
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A prediction and the file it came from."""
+
+    path: str
+    sha256: str
+    file: PredictionFile
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """A diagnosis and the file it came from."""
+
+    path: str
+    sha256: str
+    file: DiagnosisFile
+
+
+@dataclass(frozen=True)
+class Collection:
+    """All that the report is about; `models` holds the best first.
+
+    `warnings` are about files that fit, but not perfectly.
+    """
+
+    robot: RobotId
+    sources: tuple[Source, ...]
+    models: tuple[Model, ...]
+    predictions: tuple[Prediction, ...]
+    diagnoses: tuple[Diagnosed, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def model(self) -> Model | None:
+        """The model that the report shows, if a parameter file was given."""
+        return self.models[0] if self.models else None
+
+    def units(self, joint: str) -> tuple[str, str]:
+        """Return the units of a joint's torque and position: of a revolute or prismatic one."""
+        for model in self.models:
+            friction = model.stages.friction
+            if friction is not None and joint in friction.joints:
+                unit = friction.joints[joint].unit
+                return unit, "m" if unit == "N" else "rad"
+        return "N m", "rad"
+
+    def noise_floor(self, prediction: Prediction, joint: str) -> float | None:
+        """Return a joint's noise floor from a diagnosis of the prediction's own logs, N m or N."""
+        logs = {log.sha256 for log in prediction.file.logs}
+        for item in self.diagnoses:
+            if {log.sha256 for log in item.file.inputs} == logs and joint in item.file.joints:
+                return item.file.joints[joint].noise_floor
+        return None
+
+    def trained_on(self, prediction: Prediction) -> frozenset[str]:
+        """Return the hashes of the logs that the model of a prediction was identified from.
+
+        Where the parameter files it was made with were not given, those of all models count.
+        """
+        used = {item.sha256 for item in prediction.file.parameters}
+        files = [
+            item.content
+            for item in self.sources
+            if isinstance(item.content, ParameterFile) and item.sha256 in used
+        ]
+        return frozenset().union(
+            *(_learned_from(file) for file in files or [model.file for model in self.models])
+        )
+
+
+def _learned_from(file: ParameterFile) -> set[str]:
+    held_out = file.closed_loop.held_out if file.closed_loop is not None else []
+    return {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
+
+
+def collect(documents: Sequence[Source]) -> Collection:
+    """Sort documents and make sure that they are about one robot and agree.
+
+    Raises
+    ------
+    ConfigError
+        There are none, they are about two robots, two parameter files disagree on a stage, a
+        document names joints that its robot has not, or a result was made with a parameter file
+        that has changed since. The message names the files.
+    """
+    if not documents:
+        hint = "Name the JSON files that the stages wrote."
+        raise ConfigError("no file given", hint=hint)
+    unique = tuple({(item.path, item.sha256): item for item in documents}.values())
+    robot = _one_robot(unique)
+    for item in unique:
+        _check_names(item)
+    _check_stale(unique)
+    models = tuple(_models(unique))
+    return Collection(
+        robot=robot,
+        sources=unique,
+        models=models,
+        predictions=tuple(
+            Prediction(item.path, item.sha256, item.content)
+            for item in unique
+            if isinstance(item.content, PredictionFile)
+        ),
+        diagnoses=tuple(
+            Diagnosed(item.path, item.sha256, item.content)
+            for item in unique
+            if isinstance(item.content, DiagnosisFile)
+        ),
+        warnings=tuple(_warnings(unique)),
+    )
+
+
+def _one_robot(documents: Sequence[Source]) -> RobotId:
+    first = documents[0]
+    mine = first.content.robot
+    for item in documents[1:]:
+        other = item.content.robot
+        if (other.name, other.joints) != (mine.name, mine.joints):
+            message = (
+                f"is about robot {other.name!r} ({', '.join(other.joints)}), "
+                f"but {first.path} about {mine.name!r} ({', '.join(mine.joints)})"
+            )
+            raise ConfigError(message, where=item.path, hint="Report on one robot at a time.")
+    if (
+        not mine.joints
+        or len(mine.joints) > _MOST_JOINTS
+        or len(set(mine.joints)) < len(mine.joints)
+    ):
+        message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
+        raise ConfigError(message, where=first.path, hint="Run the command again that wrote it.")
+    return mine
+
+
+def _check_names(item: Source) -> None:
+    content, joints = item.content, set(item.content.robot.joints)
+    hint = "The file was edited or damaged: run the command again that wrote it."
+    for key, name in _named(content):
+        if name not in joints:
+            message = f"{key}: joint {name!r} is none of the robot's: {', '.join(sorted(joints))}"
+            raise ConfigError(message, where=item.path, hint=hint)
+    if not isinstance(content, DiagnosisFile):
+        return
+    for place, part in enumerate(content.unexplained):
+        if part.curve is not None and len(part.curve.x) != len(part.curve.torque):
+            message = f"$.unexplained[{place}].curve: x and torque must be of one length"
+            raise ConfigError(message, where=item.path, hint=hint)
+
+
+def _named(content: object) -> Iterable[tuple[str, str]]:
+    if isinstance(content, PredictionFile):
+        yield from (("$.joints", name) for name in content.joints)
+        for place, log in enumerate(content.logs):
+            yield from ((f"$.logs[{place}].joints", name) for name in log.joints)
+    if isinstance(content, DiagnosisFile):
+        yield from (("$.joints", name) for name in content.joints)
+        yield from (("$.unexplained", part.joint) for part in content.unexplained)
+        for item in content.findings:
+            if item.joint is not None:
+                yield "$.findings", item.joint
+
+
+def _check_stale(documents: Sequence[Source]) -> None:
+    """Refuse a result whose parameter file was given as well, but has another content by now."""
+    given = {
+        Path(item.path).resolve(): item
+        for item in documents
+        if isinstance(item.content, ParameterFile)
+    }
+    hashes = {item.sha256 for item in given.values()}
+    for item in documents:
+        if isinstance(item.content, ParameterFile):
+            continue
+        for used in item.content.parameters:
+            now = given.get(Path(used.path).resolve())
+            if now is not None and used.sha256 not in hashes:
+                kind = "predict" if isinstance(item.content, PredictionFile) else "diagnose"
+                message = (
+                    f"was made with {used.path} as it was before (sha256 {used.sha256[:12]}); "
+                    f"{now.path} has changed since (now {now.sha256[:12]})"
+                )
+                hint = f"Run seqid {kind} again, or leave {item.path} out."
+                raise ConfigError(message, where=item.path, hint=hint)
+
+
+def _kind(file: ParameterFile) -> Kind:
+    stages = file.stages
+    if file.closed_loop is not None or stages.effects is not None:
+        return "refined"
+    methods = {stage.method for stage in (stages.friction, stages.inertia) if stage is not None}
+    return "simultaneous" if "simultaneous" in methods else "identified"
+
+
+def _models(documents: Sequence[Source]) -> Iterable[Model]:
+    files = [(item, item.content) for item in documents if isinstance(item.content, ParameterFile)]
+    for kind in KINDS:
+        mine = [(item, file) for item, file in files if _kind(file) == kind]
+        if not mine:
+            continue
+        mine.sort(key=lambda pair: len(present(pair[1].stages)))
+        joined = join([(item.path, file) for item, file in mine])
+        _one_closed_loop(mine)
+        yield Model(kind, tuple((item.path, item.sha256) for item, _ in mine), joined)
+
+
+def _one_closed_loop(files: Sequence[tuple[Source, ParameterFile]]) -> None:
+    loops = [(item, file.closed_loop) for item, file in files if file.closed_loop is not None]
+    for item, loop in loops[1:]:
+        if loop != loops[0][1]:
+            message = f"its before and after differ from those of {loops[0][0].path}"
+            raise ConfigError(message, where=item.path, hint="Give one refined file only.")
+
+
+def _warnings(documents: Sequence[Source]) -> Iterable[str]:
+    hashes: dict[str, str] = {}
+    for item in documents:
+        hashes.setdefault(item.content.robot.sha256, item.path)
+    if len(hashes) > 1:
+        yield f"the robot file changed between these results: {', '.join(hashes.values())}"
+    given = {item.sha256 for item in documents}
+    for item in documents:
+        if isinstance(item.content, ParameterFile) or not _has_parameters(documents):
+            continue
+        for used in item.content.parameters:
+            if used.sha256 not in given:
+                yield (
+                    f"{item.path} was made with {used.path} (sha256 {used.sha256[:12]}), "
+                    "which is not among the files given"
+                )
+
+
+def _has_parameters(documents: Sequence[Source]) -> bool:
+    return any(isinstance(item.content, ParameterFile) for item in documents)

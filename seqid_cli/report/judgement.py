@@ -1,0 +1,331 @@
+"""The verdict on a model: good or not, on what grounds, and what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.schema import RigidStage, Stages, Verdict
+from seqid_cli.report.collection import Collection, Diagnosed, Model, Prediction
+from seqid_cli.report.words import (
+    command,
+    effect_at,
+    file_name,
+    listed,
+    number,
+    percent,
+    plural,
+    short_path,
+)
+
+Level = Literal["good", "reservations", "poor", "not_judged"]
+Weight = Literal["poor", "open"]
+
+TITLES = {
+    "good": "Good",
+    "reservations": "Good, with reservations",
+    "poor": "Poor",
+    "not_judged": "Not judged yet",
+}
+_FAR = 2.0  # times the noise floor, above which noise cannot be all of an error
+_STAGES = ("friction", "gravity", "imu", "inertia")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One thing that is wrong or missing, where it shows, and what to do about it."""
+
+    weight: Weight
+    text: str
+    where: str = ""
+    remedy: str = ""
+    command: str = ""
+
+    @property
+    def where_short(self) -> str:
+        """The file it shows in, without the folders above its own."""
+        return short_path(self.where)
+
+    @property
+    def said(self) -> str:
+        """The text as a sentence; a name that leads it keeps its case."""
+        first = self.text.partition(" ")[0]
+        as_it_is = first.endswith(":") or not first.isalpha()
+        return f"{self.text if as_it_is else self.text[:1].upper() + self.text[1:]}."
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict: its level, one sentence, what speaks for the model, what does not."""
+
+    level: Level
+    sentence: str
+    support: tuple[str, ...]
+    points: tuple[Point, ...]
+
+    @property
+    def title(self) -> str:
+        """The verdict in a word or three."""
+        return TITLES[self.level]
+
+
+def judge(collection: Collection) -> Judgement:
+    """Weigh all that the documents say.
+
+    Poor is what a prediction on independent logs, or without one a stage, calls poor. Good needs
+    a prediction on logs that the model was not identified from; whatever else is open makes it
+    good with reservations.
+    """
+    independent = [p for p in collection.predictions if _new_logs(collection, p)]
+    judged = bool(independent)
+    points = [
+        *_prediction_points(collection, independent),
+        *_stage_points(collection, judged),
+        *_missing_stages(collection),
+        *_diagnosis_points(collection),
+        *(Point("open", warning) for warning in collection.warnings),
+    ]
+    points.sort(key=lambda point: point.weight != "poor")
+    level: Level
+    if any(point.weight == "poor" for point in points):
+        level = "poor"
+    elif not judged:
+        level = "not_judged"
+    else:
+        level = "reservations" if points else "good"
+    sentence = _sentence(level, collection, independent, points)
+    return Judgement(level, sentence, tuple(_support(collection, independent)), tuple(points))
+
+
+def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
+    trained = collection.trained_on(prediction)
+    counted = [log for log in prediction.file.logs if log.sha256 not in trained]
+    judged = any(
+        error.relative_rmse is not None for log in counted for error in log.joints.values()
+    )
+    return [log.path for log in counted] if judged else []
+
+
+def _errors(collection: Collection, item: Prediction) -> dict[str, float]:
+    """Return each joint's relative error; on the new logs alone where others are among them."""
+    new = set(_new_logs(collection, item))
+    logs = [log.joints for log in item.file.logs if log.path in new]
+    parts = [item.file.joints] if len(logs) == len(item.file.logs) else logs
+    found: dict[str, float] = {}
+    for joints in parts:
+        for name, error in joints.items():
+            if error.relative_rmse is not None:
+                found[name] = max(found.get(name, 0.0), error.relative_rmse)
+    return found
+
+
+def _worst(collection: Collection, predictions: Iterable[Prediction]) -> tuple[str, float] | None:
+    errors = [pair for item in predictions for pair in _errors(collection, item).items()]
+    return max(errors, key=lambda pair: pair[1], default=None)
+
+
+def _sentence(
+    level: Level, collection: Collection, independent: list[Prediction], points: list[Point]
+) -> str:
+    if level == "poor":
+        first = next(point for point in points if point.weight == "poor")
+        more = sum(point.weight == "poor" for point in points) - 1
+        rest = f", and {plural(more, 'more point')} below" if more else ""
+        return f"Do not rely on this model yet: {first.text}{rest}."
+    worst = _worst(collection, independent)
+    if worst is None:
+        return (
+            "Nothing here shows how well the model predicts logs that it was not identified from."
+        )
+    logs = {path for item in independent for path in _new_logs(collection, item)}
+    name, share = worst
+    made = sorted({file_name(p.path) for item in independent for p in item.file.parameters})
+    reach = "every joint" if len(collection.robot.joints) > 1 else "the joint"
+    said = (
+        f"On {plural(len(logs), 'log')} that it was not identified from, the model "
+        f"of {listed(made, 3)} predicts the torque of {reach} to {percent(share)} or better"
+    )
+    if len(collection.robot.joints) > 1:
+        said += f" (RMS error over RMS torque; the worst is {name})"
+    if level == "reservations":
+        said += f"; {plural(len(points), 'point')} below {'is' if len(points) == 1 else 'are'} open"
+    return said + "."
+
+
+def _prediction_points(collection: Collection, independent: list[Prediction]) -> Iterator[Point]:
+    for item in collection.predictions:
+        for verdict in item.file.verdicts:
+            if not verdict.good:
+                text = f"{verdict.joint or 'the prediction'}: {verdict.reason}"
+                yield Point("poor", text, item.path, command="seqid diagnose " + _tail(collection))
+        still = [n for n, error in item.file.joints.items() if error.relative_rmse is None]
+        if still:
+            text = f"{listed(still)} never moved far enough in these logs to be judged"
+            yield Point("open", text, item.path, "Predict logs in which every joint moves.")
+        for name, error in item.file.joints.items():
+            floor = collection.noise_floor(item, name)
+            if floor and error.rmse_sliding is not None and error.rmse_sliding > _FAR * floor:
+                times = number(error.rmse_sliding / floor, 2)
+                text = f"{name}: the RMS error is {times} times the noise floor of the same logs"
+                yield Point("open", text, item.path, command="seqid diagnose " + _tail(collection))
+        if item not in independent:
+            text = "the prediction is on logs that the model was identified from"
+            yield Point("open", text, item.path, "Predict logs that no stage has read.")
+        elif (old := len(item.file.logs) - len(_new_logs(collection, item))) > 0:
+            text = (
+                f"{old} of the {plural(len(item.file.logs), 'log')} predicted had been used to "
+                "identify the model; the first line counts the others"
+            )
+            yield Point("open", text, item.path)
+    if not collection.predictions:
+        text = "no prediction was given, so nothing tests the model on logs it has not seen"
+        call = f"seqid predict {_tail(collection)} -o prediction.json --torques torques.parquet"
+        yield Point("open", text, command=call)
+
+
+def _tail(collection: Collection) -> str:
+    model = collection.model
+    path = model.path if model else "inertia.json"
+    return command("LOG...", "-r", "robot.toml", "-p", path)
+
+
+def _stage_points(collection: Collection, judged: bool) -> Iterator[Point]:
+    model = collection.model
+    if model is None:
+        return
+    for name, verdict in stage_verdicts(model.stages):
+        if not verdict.good:
+            what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
+            yield Point("open" if judged else "poor", f"{what}: {verdict.reason}", model.path)
+    for name, stage in (("gravity", model.stages.gravity), ("inertia", model.stages.inertia)):
+        yield from _not_excited(name, stage, model)
+
+
+def _not_excited(name: str, stage: RigidStage | None, model: Model) -> Iterator[Point]:
+    if stage is None:
+        return
+    if stage.not_excited:
+        text = f"not determined by the {name} logs: {listed(stage.not_excited)}"
+        yield Point("open", text, model.path, "Record motions that excite them.")
+    if stage.missing_pairs:
+        pairs = [" with ".join(pair) for pair in stage.missing_pairs]
+        text = f"joints that never moved together: {listed(pairs)}"
+        yield Point("open", text, model.path, "Record these pairs, two joints at a time.")
+
+
+def stage_verdicts(stages: Stages) -> list[tuple[str, Verdict]]:
+    """Return every verdict with the name of its stage."""
+    found = []
+    for name in _STAGES:
+        stage = getattr(stages, name)
+        found += [(name, verdict) for verdict in (stage.verdicts if stage else [])]
+    return found
+
+
+def _missing_stages(collection: Collection) -> Iterator[Point]:
+    model = collection.model
+    if model is None:
+        text = "no parameter file was given, so the model itself is not shown"
+        yield Point("open", text, remedy="Name the parameter file as well.")
+        return
+    lacks = [name for name in ("friction", "inertia") if getattr(model.stages, name) is None]
+    if model.stages.gravity is None and model.kind == "identified":
+        lacks.insert(len(lacks) - lacks.count("inertia"), "gravity")
+    for name in lacks:
+        yield Point("open", f"the model has no {name} stage", model.path, command=f"seqid {name}")
+    if model.stages.friction is not None:
+        without = [n for n in collection.robot.joints if n not in model.stages.friction.joints]
+        if without:
+            text = f"no friction is known of {listed(without)}"
+            yield Point("open", text, model.path, command="seqid friction")
+
+
+def _diagnosis_points(collection: Collection) -> Iterator[Point]:
+    for item in collection.diagnoses:
+        yield from _found(item, collection)
+        for part in item.file.unexplained:
+            on = listed([name.replace("_", " ") for name in part.depends_on])
+            text = (
+                f"{part.joint}: {percent(part.share, 0)} of the residual above the noise depends "
+                f"on {on or 'nothing that was logged'}, but fits no known effect"
+            )
+            yield Point("open", text, item.path)
+
+
+def _found(item: Diagnosed, collection: Collection) -> Iterator[Point]:
+    known = known_effects(collection)
+    for finding in item.file.findings:
+        if (finding.effect, finding.joint) in known:
+            continue
+        text = (
+            f"the model lacks {effect_at(finding.effect, finding.joint)} "
+            f"(confidence {percent(finding.confidence, 0)}, "
+            f"explains {percent(finding.explains, 0)} of the residual above the noise)"
+        )
+        call = f"seqid refine LOG... --holdout {_tail(collection)} -o refined.json"
+        yield Point("open", text, item.path, command=call)
+
+
+def known_effects(collection: Collection) -> frozenset[tuple[str, str | None]]:
+    """Return the effects that a refined model holds, with their joints."""
+    return frozenset(
+        (effect.effect, effect.joint)
+        for model in collection.models
+        for effect in model.stages.effects or []
+    )
+
+
+def _support(collection: Collection, independent: list[Prediction]) -> Iterator[str]:
+    for item in independent:
+        shares = _errors(collection, item).values()
+        if shares:
+            logs = plural(len(_new_logs(collection, item)), "new log")
+            span = f"{percent(min(shares))} to {percent(max(shares))}"
+            yield f"Torque predicted on {logs} with an RMS error of {span} of the RMS torque."
+    model = collection.model
+    if model is not None:
+        yield from _supporting_stages(model)
+    for diagnosis in collection.diagnoses:
+        yield from _supporting_diagnosis(diagnosis.file, diagnosis.path)
+    yield from _closed_loop(collection)
+
+
+def _supporting_stages(model: Model) -> Iterator[str]:
+    stages = model.stages
+    if stages.friction is not None and all(v.good for v in stages.friction.verdicts):
+        count = plural(len(stages.friction.joints), "joint")
+        yield f"Friction of {count} holds at speeds that were left out of the fit."
+    for name, stage in (("Gravity", stages.gravity), ("Inertia", stages.inertia)):
+        if stage is not None and stage.parameters and not stage.not_excited:
+            condition = number(stage.condition)
+            yield (
+                f"{name}: all {plural(len(stage.parameters), 'parameter')} of the stage determined "
+                f"by the logs (condition {condition})."
+            )
+
+
+def _supporting_diagnosis(file: DiagnosisFile, path: str) -> Iterator[str]:
+    if file.verdict == "nothing_missing":
+        logs = plural(len(file.inputs), "log")
+        yield f"What {logs} leave of the torque is noise: nothing is missing ({short_path(path)})."
+
+
+def _closed_loop(collection: Collection) -> Iterator[str]:
+    for model in collection.models:
+        loop = model.file.closed_loop
+        if loop is None or not loop.rounds:
+            continue
+        added = listed([effect_at(item.effect, item.joint) for item in loop.rounds])
+        best = max(
+            ((limits[0], joint) for joint, limits in loop.gain_interval.items() if limits),
+            default=None,
+        )
+        proof = ""
+        if best is not None and best[0] > 0.0:
+            proof = (
+                f"; on held-out logs the error variance of {best[1]} falls by at least "
+                f"{percent(best[0], 0)} (95 %)"
+            )
+        yield f"Refinement added {added}{proof}."

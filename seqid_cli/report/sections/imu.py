@@ -1,0 +1,155 @@
+"""How accelerometers and IMUs are mounted on the links, and how well that is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from seqid_cli.params.schema import ImuCalibration, RigidStage, Verdict
+from seqid_cli.report.chart import drawing
+from seqid_cli.report.collection import Collection
+from seqid_cli.report.svg import circle, label, line
+from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table
+from seqid_cli.report.words import number, short_path, with_error
+
+_CALL = "seqid imu-calib LOG... -r robot.toml -p gravity.json -o imu.json"
+_AXES = ("x", "y", "z")
+
+
+def imu(collection: Collection) -> Section:
+    """Return the section on IMU calibration."""
+    title = "IMU calibration"
+    model = collection.model
+    stage = model.stages.imu if model else None
+    if stage is None:
+        text = "No IMU stage is in the files given; robots without IMUs have none."
+        return Section("imu", title, absent=[Absent(text, _CALL)])
+    lead = (
+        "The rotation turns vectors from IMU coordinates into those of the link that carries the "
+        "IMU (Eq. 38). The gain compares the joint's acceleration with the one that the IMU sees "
+        "about the joint's axis: 1 if both agree (Eq. 31)."
+    )
+    groups = [
+        _group(place, name, item, [v for v in stage.verdicts if v.joint == name])
+        for place, (name, item) in enumerate(stage.imus.items())
+    ]
+    inertia = model.stages.inertia if model else None
+    motion = [table for table in ([_motion(inertia)] if inertia else []) if table.rows]
+    return Section("imu", title, lead, groups, tables=motion, notes=stage.notes)
+
+
+def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdict]) -> Group:
+    good = all(verdict.good for verdict in verdicts)
+    facts = [("std error", f"{number(item.std_error_deg, 2)}\u00b0")]
+    facts.append(("configurations", str(item.configurations)))
+    if item.axis_rmse_deg is not None:
+        facts.append(("axis error, RMS", f"{number(item.axis_rmse_deg, 2)}\u00b0"))
+    if item.noise_density is not None:
+        facts.append(("noise", f"{number(item.noise_density)} rad/s\u00b2/\u221aHz"))
+    if item.time_offset_s:
+        facts.append(("clock offset", f"{number(1e3 * item.time_offset_s)} ms"))
+    return Group(
+        f"imu-{place + 1}",
+        name,
+        lead="; ".join(verdict.reason for verdict in verdicts if verdict.reason),
+        badge=("good" if good else "poor") if verdicts else "",
+        badge_text="good" if good else "poor",
+        facts=facts,
+        figures=[_triad(name, item)],
+        tables=[table for table in (_references(name, item),) if table.rows],
+        notes=[f"Not determined: {what}" for what in item.not_determined],
+        unfolded=True,
+        beside=True,
+    )
+
+
+def _triad(name: str, item: ImuCalibration) -> Figure:
+    centre = (186.0, 98.0)
+    marks = []
+    for i in range(3):
+        link = tuple(float(i == k) for k in range(3))
+        marks += _arrow(centre, link, "link", i)
+    for i in range(3):
+        own = tuple(row[i] for row in item.rotation)
+        marks += _arrow(centre, own, "imu", i)
+    text = "; ".join(
+        f"IMU {axis} points along ({', '.join(f'{row[i]:.2f}' for row in item.rotation)})"
+        for i, axis in enumerate(_AXES)
+    )
+    text += " of the link."
+    svg = drawing(372, 200, f"Mounting of {name}", text, [Markup("").join(marks)])
+    columns = [Column("link axis")] + [Column(f"IMU {axis}", numeric=True) for axis in _AXES]
+    columns.append(Column("std error", numeric=True, unit="\u00b0"))
+    errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
+    rows = [
+        (axis, *(f"{value:.4f}".replace("-", "\u2212") for value in row), number(error, 2))
+        for axis, row, error in zip(_AXES, item.rotation, errors, strict=True)
+    ]
+    legend = [Key("link-axis", "link"), Key("imu-axis", "IMU")]
+    return Figure("Mounting", svg, legend, Table(f"Rotation of {name}", columns, rows), _turn(item))
+
+
+def _turn(item: ImuCalibration) -> str:
+    trace = sum(item.rotation[i][i] for i in range(3))
+    angle = math.degrees(math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0)))
+    return f"Turned by {angle:.1f}\u00b0 in all."
+
+
+def _arrow(
+    centre: tuple[float, float], axis: Sequence[float], whose: str, index: int
+) -> list[Markup]:
+    x, y, z = axis
+    across = 62.0 * (x * math.cos(0.5) - y * math.cos(0.65))
+    down = 62.0 * (x * math.sin(0.5) + y * math.sin(0.65)) - 66.0 * z
+    end = (centre[0] + across, centre[1] + down)
+    word = label(
+        centre[0] + 1.17 * across,
+        centre[1] + 1.17 * down + 4.0,
+        _AXES[index],
+        "middle",
+        f"word {whose}-word",
+    )
+    shown = [line(f"{whose}-axis a{index}", *centre, *end), word]
+    return [*shown, circle(f"tip a{index}", *end, 2.5)] if whose == "imu" else shown
+
+
+def _references(name: str, item: ImuCalibration) -> Table:
+    columns = (
+        Column("joint"),
+        Column("gain", numeric=True),
+        Column("std error", numeric=True),
+        Column("axis x", numeric=True),
+        Column("y", numeric=True),
+        Column("z", numeric=True),
+    )
+    rows = []
+    for joint, reference in item.references.items():
+        axis = [f"{value:.3f}".replace("-", "\u2212") for value in (reference.axis + [0.0] * 3)[:3]]
+        rows.append((joint, *with_error(reference.gain, reference.gain_std_error), *axis))
+    return Table(f"Joint axes as {name} sees them", columns, rows)
+
+
+def _motion(stage: RigidStage) -> Table:
+    columns = (
+        Column("log"),
+        Column("motion from"),
+        Column("IMUs"),
+        Column("joint"),
+        Column("std error of acceleration", numeric=True),
+        Column("by encoders alone", numeric=True),
+    )
+    rows = [
+        (
+            short_path(use.log) if place == 0 else "",
+            use.source if place == 0 else "",
+            ", ".join(use.imus) if place == 0 else "",
+            joint,
+            number(error, 2),
+            number(use.encoder_error.get(joint), 2),
+        )
+        for use in stage.motion_use
+        for place, (joint, error) in enumerate(use.acceleration_error.items())
+    ]
+    return Table("Where the motion of the inertia logs came from", columns, rows)

@@ -1,0 +1,164 @@
+"""The closed loop: the error before and after refinement, on held-out logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from seqid_cli.params.schema import ClosedLoop, RefinementRound
+from seqid_cli.report.collection import Collection
+from seqid_cli.report.row_chart import RowChart
+from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table
+from seqid_cli.report.words import (
+    DASH,
+    command,
+    effect_at,
+    effect_words,
+    listed,
+    number,
+    percent,
+    short_path,
+    unit_text,
+)
+
+
+def closed_loop(collection: Collection) -> Section:
+    """Return the section on refinement."""
+    title = "Before and after refinement"
+    loops = [model for model in collection.models if model.file.closed_loop is not None]
+    if not loops:
+        model = collection.model
+        path = model.path if model else "inertia.json"
+        call = command(
+            "seqid",
+            "refine",
+            "LOG...",
+            "--holdout",
+            "LOG",
+            "-r",
+            "robot.toml",
+            "-p",
+            path,
+            "-o",
+            "refined.json",
+        )
+        text = "No refined file is among the files given."
+        return Section("loop", title, absent=[Absent(text, call)])
+    model = loops[0]
+    loop = model.file.closed_loop
+    assert loop is not None
+    lead = (
+        "Both errors are measured on logs that neither model was fitted to. The noise floor is "
+        "what a perfect model would leave. The gain is the part of the error's variance that the "
+        "refined model takes away; its 95 % interval comes from the same logs."
+    )
+    group = Group(
+        "loop-errors",
+        _headline(loop),
+        badge="",
+        figures=[figure] if (figure := _figure(collection, loop)) else [],
+        tables=[table for table in (_errors(collection, loop), _rounds(loop)) if table.rows],
+        notes=[*_where(loop), *loop.notes],
+        unfolded=True,
+    )
+    return Section("loop", title, lead, [group])
+
+
+def _headline(loop: ClosedLoop) -> str:
+    if not loop.rounds:
+        if loop.refused:
+            return "Nothing was added: no effect predicts the held-out logs better"
+        return "Nothing was added: nothing was found"
+    return f"Added: {listed([effect_at(item.effect, item.joint) for item in loop.rounds])}"
+
+
+def _where(loop: ClosedLoop) -> list[str]:
+    if not loop.evaluated_on:
+        return []
+    return [f"Measured on {listed([short_path(path) for path in loop.evaluated_on])}."]
+
+
+def _figure(collection: Collection, loop: ClosedLoop) -> Figure | None:
+    names = [name for name in collection.robot.joints if name in loop.before]
+    relative = bool(names) and all(loop.noise_floor.get(name, 0.0) > 0.0 for name in names)
+    if not names or not relative:
+        return None
+    scaled = {name: [rmse / loop.noise_floor[name] for rmse in _both(loop, name)] for name in names}
+    far = max(max(values) for values in scaled.values())
+    chart = RowChart(names, max(far, 1.2), "RMS error as a multiple of the noise floor")
+    chart.mark(1.0, "floor")
+    for row, name in enumerate(names):
+        values = scaled[name]
+        chart.link(row, values[0], values[-1], "dumbbell")
+        chart.dot(row, values[0], "before")
+        if len(values) > 1:
+            chart.dot(row, values[1], "after")
+    title = "Error before and after refinement"
+    text = "; ".join(
+        f"{name}: {number(values[0])} before, {number(values[-1])} after"
+        for name, values in scaled.items()
+    )
+    svg = chart.render(title, f"{text}, in multiples of the noise floor.")
+    legend = [Key("before", "before"), Key("after", "after"), Key("floor", "noise floor")]
+    return Figure("RMS error on held-out logs", svg, legend, wide=True)
+
+
+def _both(loop: ClosedLoop, name: str) -> list[float]:
+    return [errors[name].rmse for errors in (loop.before, loop.after) if name in errors]
+
+
+def _errors(collection: Collection, loop: ClosedLoop) -> Table:
+    columns = (
+        Column("joint"),
+        Column("before", numeric=True),
+        Column("after", numeric=True),
+        Column("noise floor", numeric=True),
+        Column("unit"),
+        Column("gain", numeric=True),
+        Column("95 % interval", numeric=True),
+    )
+    rows = []
+    for name, error in loop.before.items():
+        after = loop.after[name].rmse if name in loop.after else None
+        gain = 1.0 - (after / error.rmse) ** 2 if after is not None and error.rmse else None
+        limits = loop.gain_interval.get(name, [])
+        rows.append(
+            (
+                name,
+                number(error.rmse),
+                number(after),
+                number(loop.noise_floor.get(name)),
+                unit_text(collection.units(name)[0]),
+                percent(gain),
+                _interval(limits) if after != error.rmse else DASH,
+            )
+        )
+    return Table("RMS error on the held-out logs", columns, rows)
+
+
+def _rounds(loop: ClosedLoop) -> Table:
+    columns = (
+        Column("effect"),
+        Column("joint"),
+        Column("gain on fitted logs", numeric=True),
+        Column("on held-out logs", numeric=True),
+        Column("95 % interval", numeric=True),
+        Column("outcome"),
+    )
+    rows = [_round(item) for item in (*loop.rounds, *loop.refused)]
+    return Table("What was tried", columns, rows)
+
+
+def _round(item: RefinementRound) -> tuple[str, ...]:
+    outcome = "added" if item.accepted else "refused"
+    return (
+        effect_words(item.effect),
+        item.joint or "whole arm",
+        percent(item.training_gain),
+        percent(item.held_out_gain),
+        _interval(item.interval),
+        f"{outcome}: {item.reason}" if item.reason else outcome,
+    )
+
+
+def _interval(limits: Sequence[float]) -> str:
+    return f"{percent(limits[0])} to {percent(limits[1])}" if len(limits) == 2 else DASH

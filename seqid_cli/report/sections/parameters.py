@@ -1,0 +1,235 @@
+"""Base parameters with their expressions, intervals and units; effects with theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from markupsafe import Markup
+
+from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
+from seqid_cli.report.chart import drawing
+from seqid_cli.report.collection import Collection, Model
+from seqid_cli.report.svg import Scale, circle, line
+from seqid_cli.report.views import Absent, Cell, Column, Group, Section, Table
+from seqid_cli.report.words import (
+    Z95,
+    effect_at,
+    expression,
+    interval,
+    listed,
+    number,
+    plural,
+    short_path,
+    symbol,
+    unit_text,
+    with_error,
+)
+
+_FORMULA = Markup('<span class="formula">{}</span>')
+_TITLES = {"gravity": "Gravity", "inertia": "Inertia"}
+_MADE_BY = {
+    "gravity": "seqid gravity LOG... -r robot.toml -p friction.json -o gravity.json",
+    "inertia": "seqid inertia LOG... -r robot.toml -p imu.json -o inertia.json",
+}
+_LEAD = (
+    "Base parameters are all that joint torque can tell of the links: each stands for the sum of "
+    "standard link parameters beside it. Index i is the link that joint i moves; m is its mass, "
+    "mx, my, mz its first moment, Ixx to Izz its inertia about the origin of its joint frame, Ia "
+    "the rotor inertia of its drive on the motor side. Intervals are 95 %."
+)
+
+
+def parameters(collection: Collection) -> Section:
+    """Return the section on gravity, inertia and effects."""
+    title = "Parameters"
+    model = collection.model
+    if model is None:
+        absent = Absent("No parameter file is among the files given.", _MADE_BY["inertia"])
+        return Section("parameters", title, absent=[absent])
+    groups, absent_stages = [], []
+    for name in _TITLES:
+        stage = getattr(model.stages, name)
+        if stage is not None:
+            groups.append(_rigid(name, stage, collection))
+        elif model.kind != "simultaneous" or name == "inertia":
+            text = f"The {name} stage is not in the files given."
+            absent_stages.append(Absent(text, _MADE_BY[name]))
+    if model.stages.effects:
+        groups.append(_effects(model.stages.effects))
+    return Section("parameters", title, _LEAD, groups, absent=absent_stages)
+
+
+def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
+    facts = []
+    if stage.parameters:
+        facts = [
+            ("rank", _rank(stage)),
+            ("condition", number(stage.condition)),
+            ("method", stage.method),
+            *([("cut-off", f"{number(stage.cutoff_hz)} Hz")] if stage.cutoff_hz else []),
+        ]
+    notes = list(stage.notes)
+    if stage.not_excited:
+        notes.insert(0, f"Not determined by these logs: {listed(stage.not_excited, 40)}.")
+    mine = stage.verdicts
+    good = all(verdict.good for verdict in mine)
+    text = ("good" if good else "poor") if stage.parameters else "nothing to identify"
+    return Group(
+        f"{name}-parameters",
+        _TITLES[name],
+        lead="; ".join(v.reason for v in mine if not v.joint and not v.good),
+        badge=("good" if good else "poor") if mine and stage.parameters else "",
+        badge_text=text,
+        facts=facts,
+        tables=[
+            table
+            for table in (
+                _table(name, stage, collection.models[1:]),
+                _per_joint(name, stage, collection),
+            )
+            if table.rows
+        ],
+        notes=notes,
+        unfolded=True,
+    )
+
+
+def _rank(stage: RigidStage) -> str:
+    if stage.structural_rank:
+        return f"{stage.rank} of {stage.structural_rank}"
+    return str(stage.rank)
+
+
+def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
+    earlier = [
+        (model, {item.name: item for item in theirs.parameters})
+        for model in others
+        if (theirs := getattr(model.stages, name)) is not None
+    ]
+    earlier = [(model, known) for model, known in earlier if _differs(stage, known)]
+    alone = stage.encoder_std_errors
+    columns = [
+        Column("parameter"),
+        Column("value", numeric=True),
+        Column("std error", numeric=True),
+        Column("95 % interval", numeric=True),
+        Column("unit"),
+        Column("interval beside zero"),
+        Column("stands for"),
+        *([Column("std error, encoders alone", numeric=True)] if alone else []),
+        *(Column(f"in {short_path(model.path)}", numeric=True) for model, _ in earlier),
+    ]
+    rows = [
+        (
+            symbol(item.name),
+            *with_error(item.value, item.std_error),
+            interval(item.value, item.std_error),
+            unit_text(item.unit),
+            _glyph(item),
+            _FORMULA.format(expression(item.terms, item.expression or item.name)),
+            *([number(alone.get(item.name), 2)] if alone else []),
+            *(_value_in(known, item.name) for _, known in earlier),
+        )
+        for item in stage.parameters
+    ]
+    unclear = [p.name for p in stage.parameters if abs(p.value) < Z95 * p.std_error]
+    note = ""
+    if unclear:
+        note = (
+            f"{plural(len(unclear), 'interval')} of {len(stage.parameters)} "
+            f"{'holds' if len(unclear) == 1 else 'hold'} zero: {listed(unclear, 12)}."
+        )
+    return Table(f"{_TITLES[name]}: base parameters", columns, rows, note)
+
+
+def _differs(stage: RigidStage, known: Mapping[str, Parameter]) -> bool:
+    return any(
+        (other := known.get(item.name)) is not None and other.value != item.value
+        for item in stage.parameters
+    )
+
+
+def _value_in(known: Mapping[str, Parameter], name: str) -> str:
+    item = known.get(name)
+    return number(None) if item is None else with_error(item.value, item.std_error)[0]
+
+
+def _glyph(item: Parameter) -> Cell:
+    """Draw an interval beside zero, as large as its row: how sure it is, and of its sign."""
+    reach = abs(item.value) + Z95 * item.std_error
+    scale = Scale(-reach, reach, 3.0, 117.0)
+    low, high = item.value - Z95 * item.std_error, item.value + Z95 * item.std_error
+    style = "unclear" if low <= 0.0 <= high else "clear"
+    zero, middle = scale(0.0), scale(item.value)
+    marks = [
+        line("rule zero", zero, 0, zero, 16),
+        line("stem", zero, 8, middle, 8),
+        line(f"whisker {style}", scale(low), 8, scale(high), 8),
+        circle(f"point {style}", middle, 8, 3),
+    ]
+    text = f"{number(low)} to {number(high)} {item.unit}, drawn beside zero"
+    return drawing(
+        120, 16, f"Interval of {item.name}", text, [Markup("").join(marks)], style="glyph"
+    )
+
+
+def _per_joint(name: str, stage: RigidStage, collection: Collection) -> Table:
+    reasons = {verdict.joint: verdict.reason for verdict in stage.verdicts}
+    columns = (
+        Column("joint"),
+        Column("RMS error", numeric=True),
+        Column("unit"),
+        Column("verdict"),
+    )
+    rows = [
+        (joint, number(rmse), unit_text(collection.units(joint)[0]), reasons.get(joint, ""))
+        for joint, rmse in stage.rmse.items()
+    ]
+    return Table(f"{_TITLES[name]}: error of the fit per joint", columns, rows)
+
+
+def _effects(effects: Sequence[EffectOfJoint]) -> Group:
+    columns = (
+        Column("effect"),
+        Column("parameter"),
+        Column("value", numeric=True),
+        Column("std error", numeric=True),
+        Column("95 % interval", numeric=True),
+        Column("unit"),
+    )
+    rows = []
+    for item in effects:
+        where = effect_at(item.effect, item.joint or "the whole arm")
+        named = {value.name for value in item.parameters}
+        for value in item.parameters:
+            known = value.std_error > 0.0
+            rows.append(
+                (
+                    where,
+                    value.name.replace("_", " "),
+                    *(with_error(value.value, value.std_error) if known else _exact(value.value)),
+                    interval(value.value, value.std_error),
+                    unit_text(value.unit),
+                )
+            )
+        units = setting_units(item.effect)
+        for name, setting in item.settings.items():
+            if name not in named:
+                text = number(setting) if isinstance(setting, float) else str(setting)
+                unit = unit_text(units.get(name, ""))
+                rows.append((where, name.replace("_", " "), text, "fixed", number(None), unit))
+    table = Table("Effects that refinement added", columns, rows)
+    return Group("effects", "Effects", tables=[table] if rows else [])
+
+
+def _exact(value: float) -> tuple[str, str]:
+    return number(value), "fixed"
+
+
+def setting_units(effect: str) -> Mapping[str, str]:
+    """Return the units of what an effect's torque is not linear in."""
+    from seqid_cli.model.effects.registry import CATALOGUE
+
+    if effect not in CATALOGUE:
+        return {}
+    return {setting.name: setting.unit for setting in CATALOGUE[effect].settings}

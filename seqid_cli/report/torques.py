@@ -1,0 +1,233 @@
+"""The torques that `seqid predict --torques` wrote, a joint at a time.
+
+Imports numpy and pyarrow: only for use inside a command's body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from seqid_cli.errors import InputError
+from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.report.collection import Collection, Prediction
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_KINDS = ("torque", "predicted", "residual")
+_MOTION = ("position", "velocity")
+_MOST_ROWS = 200_000_000
+_MOST_LOGS = 10_000
+_HINT = "Name the Parquet file that seqid predict wrote with --torques."
+
+
+@dataclass(frozen=True)
+class Series:
+    """One joint in one log: samples (N,); NaN where a value is missing.
+
+    `residual` is measured minus predicted torque. Position and velocity are None where the file
+    was written without them; `used` marks the samples that the errors are computed from.
+    """
+
+    log: str
+    t: Array
+    torque: Array
+    predicted: Array
+    residual: Array
+    used: Mask
+    position: Array | None = None
+    velocity: Array | None = None
+
+
+@dataclass(frozen=True)
+class TorqueTable:
+    """A torque file, opened; `rows` are the samples of each log."""
+
+    path: str
+    joints: tuple[str, ...]
+    rows: Mapping[str, slice]
+    columns: frozenset[str]
+
+    @classmethod
+    def open(cls, path: Path, collection: Collection) -> TorqueTable:
+        """Open a torque file and hold it against the documents.
+
+        Raises
+        ------
+        InputError
+            It is unreadable, has not the columns of a torque file, or is of another robot or of
+            other logs than the prediction.
+        """
+        where = str(path)
+        file = _guarded(path)
+        columns = _float_columns(file, where)
+        joints = tuple(
+            name
+            for name in collection.robot.joints
+            if all(f"{name}.{kind}" in columns for kind in _KINDS)
+        )
+        _check_joints(joints, columns, collection, where)
+        rows = _log_rows(path)
+        _check_logs(rows, collection.predictions, where)
+        return cls(where, joints, rows, frozenset(columns))
+
+    def series(self, joint: str) -> list[Series]:
+        """Read one joint, log by log.
+
+        Raises
+        ------
+        InputError
+            Time is not finite or goes back, or a value is infinite.
+        """
+        names = ["t", *(f"{joint}.{kind}" for kind in _KINDS)]
+        names += [f"{joint}.{kind}" for kind in _MOTION if f"{joint}.{kind}" in self.columns]
+        names += ["used"] if "used" in self.columns else []
+        table = _read(Path(self.path), names)
+        values = {name: _numbers(table, name, self.path) for name in names}
+        return [self._one(joint, log, rows, values) for log, rows in self.rows.items()]
+
+    def _one(self, joint: str, log: str, rows: slice, values: Mapping[str, Array]) -> Series:
+        t = values["t"][rows]
+        if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0.0):
+            message = f"t is missing or goes back in {log}"
+            raise InputError(message, where=self.path, hint="Run seqid predict again.")
+        own = {kind: values.get(f"{joint}.{kind}") for kind in (*_KINDS, *_MOTION)}
+        cut = {kind: None if value is None else value[rows] for kind, value in own.items()}
+        torque, predicted, residual = (cut[kind] for kind in _KINDS)
+        assert torque is not None
+        assert predicted is not None
+        assert residual is not None
+        used = values["used"][rows] > 0.0 if "used" in values else np.ones(len(t), dtype=np.bool_)
+        return Series(log, t, torque, predicted, residual, used, cut["position"], cut["velocity"])
+
+
+def find_torques(prediction: str) -> Path | None:
+    """Return the `torques.parquet` beside a prediction file, if there is one."""
+    path = Path(prediction).with_name("torques.parquet")
+    return path if path.is_file() else None
+
+
+def matches(path: Path, prediction: PredictionFile) -> bool:
+    """Return whether a torque file holds exactly the logs of a prediction, sample by sample."""
+    try:
+        rows = _log_rows(path)
+    except InputError:
+        return False
+    mine = {log: part.stop - part.start for log, part in rows.items()}
+    return mine == {log.path: log.samples for log in prediction.logs}
+
+
+def _guarded(path: Path) -> pq.ParquetFile:
+    where = str(path)
+    if not path.is_file():
+        what = "is not a file" if path.exists() else "does not exist"
+        raise InputError(what, where=where, hint=_HINT)
+    try:
+        file = pq.ParquetFile(path)
+    except (pa.ArrowException, OSError) as error:
+        message = f"cannot be read as Parquet: {_first_line(error)}"
+        raise InputError(message, where=where, hint=_HINT) from error
+    if not 0 < file.metadata.num_rows <= _MOST_ROWS:
+        message = f"has {file.metadata.num_rows} rows; 1 to {_MOST_ROWS} can be shown"
+        raise InputError(message, where=where, hint="Predict fewer logs at a time.")
+    return file
+
+
+def _float_columns(file: pq.ParquetFile, where: str) -> set[str]:
+    schema = file.schema_arrow
+    found = {
+        field.name
+        for field in schema
+        if pa.types.is_floating(field.type) or pa.types.is_boolean(field.type)
+    }
+    text = "log" in schema.names and _is_text(schema.field("log").type)
+    if "t" not in found or not text:
+        has = ", ".join(schema.names[:8]) or "nothing"
+        message = f"is no torque file: columns t (a number) and log (text) are needed, it has {has}"
+        raise InputError(message, where=where, hint=_HINT)
+    return found
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _check_joints(
+    joints: Sequence[str], columns: set[str], collection: Collection, where: str
+) -> None:
+    others = {
+        name.removesuffix(".predicted") for name in columns if name.endswith(".predicted")
+    } - set(joints)
+    if others or not joints:
+        robot, source = collection.robot, collection.sources[0].path
+        message = (
+            f"is about joints {', '.join(sorted(others | set(joints))) or '(none)'}, "
+            f"but {source} about robot {robot.name!r} ({', '.join(robot.joints)})"
+        )
+        raise InputError(message, where=where, hint="Give the torques of the same robot.")
+
+
+def _log_rows(path: Path) -> dict[str, slice]:
+    where = str(path)
+    column = _read(path, ["log"]).column("log").combine_chunks().dictionary_encode()
+    codes = column.indices.to_numpy(zero_copy_only=False)
+    names = column.dictionary.to_pylist()
+    if column.null_count or len(names) > _MOST_LOGS:
+        message = f"column log: must name 1 to {_MOST_LOGS} logs without gaps"
+        raise InputError(message, where=where, hint=_HINT)
+    starts = np.flatnonzero(np.diff(codes, prepend=-1))
+    ends = np.append(starts[1:], len(codes))
+    if len(starts) != len(names):
+        message = "column log: the rows of a log must follow each other"
+        raise InputError(message, where=where, hint="Run seqid predict again.")
+    return {str(names[codes[a]]): slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)}
+
+
+def _check_logs(rows: Mapping[str, slice], predictions: Sequence[Prediction], where: str) -> None:
+    if not predictions:
+        return
+    mine = {log: part.stop - part.start for log, part in rows.items()}
+    for prediction in predictions:
+        if mine == {log.path: log.samples for log in prediction.file.logs}:
+            return
+    logs = {log.path: log.samples for item in predictions for log in item.file.logs}
+    names = ", ".join(item.path for item in predictions)
+    odd = next((log for log in mine if mine[log] != logs.get(log)), None)
+    if odd is None:
+        absent = next(log for log in logs if log not in mine)
+        message = f"lacks the log {absent}, which {names} holds"
+    elif odd in logs:
+        message = f"holds {mine[odd]} samples of {odd}, but {names} counts {logs[odd]}"
+    else:
+        message = f"holds the log {odd}, which {names} does not"
+    hint = "Run seqid predict again with both -o and --torques."
+    raise InputError(message, where=where, hint=hint)
+
+
+def _read(path: Path, columns: Sequence[str]) -> pa.Table:
+    try:
+        return pq.read_table(path, columns=list(columns), partitioning=None)
+    except (pa.ArrowException, OSError, KeyError) as error:
+        message = f"is damaged: {_first_line(error)}"
+        raise InputError(message, where=str(path), hint="Run seqid predict again.") from error
+
+
+def _numbers(table: pa.Table, name: str, where: str) -> Array:
+    column = table.column(name).combine_chunks().cast(pa.float64())
+    values: Array = column.to_numpy(zero_copy_only=False).astype(np.float64)
+    if np.any(np.isinf(values)):
+        message = f"{name} is infinite at row {int(np.argmax(np.isinf(values)))}"
+        raise InputError(message, where=where, hint="Run seqid predict again.")
+    return values
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]

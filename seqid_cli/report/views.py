@@ -1,0 +1,91 @@
+"""What the templates show: figures, tables, sections. Plain data, no HTML but finished drawings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from markupsafe import Markup
+
+Cell = str | Markup
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table; `numeric` ones are set to the right."""
+
+    title: str
+    numeric: bool = False
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of finished text; `caption` says what they are."""
+
+    caption: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Key:
+    """One entry of a legend; `style` is the class that the line has in the drawing."""
+
+    style: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing with its title, legend and the table of its values."""
+
+    title: str
+    drawing: Markup
+    legend: Sequence[Key] = ()
+    table: Table | None = None
+    note: str = ""
+    wide: bool = False
+
+
+@dataclass(frozen=True)
+class Absent:
+    """What a section cannot show, and the command that makes it."""
+
+    text: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Part of a section with a heading of its own."""
+
+    id: str
+    title: str
+    lead: str = ""
+    badge: str = ""  # good, poor, open, or nothing
+    badge_text: str = ""
+    facts: Sequence[tuple[str, str]] = ()
+    figures: Sequence[Figure] = ()
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    absent: Sequence[Absent] = ()
+    unfolded: bool = False  # tables stand open
+    beside: bool = False  # tables stand beside the figures
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page; `template` renders what `data` holds beyond the groups."""
+
+    id: str
+    title: str
+    lead: str = ""
+    groups: Sequence[Group] = ()
+    tables: Sequence[Table] = ()
+    figures: Sequence[Figure] = ()
+    absent: Sequence[Absent] = ()
+    notes: Sequence[str] = ()
+    template: str = ""
+    data: dict[str, object] = field(default_factory=dict)

@@ -1,0 +1,138 @@
+"""Numbers and names as they stand on the page."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath
+
+from markupsafe import Markup, escape
+
+Z95 = 1.959963984540054  # of a two-sided 95 % interval
+_INDEXED = re.compile(r"(?P<stem>[A-Za-z]+)_(?P<index>[0-9]+)")
+_STEM = {"mx": ("m", "x"), "my": ("m", "y"), "mz": ("m", "z")}
+MINUS = "\u2212"
+DASH = "\u2013"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits, a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    if value == 0.0:
+        return "0"
+    size = abs(value)
+    if not 1e-4 <= size < 1e6:
+        mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
+        return f"{mantissa}e{int(power)}".replace("-", MINUS)
+    decimals = max(0, digits - 1 - math.floor(math.log10(size)))
+    return f"{value:.{decimals}f}".replace("-", MINUS)
+
+
+def percent(share: float | None, digits: int = 1) -> str:
+    """Return a share in percent."""
+    if share is None or not math.isfinite(share):
+        return DASH
+    return f"{100.0 * share:.{digits}f} %".replace("-", MINUS)
+
+
+def with_error(value: float, error: float) -> tuple[str, str]:
+    """Return value and standard error with the decimals that two digits of the error allow."""
+    if not (error > 0.0 and math.isfinite(error) and math.isfinite(value)):
+        return number(value, 5), number(error, 2)
+    decimals = 1 - math.floor(math.log10(error))
+    if not 0 <= decimals <= 9 or abs(value) >= 1e9:
+        return number(value, 5), number(error, 2)
+    return f"{value:.{decimals}f}".replace("-", MINUS), f"{error:.{decimals}f}"
+
+
+def interval(value: float, error: float) -> str:
+    """Return the 95 % interval of a value with a normal standard error."""
+    if not error > 0.0:
+        return DASH
+    decimals = 1 - math.floor(math.log10(error))
+    low, high = value - Z95 * error, value + Z95 * error
+    if not 0 <= decimals <= 9:
+        return f"{number(low, 4)} to {number(high, 4)}"
+    return f"{low:.{decimals}f} to {high:.{decimals}f}".replace("-", MINUS)
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit with raised powers and dots; nothing for a plain number."""
+    if unit in ("", "1"):
+        return ""
+    raised = re.sub(r"\^(-?[0-9])", _raise, unit)
+    return raised.replace(" ", "\u202f")
+
+
+def _raise(match: re.Match[str]) -> str:
+    marks = {"1": "\u00b9", "2": "\u00b2", "3": "\u00b3", "-": "\u207b"}
+    return "".join(marks.get(sign, f"^{sign}") for sign in match.group(1))
+
+
+def symbol(name: str) -> Markup:
+    """Return a standard parameter such as `Ixx_2` with its index lowered, other names as is."""
+    match = _INDEXED.fullmatch(name)
+    if match is None:
+        return escape(name)
+    stem, index = match["stem"], match["index"]
+    if stem in _STEM:
+        base, axis = _STEM[stem]
+        return Markup("<i>{}</i>{}<sub>{}</sub>").format(base, axis, index)
+    return Markup("<i>{}</i><sub>{}</sub>").format(
+        stem[0], f"{stem[1:]}\u202f{index}" if stem[1:] else index
+    )
+
+
+def expression(terms: Mapping[str, float], fallback: str) -> Markup:
+    """Return a sum of standard parameters as a formula."""
+    if not terms:
+        return escape(fallback)
+    text = Markup("")
+    for place, (name, factor) in enumerate(terms.items()):
+        sign = MINUS if factor < 0.0 else "+"
+        lead = ("" if sign == "+" else sign) if place == 0 else f" {sign} "
+        size = abs(factor)
+        times = "" if abs(size - 1.0) < 1e-9 else f"{size:.5g}\u202f"
+        text += escape(lead) + escape(times) + symbol(name)
+    return text
+
+
+def plural(count: int, noun: str) -> str:
+    """Return a count with its noun."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """Return names as a list in words, cut after `most`."""
+    if len(names) > most:
+        return ", ".join(names[:most]) + f" and {len(names) - most} more"
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
+
+
+def effect_at(effect: str, joint: str | None) -> str:
+    """Return an effect in plain words with its place."""
+    return f"{effect_words(effect)} at {joint}" if joint else effect_words(effect)
+
+
+def effect_words(effect: str) -> str:
+    """Return the name of an effect in plain words."""
+    return effect.replace("_", " ")
+
+
+def command(*words: str) -> str:
+    """Return a command line that a shell takes as it stands; capitals such as LOG... stay."""
+    return " ".join(word if word.endswith("...") else shlex.quote(word) for word in words)
+
+
+def file_name(path: str) -> str:
+    """Return the last part of a path."""
+    return PurePath(path.replace("\\", "/")).name or path
+
+
+def short_path(path: str) -> str:
+    """Return the last two parts of a path."""
+    parts = PurePath(path.replace("\\", "/")).parts
+    return "/".join(parts[-2:]) if len(parts) > 1 else path

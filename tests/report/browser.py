@@ -1,0 +1,165 @@
+"""A headless Chromium, driven through its debugging pipe: what a page loads, says and shows."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--remote-debugging-pipe",
+)
+Message = dict[str, Any]
+
+
+def browser_path() -> str:
+    """Return a browser on the PATH; the test is skipped where there is none."""
+    for name in NAMES:
+        if found := shutil.which(name):
+            return found
+    pytest.skip(f"no browser on the PATH: {', '.join(NAMES)}")
+
+
+@dataclass
+class Tab:
+    """One page of a running browser, with all that it asked for and complained about."""
+
+    to: int
+    back: int
+    session: str = ""
+    requests: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+    _buffer: bytes = b""
+    _count: int = 0
+
+    def call(self, method: str, **parameters: object) -> Message:
+        """Send one command and wait for its answer."""
+        self._count += 1
+        message: Message = {"id": self._count, "method": method, "params": parameters}
+        if self.session:
+            message["sessionId"] = self.session
+        os.write(self.to, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._next()
+            if answer.get("id") == self._count:
+                assert "error" not in answer, answer
+                return dict(answer["result"])
+            self._note(answer)
+
+    def wait(self, event: str) -> None:
+        """Wait for an event."""
+        while True:
+            message = self._next()
+            self._note(message)
+            if message.get("method") == event:
+                return
+
+    def open(self, path: Path, *, width: int, height: int = 900, dark: bool = False) -> None:
+        """Load a file as a screen of this size and theme shows it."""
+        self.requests.clear()
+        self.complaints.clear()
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        still = {"name": "prefers-reduced-motion", "value": "reduce"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme, still])
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        self.wait("Page.loadEventFired")
+
+    def run(self, script: str) -> Any:
+        """Return the value of an expression in the page."""
+        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    def picture(self, path: Path, selector: str = "", height: int = 0) -> None:
+        """Write what the page, or one element of it, looks like as PNG."""
+        more: Message = {}
+        if selector:
+            box = self.run(
+                f"(() => {{ const b = document.querySelector({json.dumps(selector)})"
+                ".getBoundingClientRect(); return [b.x + scrollX, b.y + scrollY, b.width, b.height]"
+                "; })()"
+            )
+            more["clip"] = dict(zip(("x", "y", "width", "height"), box, strict=True), scale=1)
+            if height:
+                more["clip"]["height"] = min(height, more["clip"]["height"])
+        found = self.call(
+            "Page.captureScreenshot", format="png", captureBeyondViewport=True, **more
+        )
+        path.write_bytes(base64.b64decode(found["data"]))
+
+    def _next(self) -> Message:
+        while b"\0" not in self._buffer:
+            part = os.read(self.back, 1 << 16)
+            assert part, "the browser has gone"
+            self._buffer += part
+        text, _, self._buffer = self._buffer.partition(b"\0")
+        return dict(json.loads(text))
+
+    def _note(self, message: Message) -> None:
+        method, parameters = message.get("method"), message.get("params", {})
+        if method == "Network.requestWillBeSent":
+            self.requests.append(parameters["request"]["url"])
+        elif method == "Runtime.exceptionThrown":
+            self.complaints.append(str(parameters["exceptionDetails"]))
+        elif method == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "warning"):
+            self.complaints.append(str(parameters["args"]))
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] != "verbose":
+            self.complaints.append(parameters["entry"]["text"])
+
+
+@contextmanager
+def browsing(profile: Path) -> Iterator[Tab]:
+    """Run a browser with a fresh profile and yield its page."""
+    program = browser_path()
+    theirs, to = os.pipe()
+    back, ours = os.pipe()
+    # The browser reads commands from descriptor 3 and answers on 4.
+    shell = f'exec 3<&{theirs} 4>&{ours}; exec "$0" "$@"'
+    process = subprocess.Popen(
+        ["/bin/bash", "-c", shell, program, *FLAGS, f"--user-data-dir={profile}"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        pass_fds=(theirs, ours),
+    )
+    os.close(theirs)
+    os.close(ours)
+    try:
+        tab = Tab(to, back)
+        target = tab.call("Target.createTarget", url="about:blank")["targetId"]
+        attached = tab.call("Target.attachToTarget", targetId=target, flatten=True)
+        tab.session = attached["sessionId"]
+        for domain in ("Page", "Network", "Runtime", "Log"):
+            tab.call(f"{domain}.enable")
+        yield tab
+    finally:
+        process.terminate()
+        process.wait(timeout=20)
+        os.close(to)
+        os.close(back)

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from markupsafe import Markup
+
+from seqid_cli.report.downsample import extremes, pieces
+from seqid_cli.report.svg import Scale, element, padded, round_ticks, tick_texts
+from seqid_cli.report.words import (
+    command,
+    expression,
+    interval,
+    listed,
+    number,
+    percent,
+    symbol,
+    unit_text,
+    with_error,
+)
+
+finite = st.floats(-1e6, 1e6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(finite, min_size=1, max_size=400), st.integers(1, 40))
+def test_every_column_keeps_its_extremes(values: list[float], columns: int) -> None:
+    x, y = np.arange(len(values), dtype=float), np.array(values)
+    kept = extremes(x, y, columns)
+    assert np.all(np.diff(kept) > 0)
+    assert kept[0] == 0
+    assert kept[-1] == len(x) - 1
+    assert len(kept) <= 2 * columns + 2
+    span = max(x[-1], 1e-300)
+    column = np.minimum((x / span * columns).astype(int), columns - 1)
+    for place in range(columns):  # the slow, obvious way
+        mine = np.flatnonzero(column == place)
+        if len(mine):
+            shown = y[np.intersect1d(mine, kept)]
+            assert shown.max() == y[mine].max()
+            assert shown.min() == y[mine].min()
+
+
+def test_one_sample_in_a_million_survives() -> None:
+    y = np.zeros(1_000_000)
+    y[123_456] = 1.0
+    kept = extremes(np.arange(len(y), dtype=float), y, 500)
+    assert 123_456 in kept
+    assert len(kept) <= 1002
+
+
+def test_a_constant_time_is_one_column() -> None:
+    y = np.sin(np.arange(100.0))
+    kept = extremes(np.zeros(100), y, 10)
+    assert {int(np.argmax(y)), int(np.argmin(y))} <= set(kept.tolist())
+
+
+def test_lines_break_at_gaps_and_missing_values() -> None:
+    t = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 5.2, 5.3])
+    good = np.array([True, True, True, True, True, False, True])
+    assert pieces(t, good) == [slice(0, 3), slice(3, 5), slice(6, 7)]
+    assert pieces(t[:0], good[:0]) == []
+    assert pieces(np.array([1.0, 1.0]), np.array([True, True])) == [slice(0, 2)]
+
+
+def test_elements_escape_values_and_text() -> None:
+    made = element("text", {"class": '"><script>'}, "<b>&", element("tspan", {"x": 1.25}, "ok"))
+    assert made == (
+        '<text class="&#34;&gt;&lt;script&gt;">&lt;b&gt;&amp;<tspan x="1.2">ok</tspan></text>'
+    )
+    assert isinstance(made, Markup)
+
+
+@settings(max_examples=100, deadline=None)
+@given(finite, st.floats(1e-6, 1e6), st.integers(2, 8))
+def test_ticks_lie_inside_and_read_differently(low: float, span: float, count: int) -> None:
+    ticks = round_ticks(low, low + span, count)
+    slack = 1e-6 * span + 1e-9 * abs(low)
+    assert all(low - slack <= tick <= low + span + slack for tick in ticks)
+    assert len(ticks) <= count + 2
+    if span > 1e-4 * abs(low):
+        texts = tick_texts(ticks)
+        assert len(set(texts)) == len(texts)
+
+
+def test_scales_map_and_hold_at_their_ends() -> None:
+    scale = Scale(0.01, 10.0, 100.0, 400.0, log=True)
+    assert scale(0.1) == pytest.approx(200.0)
+    assert scale(1e9) == 400.0
+    assert scale(0.0) == 100.0
+    assert scale.ticks(5) == pytest.approx([0.01, 0.1, 1.0, 10.0])
+    assert Scale(2.0, 2.0, 0.0, 10.0)(2.0) == 5.0
+    assert Scale(0.3, 0.7, 0.0, 1.0, log=True).ticks(4) == pytest.approx([0.5])
+
+
+@pytest.mark.parametrize("pair", [(0.0, 0.0), (3.0, 3.0), (-1e9, -1e9), (float("nan"), 1.0)])
+def test_limits_are_never_of_no_width(pair: tuple[float, float]) -> None:
+    low, high = padded(*pair)
+    assert high > low
+
+
+def test_numbers_carry_as_many_digits_as_their_error() -> None:
+    assert with_error(1.234567, 0.0123) == ("1.235", "0.012")
+    assert with_error(-4.21669, 0.00283) == ("\u22124.2167", "0.0028")
+    assert with_error(2.0, 0.0) == ("2.0000", "0")
+    assert interval(1.0, 0.1) == "0.80 to 1.20"
+    assert interval(1.0, 0.0) == "\u2013"
+    assert number(None) == number(float("nan")) == "\u2013"
+    assert number(-1.5e-7) == "\u22121.50e\u22127"
+    assert number(1234567.0) == "1.23e6"
+    assert percent(0.0234) == "2.3 %"
+
+
+def test_expressions_are_formulas_with_lowered_indices() -> None:
+    text = expression({"Izz_2": 1.0, "m_3": -0.425, "mx_3": 2.0}, "")
+    assert text == (
+        "<i>I</i><sub>zz\u202f2</sub> \u2212 0.425\u202f<i>m</i><sub>3</sub>"
+        " + 2\u202f<i>m</i>x<sub>3</sub>"
+    )
+    assert expression({}, "<b>") == "&lt;b&gt;"
+    assert expression({"<b>_1": 1.0}, "") == "&lt;b&gt;_1"
+    assert symbol("<script>") == "&lt;script&gt;"
+
+
+def test_units_lists_and_commands_in_words() -> None:
+    assert unit_text("kg m^2") == "kg\u202fm\u00b2"
+    assert unit_text("1") == ""
+    assert listed(["a"]) == "a"
+    assert listed(["a", "b", "c"]) == "a, b and c"
+    assert listed(list("abcdefgh"), 2) == "a, b and 6 more"
+    assert command("seqid", "predict", "LOG...", "-p", "a b.json") == (
+        "seqid predict LOG... -p 'a b.json'"
+    )
+    pairs = itertools.product(("rad/s^2", "N m"), repeat=1)
+    assert [unit_text(unit) for (unit,) in pairs] == ["rad/s\u00b2", "N\u202fm"]

@@ -5,6 +5,7 @@ VENV ?= .venv
 WORKERS ?= 2
 RIGS ?= one_joint two_joint six_joint
 OUT ?= out
+FUZZ_SECONDS ?= 60
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -59,6 +60,14 @@ study: $(DEV) ## measure against truth and bounds, rewrite the tables in README.
 study-effects: $(DEV) ## how well undeclared effects are found, into docs/effects_study.md (hours)
 	$(BIN)/python -m tests.study --only undeclared --refine --processes $(WORKERS)
 
+.PHONY: bench
+bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
+	$(BIN)/python -m tests.bench
+
+.PHONY: fuzz
+fuzz: $(DEV) ## read damaged logs for FUZZ_SECONDS
+	$(BIN)/python -m tests.logs.fuzz --seconds $(FUZZ_SECONDS)
+
 # ---- sample logs
 
 .PHONY: samples
@@ -68,7 +77,7 @@ samples: $(DEV) ## make sample_logs/ anew (simulated, seeded)
 # ---- demo: every stage of every rig in sample_logs/, each made from one before
 
 .PHONY: demo
-demo: $(foreach rig,$(RIGS),$(STAGES:%=$(OUT)/$(rig)/%.json)) ## identify the sample robots
+demo: $(foreach rig,$(RIGS),$(STAGES:%=$(OUT)/$(rig)/%.json) $(OUT)/$(rig)/report.html) ## identify the sample robots
 
 # $(call logs,FOLDER): the logs of a rig's folder, so that a new log makes its stage again
 logs = $$(wildcard sample_logs/$$*/$(1)/*)
@@ -100,8 +109,26 @@ $(OUT)/%/refined.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call log
 	$(SEQID) refine sample_logs/$*/changed/fourier.parquet sample_logs/$*/changed/trapezoids.parquet \
 		--holdout sample_logs/$*/changed/held_out.parquet -r $< -p $(word 2,$^) -o $@
 
+$(OUT)/%/report.html: $(foreach stage,$(STAGES),$(OUT)/%/$(stage).json) | $(RUN)
+	$(SEQID) report $^ --torques $(@D)/torques.parquet -o $@
+
 # Made on the way, kept all the same: the next stage starts from them.
 .SECONDARY:
+
+# ---- regression: the demo's models against those that are kept in sample_logs/
+
+GOLDEN ?= one_joint two_joint
+FORMAT ?= text
+
+.PHONY: golden golden-update
+golden: $(GOLDEN:%=$(OUT)/%/inertia.json) ## compare the identified models with the golden ones
+	@status=0; for rig in $(GOLDEN); do \
+		$(SEQID) compare sample_logs/$$rig/golden.json $(OUT)/$$rig/inertia.json --format $(FORMAT) \
+			|| status=$$?; \
+	done; exit $$status
+
+golden-update: $(GOLDEN:%=$(OUT)/%/inertia.json) ## keep the identified models as the golden ones
+	for rig in $(GOLDEN); do cp $(OUT)/$$rig/inertia.json sample_logs/$$rig/golden.json; done
 
 # ---- the rest
 

@@ -1,0 +1,172 @@
+"""`seqid compare`: whether a result changed, beyond its standard errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
+from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.params.document import now, tool
+from seqid_cli.params.read_any import read_any
+
+if TYPE_CHECKING:
+    from seqid_cli.params.comparison import Comparison, Difference
+
+EXAMPLES = (
+    "seqid compare sample_logs/two_joint/golden.json inertia.json",
+    "seqid compare sample_logs/two_joint/golden.json inertia.json --sigma 3 --rtol 0.02 --json",
+    "seqid compare sample_logs/two_joint/golden.json inertia.json --format github",
+)
+COMPARISON_SCHEMA = "seqid/comparison@1"
+_SHOWN = 8  # unchanged numbers that the screen shows without -v
+
+
+def _limit(value: float | None) -> float | None:
+    if value is not None and not (math.isfinite(value) and value >= 0.0):
+        message = f"{value} is not a number from 0 on"
+        raise typer.BadParameter(message)
+    return value
+
+
+First = Annotated[Path, typer.Argument(metavar="A.json", help="What was, or what should be.")]
+Second = Annotated[Path, typer.Argument(metavar="B.json", help="What is now.")]
+Relative = Annotated[
+    float | None,
+    typer.Option(
+        "--rtol",
+        metavar="X",
+        callback=_limit,
+        help="Share of a number's size beyond which it has changed; alone it decides.",
+    ),
+]
+Sigma = Annotated[
+    float | None,
+    typer.Option(
+        "--sigma",
+        metavar="S",
+        callback=_limit,
+        help="Combined standard errors beyond which it has changed; alone it decides.",
+    ),
+]
+Form = Annotated[
+    Literal["text", "json", "github"],
+    typer.Option("--format", help="A table, JSON, or annotations of GitHub Actions."),
+]
+
+
+def run(
+    context: typer.Context,
+    first: First,
+    second: Second,
+    rtol: Relative = None,
+    sigma: Sigma = None,
+    form: Form = "text",
+) -> int:
+    """Compare two parameter, prediction or diagnosis files of one robot.
+
+    A number has changed when it moved by more than --sigma combined standard errors (4) and by more
+    than the share --rtol of its size (0.01). Exits with 1 when any has.
+    """
+    screen = screen_of(context)
+    if form == "json":
+        screen = replace(screen, json=True)
+    a, b = read_any([first, second])
+
+    from seqid_cli.params.compare import compare
+    from seqid_cli.params.comparison import Rule
+
+    found = compare(a, b, rule=Rule.of(sigma, rtol))
+    screen.document(_document(found, first, second))
+    if form == "github":
+        _annotate(screen, found, second)
+    else:
+        _show(screen, found)
+    for note in found.notes:
+        screen.note(f"note: {note}")
+    return EXIT_UNTRUSTED if found.changed else EXIT_DONE
+
+
+def _document(found: Comparison, first: Path, second: Path) -> dict[str, object]:
+    return {
+        "schema": COMPARISON_SCHEMA,
+        "created": now(),
+        "tool": tool(),
+        "kind": found.kind,
+        "a": str(first),
+        "b": str(second),
+        "rule": asdict(found.rule),
+        "different": bool(found.changed),
+        "compared": len(found.differences),
+        "changed": len(found.changed),
+        "differences": [asdict(item) for item in found.differences],
+        "notes": list(found.notes),
+    }
+
+
+def _show(screen: Screen, found: Comparison) -> None:
+    rest = [item for item in found.differences if not item.different]
+    rest.sort(key=lambda item: -(item.relative or 0.0))
+    shown = [*found.changed, *(rest if screen.verbose else rest[:_SHOWN])]
+    columns = ("stage", "number", "joint", "first", "second", "std errors", "relative", "verdict")
+    screen.table(columns, [_row(item) for item in shown])
+    hidden = len(rest) - (len(shown) - len(found.changed))
+    if hidden:
+        screen.note(f"{hidden} more are unchanged (-v shows them)")
+    screen.result(_summary(found))
+
+
+def _row(item: Difference) -> tuple[str, ...]:
+    verdict = "changed" if item.different else "same"
+    if item.remark and item.different:
+        verdict = f"changed: {item.remark}"
+    return (
+        item.stage,
+        item.name,
+        item.joint or "-",
+        number(item.a, 5),
+        number(item.b, 5),
+        number(item.sigmas),
+        percent(item.relative),
+        verdict,
+    )
+
+
+def _summary(found: Comparison) -> str:
+    rule = found.rule
+    limits = [] if rule.sigma is None else [f"{rule.sigma:g} standard errors"]
+    limits.append(f"{100.0 * rule.rtol:g} % of its size")
+    count = f"{len(found.changed)} of {len(found.differences)} numbers changed"
+    return f"{count} (by more than {' and '.join(limits)})"
+
+
+def _annotate(screen: Screen, found: Comparison, second: Path) -> None:
+    """Print workflow commands, which GitHub shows beside the file."""
+    for item in found.changed:
+        where = f" of {item.joint}" if item.joint else ""
+        title = _property(f"seqid: {item.stage} {item.name}{where} changed")
+        text = _message(_sentence(item))
+        screen.result(f"::error file={_property(str(second))},title={title}::{text}")
+    screen.result(f"::notice title=seqid compare::{_message(_summary(found))}")
+
+
+def _sentence(item: Difference) -> str:
+    if item.a is None or item.b is None:
+        return item.remark
+    text = f"{item.a:.6g} became {item.b:.6g} {item.unit}".rstrip()
+    if item.sigmas is not None:
+        text += f", {item.sigmas:.1f} standard errors"
+    text += f", {percent(item.relative)} of its size"
+    return f"{text} ({item.remark})" if item.remark else text
+
+
+def _message(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _message(text).replace(":", "%3A").replace(",", "%2C")

@@ -1,0 +1,1 @@
+"""Identified models in the forms that other tools read."""

@@ -1,0 +1,99 @@
+"""A self-contained C99 header: the joint torque by recursive Newton-Euler, numbers inlined.
+
+Unlike model files it keeps the whole friction surface and the coupling of rotors.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import jinja2
+import numpy as np
+
+from seqid_cli.export.text import real, remarks
+from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.types import Array
+
+if TYPE_CHECKING:
+    from seqid_cli.export.model import ExportModel
+    from seqid_cli.model.friction import FrictionSurface
+
+_TEMPLATE = "arm.h.jinja"
+_KEYWORDS = frozenset({"auto", "double", "float", "int", "long", "short", "static", "void"})
+
+
+def c_header(model: ExportModel) -> str:
+    """Return the header; its functions and macros start with the robot's name."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("seqid_cli.export", "templates"),
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        autoescape=False,
+    )
+    return environment.get_template(_TEMPLATE).render(_content(model))
+
+
+def _content(model: ExportModel) -> dict[str, object]:
+    chain, robot = model.robot.chain, model.robot
+    surfaces = [_surface(surface) for surface in model.surfaces]
+    return {
+        "name": identifier(robot.name),
+        "remarks": remarks(model),
+        "joints": [
+            {
+                "name": joint.name.encode("ascii", "replace").decode().replace("?", "."),
+                "unit": "m, N" if joint.prismatic else "rad, N m",
+            }
+            for joint in robot.joints
+        ],
+        "n": robot.n,
+        "gravity": _row(robot.gravity),
+        "rotation": [_row(R.ravel()) for R in chain.rotation],
+        "position": [_row(p) for p in chain.position],
+        "axis": [_row(axis) for axis in chain.axis],
+        "prismatic": ", ".join("1" if slides else "0" for slides in chain.prismatic),
+        "phi": [_row(phi) for phi in model.bodies],
+        "armature": _row(model.armature),
+        "coupled": model.coupling == "gyroscopic" and bool(model.rotor.any()),
+        "coupling": _row(np.where(chain.prismatic, 0.0, gear_ratios(robot) * model.rotor)),
+        "surfaces": surfaces,
+    }
+
+
+def _surface(surface: FrictionSurface | None) -> dict[str, object] | None:
+    if surface is None:
+        return None
+    rows, columns = surface.positive.shape
+    scaling = surface.scaling
+    backward = surface.negative if surface.directional else surface.positive
+    speed = np.array(scaling.speed)
+    return {
+        "rows": rows,
+        "columns": columns,
+        "position": _row(scaling.position),
+        "speed": _row(speed),
+        "scaled": _row(np.log(speed) if scaling.logarithmic else speed),
+        "logarithmic": int(scaling.logarithmic),
+        "sign_width": real(surface.sign_width),
+        "forward": _lines(surface.positive),
+        "backward": _lines(backward),
+    }
+
+
+def identifier(name: str) -> str:
+    """Return a robot's name as a C identifier in small letters."""
+    found = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "arm"
+    return f"arm_{found}" if found[0].isdigit() or found in _KEYWORDS else found
+
+
+def _row(values: Iterable[float]) -> str:
+    return ", ".join(real(value) for value in values)
+
+
+def _lines(matrix: Array, per_line: int = 4) -> Sequence[str]:
+    flat = matrix.ravel()
+    return [_row(flat[k : k + per_line]) for k in range(0, len(flat), per_line)]

@@ -1,0 +1,289 @@
+"""Link parameters that a body can have, with the identified torque, as near as possible to CAD.
+
+Unknown are the pseudo-inertias J_i of the links and the rotor inertias that were identified. With
+L_i L_i' = the expected J_i and J_i = L_i S_i L_i', the distance to what is expected is
+
+    D = sum_i tr(S_i) - log det S_i,
+
+the Bregman divergence of the log-determinant: it is zero slope at S_i = 1, grows without bound
+towards bodies that cannot exist, and depends neither on units nor on frames (Lee, Wensing, Park,
+"Geometric robot dynamic identification: a convex programming approach", T-RO 2020). Then
+
+    minimise D   subject to   E phi = pi,   S_i >= margin,   rotors >= 0,
+
+E phi being the identified base parameters. Where no body has them, the nearest in units of their
+covariance C are found first,  r* = min |C^-1/2 (pi - E phi)|,  and D is minimised within
+
+    |C^-1/2 (pi - E phi)|^2 <= r*^2 + 1,
+
+among all that the data tell from the nearest by less than one standard error: the nearest itself
+lies on the boundary of what can exist, where a link has lost its mass or an axis to the noise. Both
+are conic problems: log det by a semidefinite block of twice the size and four exponential cones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from seqid_cli.errors import QualityError
+from seqid_cli.export.pseudo_inertia import standard_of
+from seqid_cli.robot.types import Array
+
+MARGIN = 1e-3  # least eigenvalue of S: share of the expected pseudo-inertia that is always there
+_ROTOR_COST = 1e-3  # breaks ties only: what neither torque nor CAD tells from a link is link
+_ALIKE = 1.0  # squared standard errors by which the nearest fit may be missed for the sake of D
+_MET = 1e-7  # relative residual up to which an equation of the torque counts as met
+
+_UPPER = tuple((i, j) for j in range(4) for i in range(j + 1))
+_LOWER = tuple((i, j) for j in range(4) for i in range(j, 4))
+_ENTRIES, _FACTORS, _LOGS = 10, 10, 4
+_PER_LINK = _ENTRIES + _FACTORS + _LOGS
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What the torque asks of the links.
+
+    `E` (b, 10 n) and `G` (b, k) give the base parameters from the links' standard parameters and
+    from k rotor inertias, `values` (b,) is what was identified, `whitening` (b, b) turns a residual
+    into independent standard errors.
+    """
+
+    E: Array
+    G: Array
+    values: Array
+    whitening: Array
+
+    @property
+    def size(self) -> int:
+        """Number of base parameters b."""
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class Consistent:
+    """Links that can exist: `phi` (n, 10), `rotors` (k,) kg m^2; whether they meet the demand."""
+
+    phi: Array
+    rotors: Array
+    exact: bool
+
+
+def consistent_links(J: Array, rotors: Array, demand: Demand) -> Consistent:
+    """Find physically consistent parameters that meet a demand, or come nearest to it.
+
+    Parameters
+    ----------
+    J : (n, 4, 4) array
+        Expected pseudo-inertias, positive definite.
+    rotors : (k,) array
+        Typical sizes of the rotor inertias [kg m^2], positive; they scale the problem.
+    demand : Demand
+
+    Returns
+    -------
+    Consistent
+
+    Raises
+    ------
+    QualityError
+        If the solver finds nothing, which numbers of wildly different sizes can bring about.
+    """
+    problem = _Problem.of(J, rotors, demand)
+    found = problem.exact()
+    if found is not None:
+        return replace(found, exact=True)
+    nearest = problem.nearest()
+    if nearest is None:
+        raise QualityError(
+            "no physically consistent link parameters were found for these base parameters",
+            hint="Check the robot file against the arm; compare the file with seqid predict.",
+        )
+    return nearest
+
+
+@dataclass(frozen=True)
+class _Cone:
+    """Rows A v + s = b of one kind."""
+
+    kind: object
+    A: sparse.csc_matrix
+    b: Array
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """In the variables v: entries of all S, then of the factors of log det, the logs, the rotors.
+
+    `T` (10 n, 10 n) gives the links' standard parameters from the entries, `B` the base parameters
+    from v; rows of `B` and `values` are scaled to a norm of 1, `W` whitens them.
+    """
+
+    n: int
+    T: Array
+    rotors: Array
+    B: Array
+    values: Array
+    W: Array
+
+    @classmethod
+    def of(cls, J: Array, rotors: Array, demand: Demand) -> _Problem:
+        """Scale by what is expected."""
+        n = len(J)
+        T = np.zeros((10 * n, 10 * n))
+        for i, L in enumerate(np.linalg.cholesky(J)):
+            for c, (a, b) in enumerate(_UPPER):
+                unit = np.zeros((4, 4))
+                unit[a, b] = unit[b, a] = 1.0
+                T[10 * i : 10 * i + 10, 10 * i + c] = standard_of(L @ unit @ L.T)
+        B = np.zeros((demand.size, _PER_LINK * n + len(rotors)))
+        B[:, : _ENTRIES * n] = demand.E @ T
+        B[:, _PER_LINK * n :] = demand.G * rotors
+        size = np.linalg.norm(B, axis=1)
+        size = np.where(size > 0.0, size, 1.0)
+        return cls(n, T, rotors, B / size[:, None], demand.values / size, demand.whitening * size)
+
+    @property
+    def variables(self) -> int:
+        """Length of v."""
+        return int(self.B.shape[1])
+
+    def exact(self) -> Consistent | None:
+        """Minimise D with every base parameter met; None where no body has them."""
+        v = self._minimised([self._equations(), *self._domain(), *self._logarithms()])
+        return None if v is None else self._met(v)
+
+    def nearest(self) -> Consistent | None:
+        """Come as near as possible, then minimise D among what the data cannot tell from that."""
+        within = [self._ball(None), *self._domain(extra=1)]
+        least = _solved(np.append(np.zeros(self.variables), 1.0), within)
+        if least is None:
+            return None
+        v, distance = least[:-1], float(least[-1])
+        radius = float(np.sqrt(distance**2 + _ALIKE))
+        near = self._minimised([self._ball(radius), *self._domain(), *self._logarithms()])
+        return self._found(v if near is None else near)
+
+    def _minimised(self, cones: Sequence[_Cone]) -> Array | None:
+        return _solved(self._costs(), cones)
+
+    def _costs(self) -> Array:
+        """Cost (v,) of each variable, so that their sum is D."""
+        cost = np.zeros(self.variables)
+        diagonal = [c for c, (a, b) in enumerate(_UPPER) if a == b]
+        for i in range(self.n):
+            cost[[_ENTRIES * i + c for c in diagonal]] = 1.0
+        cost[2 * _ENTRIES * self.n : _PER_LINK * self.n] = -1.0
+        cost[_PER_LINK * self.n :] = _ROTOR_COST
+        return cost
+
+    def _equations(self) -> _Cone:
+        return _Cone(clarabel.ZeroConeT(len(self.B)), sparse.csc_matrix(self.B), self.values)
+
+    def _ball(self, radius: float | None) -> _Cone:
+        """|W (values - B v)| <= radius; without one, the variable after the last is the radius."""
+        rows = np.zeros((len(self.B) + 1, self.variables + (radius is None)))
+        rows[1:, : self.variables] = self.W @ self.B
+        b = np.concatenate([[radius or 0.0], self.W @ self.values])
+        if radius is None:
+            rows[0, -1] = -1.0
+        return _Cone(clarabel.SecondOrderConeT(len(b)), sparse.csc_matrix(rows), b)
+
+    def _domain(self, extra: int = 0) -> list[_Cone]:
+        """S_i - margin positive definite, rotors not negative."""
+        width = self.variables + extra
+        cones = []
+        for i in range(self.n):
+            rows, columns, values = [], [], []
+            for c, (a, b) in enumerate(_UPPER):
+                rows.append(c)
+                columns.append(_ENTRIES * i + c)
+                values.append(-1.0 if a == b else -np.sqrt(2.0))
+            A = sparse.csc_matrix((values, (rows, columns)), shape=(len(_UPPER), width))
+            margin = np.array([-MARGIN if a == b else 0.0 for a, b in _UPPER])
+            cones.append(_Cone(clarabel.PSDTriangleConeT(4), A, margin))
+        count = len(self.rotors)
+        if count:
+            columns = list(range(_PER_LINK * self.n, self.variables))
+            A = sparse.csc_matrix((-np.ones(count), (range(count), columns)), shape=(count, width))
+            cones.append(_Cone(clarabel.NonnegativeConeT(count), A, np.zeros(count)))
+        return cones
+
+    def _logarithms(self) -> list[_Cone]:
+        """The logs sum to no more than log det S_i (Ben-Tal and Nemirovski, 2001, sec. 4.2)."""
+        return [cone for i in range(self.n) for cone in self._logarithm(i)]
+
+    def _logarithm(self, i: int) -> list[_Cone]:
+        """[S Z; Z' diag(Z)] positive definite with Z lower triangular, t_k <= log Z_kk."""
+        S, Z = _ENTRIES * i, _ENTRIES * self.n + _FACTORS * i
+        t = 2 * _ENTRIES * self.n + _LOGS * i
+        place = {(a, b): S + c for c, (a, b) in enumerate(_UPPER)}
+        for c, (a, b) in enumerate(_LOWER):
+            place[a, 4 + b] = Z + c
+            if a == b:
+                place[4 + a, 4 + a] = Z + c
+        rows, columns, values = [], [], []
+        for (a, b), column in place.items():
+            rows.append(b * (b + 1) // 2 + a)
+            columns.append(column)
+            values.append(-1.0 if a == b else -np.sqrt(2.0))
+        A = sparse.csc_matrix((values, (rows, columns)), shape=(36, self.variables))
+        cones = [_Cone(clarabel.PSDTriangleConeT(8), A, np.zeros(36))]
+        for k in range(_LOGS):
+            columns = [t + k, place[4 + k, 4 + k]]
+            A = sparse.csc_matrix(([-1.0, -1.0], ([0, 2], columns)), shape=(3, self.variables))
+            cones.append(_Cone(clarabel.ExponentialConeT(), A, np.array([0.0, 1.0, 0.0])))
+        return cones
+
+    def _met(self, v: Array) -> Consistent | None:
+        """Take the solver's last digits out of the equations; None where that breaks a body."""
+        free = np.r_[: _ENTRIES * self.n, _PER_LINK * self.n : self.variables]
+        polished = v.copy()
+        for _ in range(2):
+            residual = self.values - self.B @ polished
+            polished[free] += np.linalg.lstsq(self.B[:, free], residual, rcond=None)[0]
+        left = np.abs(self.values - self.B @ polished).max(initial=0.0)
+        moved = np.abs(polished - v)[free].max(initial=0.0)
+        scale = 1.0 + np.abs(self.values).max(initial=0.0)
+        if left > _MET * scale or moved > 1e-4 * scale or not self._possible(polished):
+            return None
+        return self._found(polished)
+
+    def _possible(self, v: Array) -> bool:
+        bodies = all(np.linalg.eigvalsh(S)[0] > 0.5 * MARGIN for S in self._shares(v))
+        return bodies and bool((v[_PER_LINK * self.n :] > -1e-9).all())
+
+    def _shares(self, v: Array) -> Array:
+        """Matrices S (n, 4, 4)."""
+        S = np.zeros((self.n, 4, 4))
+        for c, (a, b) in enumerate(_UPPER):
+            S[:, a, b] = S[:, b, a] = v[c : _ENTRIES * self.n : _ENTRIES]
+        return S
+
+    def _found(self, v: Array) -> Consistent:
+        phi = (self.T @ v[: _ENTRIES * self.n]).reshape(self.n, 10)
+        rotors = np.maximum(v[_PER_LINK * self.n : self.variables], 0.0) * self.rotors
+        return Consistent(phi, rotors, exact=False)
+
+
+def _solved(cost: Array, cones: Sequence[_Cone]) -> Array | None:
+    """Minimise a linear cost over cones; None without a solution."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.chordal_decomposition_enable = False
+    A = sparse.vstack([cone.A for cone in cones], format="csc")
+    b = np.concatenate([cone.b for cone in cones])
+    P = sparse.csc_matrix((len(cost), len(cost)))
+    solver = clarabel.DefaultSolver(P, cost, A, b, [cone.kind for cone in cones], settings)
+    solution = solver.solve()
+    solved = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
+    if solution.status not in solved:
+        return None
+    v = np.array(solution.x)
+    return v if np.isfinite(v).all() else None

@@ -1,0 +1,181 @@
+"""The identified base parameters of a file as a demand on the links, and how well it is met."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.export.consistent import Demand
+from seqid_cli.model.torque import known_rotors, standard_parameters
+from seqid_cli.params.schema import Parameter, RigidStage, Stages
+from seqid_cli.robot.base import Basis, free_basis
+from seqid_cli.robot.regressor import PER_LINK
+from seqid_cli.robot.types import Array, Robot
+
+_LEAST_ERROR = 1e-9  # of a parameter's scale; data without noise give no errors to weigh by
+_LARGEST = 1e9  # kg, kg m, kg m^2; nothing with joints is larger
+_LEAST_VARIANCE = 1e-10  # of a combination of parameters, in units of their own variances
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A base parameter that no body can have as identified, and what is exported instead."""
+
+    name: str
+    unit: str
+    identified: float
+    exported: float
+    std_error: float
+
+    @property
+    def std_errors(self) -> float | None:
+        """The difference in standard errors; None where the file gives no error."""
+        if self.std_error <= 0.0:
+            return None
+        return (self.exported - self.identified) / self.std_error
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What the rigid-body stages of a file say.
+
+    `values`, `errors` (b,) and `covariance` (b, b) are of the base parameters `rows` of `basis`,
+    the ones that the logs determined; `known` (n,) kg m^2 are rotor inertias of the robot file and
+    `free` lists joints whose rotor inertia was identified.
+    """
+
+    basis: Basis
+    rows: tuple[int, ...]
+    values: Array
+    errors: Array
+    covariance: Array
+    known: Array
+    free: tuple[int, ...]
+
+    @property
+    def demand(self) -> Demand:
+        """The same for the solver."""
+        links = PER_LINK * len(self.known)
+        E = self.basis.expression[list(self.rows)]
+        scale = np.abs(self.values).max(initial=0.0) + np.abs(self.errors).max(initial=0.0)
+        rotors = [links + j for j in self.free]
+        return Demand(
+            E[:, :links],
+            E[:, rotors],
+            self.values,
+            _whitening(self.covariance, _LEAST_ERROR * max(scale, 1e-12)),
+        )
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """Expressions of the base parameters that the logs did not determine."""
+        every = range(self.basis.size)
+        return tuple(self.basis.expression_text(k) for k in every if k not in self.rows)
+
+    def deviations(self, phi: Array, rotor: Array) -> tuple[Deviation, ...]:
+        """Compare with links (n, 10) and rotors (n,), the identified ones in `free`."""
+        E = self.basis.expression[list(self.rows)]
+        exported = E @ np.concatenate([phi.ravel(), rotor])
+        return tuple(
+            Deviation(
+                self.basis.names[k], self.basis.unit(k), float(value), float(other), float(error)
+            )
+            for k, value, other, error in zip(
+                self.rows, self.values, exported, self.errors, strict=True
+            )
+        )
+
+
+def identified(stages: Stages, robot: Robot, *, more: Array | None = None) -> Identified:
+    """Collect the base parameters of a file.
+
+    Parameters
+    ----------
+    stages : Stages
+        With gravity, with inertia, with both, or with neither.
+    robot : Robot
+    more : (11 n,) array, optional
+        Standard parameters, rotors last, that effects add to the identified ones.
+
+    Raises
+    ------
+    ConfigError
+        If the parameters are not those of this robot file, or of no arm.
+    """
+    basis = free_basis(robot)
+    rigid = stages.inertia or stages.gravity
+    phi = np.zeros(basis.expression.shape[1])
+    if rigid is not None:
+        links, rotor = standard_parameters(rigid, robot.n)
+        phi = np.concatenate([links.ravel(), rotor])
+    if more is not None:
+        phi = phi + more
+    found, covariance = _determined(stages, basis, robot)
+    rows = tuple(basis.names.index(parameter.name) for parameter in found)
+    known = np.array([joint.rotor_inertia is not None for joint in robot.joints])
+    first = PER_LINK * robot.n
+    if not (np.abs(phi) < _LARGEST).all():
+        raise ConfigError(
+            f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {_LARGEST:g}",
+            where=str(robot.source),
+            hint="The file was edited or damaged: run the stage again that wrote it.",
+        )
+    values = basis.expression @ phi
+    seen = basis.expression[list(rows)][:, first:].any(axis=0) & ~known
+    return Identified(
+        basis=basis,
+        rows=rows,
+        values=values[list(rows)],
+        errors=np.array([parameter.std_error for parameter in found]),
+        covariance=covariance,
+        known=np.where(known, phi[first:], 0.0) if stages.inertia else known_rotors(robot),
+        free=tuple(int(j) for j in np.flatnonzero(seen)),
+    )
+
+
+def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parameter], Array]:
+    """Parameters that the logs determined, inertia's word before gravity's, and covariance."""
+    found: list[Parameter] = []
+    blocks: list[Array] = []
+    for name, stage in (("inertia", stages.inertia), ("gravity", stages.gravity)):
+        if stage is None:
+            continue
+        _check(name, stage, basis, robot)
+        taken = {parameter.name for parameter in found}
+        own = [k for k, parameter in enumerate(stage.parameters) if parameter.name not in taken]
+        errors = np.array([parameter.std_error for parameter in stage.parameters])
+        full = np.array(stage.covariance) if stage.covariance else np.diag(errors**2)
+        found += [stage.parameters[k] for k in own]
+        blocks.append(full[np.ix_(own, own)])
+    covariance = np.zeros((len(found), len(found)))
+    start = 0
+    for block in blocks:
+        part = slice(start, start + len(block))
+        covariance[part, part] = block
+        start += len(block)
+    return found, covariance
+
+
+def _check(name: str, stage: RigidStage, basis: Basis, robot: Robot) -> None:
+    for parameter in stage.parameters:
+        if parameter.name not in basis.names:
+            raise ConfigError(
+                f"$.stages.{name}: {parameter.name!r} is no base parameter of this robot",
+                where=str(robot.source),
+                hint="The robot file has changed since: geometry, gravity or known rotor inertias."
+                " Give the one that the parameters were identified with, or identify again.",
+            )
+
+
+def _whitening(covariance: Array, least: float) -> Array:
+    """Return W with W'W the inverse of the covariance, errors bounded from below."""
+    if not len(covariance):
+        return np.zeros((0, 0))
+    errors = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), least)
+    correlation = covariance / np.outer(errors, errors)
+    np.fill_diagonal(correlation, 1.0)
+    variances, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    W: Array = (axes / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))).T / errors
+    return W

@@ -1,0 +1,202 @@
+"""What is exported, whatever the format: bodies, rotors, friction, and what had to be left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.export.consistent import consistent_links
+from seqid_cli.export.demand import Deviation, Identified, identified
+from seqid_cli.export.effects import absorbed_effects
+from seqid_cli.export.friction_fit import SimpleFriction, simple_friction
+from seqid_cli.export.prior import Expected, expected_links
+from seqid_cli.export.urdf_tree import UrdfBody
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.regressor import PER_LINK, Coupling
+from seqid_cli.robot.types import Array, Robot
+
+POOR_FRICTION = 0.2  # misfit of Coulomb and viscous friction, over friction, worth a word
+
+
+@dataclass(frozen=True)
+class ExportModel:
+    """One arm, ready to be written.
+
+    Attributes
+    ----------
+    robot : Robot
+    own : (n, 10) array
+        Standard parameters of what is written as each link's inertial.
+    kept : (n, 10) array
+        The rest of each body: links behind other joints, which stay as they are.
+    rotor : (n,) array
+        Rotor inertias, motor side [kg m^2].
+    coupling : {"diagonal", "gyroscopic"}
+    surfaces : list of FrictionSurface or None
+    friction : list of SimpleFriction or None
+    deviations : tuple of Deviation
+        Of every identified base parameter.
+    exact : bool
+        Whether the identified base parameters are met exactly.
+    from_cad : tuple of bool
+        Whether a link's expected inertial came from the URDF.
+    notes : tuple of str
+        What the reader of the file has to know.
+    """
+
+    robot: Robot
+    own: Array
+    kept: Array
+    rotor: Array
+    coupling: Coupling
+    surfaces: tuple[FrictionSurface | None, ...]
+    friction: tuple[SimpleFriction | None, ...]
+    deviations: tuple[Deviation, ...]
+    exact: bool
+    from_cad: tuple[bool, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def bodies(self) -> Array:
+        """Standard parameters (n, 10) of all that each joint moves."""
+        return self.own + self.kept
+
+    @property
+    def armature(self) -> Array:
+        """Rotor inertias (n,) as the joints feel them, kg m^2 [kg where prismatic]."""
+        reflected: Array = gear_ratios(self.robot) ** 2 * self.rotor
+        return reflected
+
+    @property
+    def largest_deviation(self) -> float:
+        """The largest deviation of a base parameter, in standard errors."""
+        sizes = [abs(d.std_errors) for d in self.deviations if d.std_errors is not None]
+        return max(sizes, default=0.0)
+
+
+def export_model(
+    robot: Robot, stages: Stages, bodies: tuple[UrdfBody, ...] | None = None
+) -> ExportModel:
+    """Find physically consistent parameters of a whole arm.
+
+    Parameters
+    ----------
+    robot : Robot
+    stages : Stages
+        Whatever was identified. Without an inertia stage the URDF must say what is missing.
+    bodies : tuple of UrdfBody, optional
+        The links of the URDF that belong to each joint.
+
+    Returns
+    -------
+    ExportModel
+
+    Raises
+    ------
+    ConfigError
+        If neither the file nor the URDF knows the inertias, or the file is of another robot.
+    QualityError
+        If no physically consistent parameters are found.
+    """
+    _check_enough(robot, stages)
+    effects = absorbed_effects(stages, robot)
+    demand = identified(stages, robot, more=effects.parameters)
+    kept = np.zeros((robot.n, PER_LINK))
+    if bodies is not None:
+        kept = np.array([body.kept for body in bodies])
+    own, rotor, exact, expected = _links(robot, demand, kept)
+    rigid = stages.inertia or stages.gravity
+    coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
+    surfaces = tuple(friction_surfaces(stages, robot))
+    friction = tuple(None if s is None else simple_friction(s) for s in surfaces)
+    return ExportModel(
+        robot=robot,
+        own=own,
+        kept=kept,
+        rotor=rotor,
+        coupling="gyroscopic" if coupled else "diagonal",
+        surfaces=surfaces,
+        friction=friction,
+        deviations=demand.deviations(own + kept, rotor),
+        exact=exact,
+        from_cad=expected.from_cad,
+        notes=(
+            *_notes_on_links(robot, stages, demand, expected),
+            *_notes_on_friction(robot, friction),
+            *effects.notes,
+        ),
+    )
+
+
+def _check_enough(robot: Robot, stages: Stages) -> None:
+    if stages.inertia is None and robot.nominal is None:
+        raise ConfigError(
+            "the file holds no inertia stage, and the robot file names no URDF with inertials that "
+            "could stand in",
+            where=str(robot.source),
+            hint="Run seqid inertia first and export its result.",
+        )
+
+
+def _links(robot: Robot, demand: Identified, kept: Array) -> tuple[Array, Array, bool, Expected]:
+    """Links (n, 10) without `kept`, rotors (n,), whether exact, and what had been expected."""
+    wanted = demand.demand
+    fixed = wanted.E @ kept.ravel()
+    expected = expected_links(robot, kept, wanted.E, wanted.values - fixed)
+    wanted = type(wanted)(wanted.E, wanted.G, wanted.values - fixed, wanted.whitening)
+    ratio = gear_ratios(robot)
+    sizes = np.array([_turning(expected.J[j]) / ratio[j] ** 2 for j in demand.free])
+    found = consistent_links(expected.J, sizes, wanted)
+    rotor = demand.known.copy()
+    rotor[list(demand.free)] = found.rotors
+    return found.phi, rotor, found.exact, expected
+
+
+def _turning(J: Array) -> float:
+    """Size of a link's inertia, kg m^2."""
+    return float(np.trace(J[:3, :3]))
+
+
+def _notes_on_links(
+    robot: Robot, stages: Stages, demand: Identified, expected: Expected
+) -> list[str]:
+    notes = []
+    if stages.inertia is None:
+        what = "masses and inertias" if stages.gravity is None else "inertias"
+        notes.append(f"no inertia stage in the file: {what} are the URDF's, as far as gravity lets")
+    elif demand.open:
+        notes.append("not determined by the logs, so as in the prior: " + "; ".join(demand.open))
+    guessed = [
+        name for name, cad in zip(robot.joint_names, expected.from_cad, strict=True) if not cad
+    ]
+    if guessed:
+        notes.append(
+            "no inertial in a URDF, so that what torque does not show was guessed from the arm's "
+            "geometry (the torque does not depend on it): links of " + ", ".join(guessed)
+        )
+    return notes
+
+
+def _notes_on_friction(robot: Robot, friction: tuple[SimpleFriction | None, ...]) -> list[str]:
+    notes = []
+    for name, fit in zip(robot.joint_names, friction, strict=True):
+        if fit is None:
+            notes.append(f"{name}: friction was not identified and is left out")
+            continue
+        if fit.misfit > POOR_FRICTION * fit.size:
+            share = 100.0 * fit.misfit / fit.size
+            notes.append(
+                f"{name}: Coulomb and viscous friction miss {share:.0f} % of the identified "
+                f"friction surface ({fit.misfit:.3g} of {fit.size:.3g} RMS)"
+            )
+        if abs(fit.offset) > POOR_FRICTION * fit.size:
+            notes.append(
+                f"{name}: a constant of {fit.offset:.3g} that does not change with the direction "
+                "has no place in model files"
+            )
+    return notes

@@ -1,0 +1,82 @@
+"""Pseudo-inertia matrices: when inertial parameters belong to a body that can exist.
+
+With m the mass, h = m c the first moment and I the inertia about the frame's origin, the matrix
+
+    J = [S  h]        S = 1/2 tr(I) 1 - I
+        [h' m],
+
+the second moment of the mass density in homogeneous coordinates, is positive definite exactly if
+some density of positive mass has these parameters (Wensing, Kim, Slotine, "Linear matrix
+inequalities for physically consistent inertial parameter identification", RA-L 2018). It moves with
+a frame as J_A = T_AB J_B T_AB'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.robot.types import Array
+
+
+def pseudo_inertia(phi: Array) -> Array:
+    """Return J (..., 4, 4) of standard parameters (..., 10) in Pinocchio's order."""
+    m, mx, my, mz, xx, xy, yy, xz, yz, zz = np.moveaxis(np.asarray(phi, dtype=float), -1, 0)
+    half = 0.5 * (xx + yy + zz)
+    rows = [
+        [half - xx, -xy, -xz, mx],
+        [-xy, half - yy, -yz, my],
+        [-xz, -yz, half - zz, mz],
+        [mx, my, mz, m],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def standard_of(J: Array) -> Array:
+    """Return the standard parameters (..., 10) of J (..., 4, 4)."""
+    S, h, m = J[..., :3, :3], J[..., :3, 3], J[..., 3, 3]
+    trace = np.trace(S, axis1=-2, axis2=-1)
+    xx, yy, zz = (trace - S[..., k, k] for k in range(3))
+    inertia = [xx, -S[..., 0, 1], yy, -S[..., 0, 2], -S[..., 1, 2], zz]
+    return np.stack([m, *np.moveaxis(h, -1, 0), *inertia], axis=-1)
+
+
+_NOTHING = 1e-15  # of a body's size; smaller components are rounding
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body as model files write it: mass kg, centre of mass m, inertia about it kg m^2.
+
+    `inertia` (3, 3) is in the axes of the link's frame.
+    """
+
+    mass: float
+    center: Array
+    inertia: Array
+
+    @classmethod
+    def of(cls, phi: Array) -> Body:
+        """Take standard parameters (10,) of a positive mass apart."""
+        J = pseudo_inertia(phi)
+        mass = float(J[3, 3])
+        center = J[:3, 3] / mass
+        S = J[:3, :3] - mass * np.outer(center, center)
+        inertia = np.trace(S) * np.eye(3) - S
+        reach = np.sqrt(np.trace(J[:3, :3]) / mass)
+        return cls(mass, _tidy(center, reach), _tidy(inertia, np.trace(inertia)))
+
+    @property
+    def standard(self) -> Array:
+        """Standard parameters (10,), inertia about the frame's origin."""
+        S = 0.5 * np.trace(self.inertia) * np.eye(3) - self.inertia
+        J = np.empty((4, 4))
+        J[:3, :3] = S + self.mass * np.outer(self.center, self.center)
+        J[:3, 3] = J[3, :3] = self.mass * self.center
+        J[3, 3] = self.mass
+        return standard_of(J)
+
+
+def _tidy(values: Array, size: float) -> Array:
+    return np.where(np.abs(values) > _NOTHING * size, values, 0.0)

@@ -1,0 +1,59 @@
+"""Numbers and remarks as model files carry them, whatever their format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from seqid_cli import __version__
+from seqid_cli.export.model import ExportModel
+
+_DIGITS = 15
+_TOLD = 0.1  # standard errors; smaller deviations are not worth a line
+
+
+def real(value: float) -> str:
+    """Return a number in 15 digits, always with a point: YAML takes 9e-05 for text."""
+    mantissa, mark, exponent = f"{float(value) + 0.0:.{_DIGITS}g}".partition("e")
+    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{mark}{exponent}"
+
+
+def reals(values: Iterable[float]) -> str:
+    """Return numbers with spaces between them."""
+    return " ".join(real(value) for value in values)
+
+
+def plain(text: str) -> str:
+    """Return text that can stand in a comment of XML, YAML or C: ASCII, on one line, no marks."""
+    ascii_only = text.encode("ascii", "replace").decode().replace("?", ".")
+    line = "".join(c if c.isprintable() else " " for c in ascii_only)
+    for mark, harmless in (("--", "- -"), ("*/", "* /"), ("/*", "/ *"), ("\\", "/")):
+        while mark in line:
+            line = line.replace(mark, harmless)
+    return line.rstrip("-")
+
+
+def remarks(model: ExportModel) -> list[str]:
+    """Return what a reader of any exported file must know, a line each."""
+    state = "exactly" if model.exact else "but for the deviations that follow"
+    lines = [
+        f"Inertial parameters of {model.robot.name!r} identified by seqid {__version__}.",
+        "Every link is physically consistent; what torque does not show is nearest to the prior.",
+        f"The identified base parameters are met {state}.",
+    ]
+    lines += [
+        f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
+        f" ({d.std_errors:+.2f} standard errors)"
+        for d in model.deviations
+        if not model.exact and d.std_errors is not None and abs(d.std_errors) >= _TOLD
+    ]
+    for joint, fit in zip(model.robot.joints, model.friction, strict=True):
+        if fit is not None:
+            force, speed = ("N", "m/s") if joint.prismatic else ("N m", "rad/s")
+            lines.append(
+                f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g} friction,"
+                f" RMS misfit {fit.misfit:.3g} {force} over"
+                f" {fit.speeds[0]:.3g} to {fit.speeds[1]:.3g} {speed}"
+            )
+    if model.coupling == "gyroscopic":
+        lines.append("Rotors turn the links that carry them as well; an armature leaves that out.")
+    return [plain(line) for line in [*lines, *model.notes]]

@@ -1,0 +1,210 @@
+"""URDF: the original file with other inertials and joint dynamics, or a new one of a DH robot.
+
+URDF has no place for rotor inertia. It is written where readers look for it: as `drake:` tags in
+the joint's transmission (with the gear ratio beside it, as Drake reads them), and in a comment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.dom import minidom
+from xml.dom.minidom import Comment, Document, Element, Text
+
+from seqid_cli.export.model import ExportModel
+from seqid_cli.export.pseudo_inertia import Body
+from seqid_cli.export.text import plain, real, reals, remarks
+from seqid_cli.export.urdf_tree import UrdfBody, rpy_of_rotation
+from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.types import Array, Joint
+
+_NO_LIMIT = 1.0e3  # N m, rad/s, m: URDF wants a number where the robot file has none
+_DRAKE = "http://drake.mit.edu"
+
+
+def edited_urdf(raw: bytes, bodies: Sequence[UrdfBody], model: ExportModel) -> str:
+    """Return a URDF with the arm's inertials, damping and friction replaced.
+
+    Everything else (visuals, collisions, limits, other branches, comments) stays as it is. A body's
+    inertial goes to the link behind its joint; links fixed to that one lose theirs.
+
+    Parameters
+    ----------
+    raw : bytes
+        The original.
+    bodies : sequence of UrdfBody
+        Its links that belong to each joint.
+    model : ExportModel
+    """
+    document = minidom.parseString(raw)
+    root = document.documentElement
+    assert root is not None
+    links = {element.getAttribute("name"): element for element in _children(root, "link")}
+    joints = {element.getAttribute("name"): element for element in _children(root, "joint")}
+    for k, body in enumerate(bodies):
+        _set_inertial(document, links[body.link], model.own[k])
+        for name in body.merged:
+            _drop_inertial(document, links[name], body.link)
+        _set_joint(document, joints[model.robot.joint_names[k]], model, k)
+        _set_transmission(document, root, model, k)
+    _head(document, root, model)
+    return _text(document)
+
+
+def urdf_of_chain(model: ExportModel) -> str:
+    """Return a new URDF of a robot that is described by DH parameters.
+
+    Links are named after their joints, `<joint>_link`; the base is `base_link`.
+    """
+    document = Document()
+    root = document.createElement("robot")
+    root.setAttribute("name", model.robot.name)
+    document.appendChild(root)
+    _add(document, root, "link", name="base_link")
+    parent = "base_link"
+    for k, joint in enumerate(model.robot.joints):
+        child = f"{joint.name}_link"
+        link = _add(document, root, "link", name=child)
+        _set_inertial(document, link, model.own[k])
+        element = _new_joint(document, root, model, k)
+        _add(document, element, "parent", link=parent)
+        _add(document, element, "child", link=child)
+        _set_joint(document, element, model, k)
+        _set_transmission(document, root, model, k)
+        parent = child
+    _head(document, root, model)
+    return _pretty(document)
+
+
+def _new_joint(document: Document, root: Element, model: ExportModel, k: int) -> Element:
+    joint, chain = model.robot.joints[k], model.robot.chain
+    kind = "prismatic" if joint.prismatic else "revolute" if joint.position_limits else "continuous"
+    element = _add(document, root, "joint", name=joint.name, type=kind)
+    rpy = rpy_of_rotation(chain.rotation[k])
+    _add(document, element, "origin", xyz=reals(chain.position[k]), rpy=reals(rpy))
+    _add(document, element, "axis", xyz=reals(chain.axis[k]))
+    _add(document, element, "limit", 0, **_limits(joint, kind))
+    return element
+
+
+def _limits(joint: Joint, kind: str) -> dict[str, str]:
+    limits = {"effort": real(_NO_LIMIT), "velocity": real(joint.velocity_limit or _NO_LIMIT)}
+    if kind != "continuous":
+        low, high = joint.position_limits or (-_NO_LIMIT, _NO_LIMIT)
+        limits |= {"lower": real(low), "upper": real(high)}
+    return limits
+
+
+def _set_inertial(document: Document, link: Element, phi: Array) -> None:
+    body = Body.of(phi)
+    inertial = document.createElement("inertial")
+    inertial.appendChild(document.createTextNode("\n    "))
+    _add(document, inertial, "origin", 3, xyz=reals(body.center), rpy="0 0 0")
+    _add(document, inertial, "mass", 3, value=real(body.mass))
+    names = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2))
+    entries = {name: real(body.inertia[i, j]) for name, i, j in (*names, ("izz", 2, 2))}
+    _add(document, inertial, "inertia", 3, **entries)
+    old = _children(link, "inertial")
+    if old:
+        link.replaceChild(inertial, old[0])
+    else:
+        _place(document, link, inertial, 2)
+
+
+def _drop_inertial(document: Document, link: Element, into: str) -> None:
+    for old in _children(link, "inertial"):
+        link.replaceChild(document.createComment(plain(f" seqid: part of {into} ")), old)
+
+
+def _set_joint(document: Document, joint: Element, model: ExportModel, k: int) -> None:
+    fit = model.friction[k]
+    if fit is not None:
+        there = _children(joint, "dynamics")
+        dynamics = there[0] if there else _add(document, joint, "dynamics", 2)
+        dynamics.setAttribute("damping", real(fit.viscous))
+        dynamics.setAttribute("friction", real(fit.coulomb))
+    if model.armature[k] > 0.0:
+        text = f" seqid: armature {real(model.armature[k])}, not in the inertials "
+        _place(document, joint, document.createComment(plain(text)), 2)
+
+
+def _set_transmission(document: Document, root: Element, model: ExportModel, k: int) -> None:
+    """Write rotor inertia and gear ratio into the joint's transmission, made if missing."""
+    if model.rotor[k] <= 0.0:
+        return
+    name, ratio = model.robot.joint_names[k], abs(float(gear_ratios(model.robot)[k]))
+    actuator = _actuator(root, name) or _new_actuator(document, root, name, ratio)
+    root.setAttribute("xmlns:drake", _DRAKE)
+    for tag, value in (("rotor_inertia", model.rotor[k]), ("gear_ratio", ratio)):
+        for old in _children(actuator, f"drake:{tag}"):
+            actuator.removeChild(old)
+        _add(document, actuator, f"drake:{tag}", 3, value=real(value))
+
+
+def _actuator(root: Element, joint: str) -> Element | None:
+    for transmission in _children(root, "transmission"):
+        names = [element.getAttribute("name") for element in _children(transmission, "joint")]
+        actuators = _children(transmission, "actuator")
+        if names == [joint] and len(actuators) == 1:
+            return actuators[0]
+    return None
+
+
+def _new_actuator(document: Document, root: Element, joint: str, ratio: float) -> Element:
+    transmission = document.createElement("transmission")
+    transmission.setAttribute("name", f"{joint}_transmission")
+    transmission.appendChild(document.createTextNode("\n  "))
+    kind = _add(document, transmission, "type", 2)
+    kind.appendChild(document.createTextNode("transmission_interface/SimpleTransmission"))
+    of = _add(document, transmission, "joint", 2, name=joint)
+    interface = _add(document, of, "hardwareInterface")
+    interface.appendChild(document.createTextNode("hardware_interface/EffortJointInterface"))
+    actuator = _add(document, transmission, "actuator", 2, name=f"{joint}_motor")
+    actuator.appendChild(document.createTextNode("\n    "))
+    reduction = _add(document, actuator, "mechanicalReduction", 3)
+    reduction.appendChild(document.createTextNode(real(ratio)))
+    _place(document, root, transmission, 1)
+    return actuator
+
+
+def _head(document: Document, root: Element, model: ExportModel) -> None:
+    text = "\n".join(f"  {line}" for line in remarks(model))
+    comment = document.createComment(f"\n{text}\n")
+    root.insertBefore(comment, root.firstChild)
+    root.insertBefore(document.createTextNode("\n  "), root.firstChild)
+
+
+def _children(parent: Element, tag: str) -> list[Element]:
+    return [node for node in parent.childNodes if isinstance(node, Element) and node.tagName == tag]
+
+
+def _add(
+    document: Document, parent: Element, tag: str, depth: int = 0, /, **attributes: str
+) -> Element:
+    element = document.createElement(tag)
+    for name, value in attributes.items():
+        element.setAttribute(name, value)
+    _place(document, parent, element, depth)
+    return element
+
+
+def _place(document: Document, parent: Element, node: Element | Comment, depth: int) -> None:
+    """Append a node on a line of its own where the parent's children have theirs."""
+    last = parent.lastChild
+    if depth and isinstance(last, Text) and last.data.isspace():
+        parent.insertBefore(document.createTextNode("\n" + "  " * depth), last)
+        parent.insertBefore(node, last)
+    else:
+        parent.appendChild(node)
+
+
+def _text(document: Document) -> str:
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        + "\n".join(node.toxml() for node in document.childNodes)
+        + "\n"
+    )
+
+
+def _pretty(document: Document) -> str:
+    pretty = document.toprettyxml(indent="  ", encoding="utf-8").decode()
+    return "\n".join(line for line in pretty.splitlines() if line.strip()) + "\n"

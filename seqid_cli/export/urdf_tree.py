@@ -1,0 +1,162 @@
+"""Which links of a URDF make up each body of the arm, read off its XML.
+
+A body is the link behind an identified joint and all that hangs on it up to the next one. What is
+fixed to the link is merged into it. What hangs behind another joint (a gripper's finger) was locked
+at zero during identification, but moves for those who load the file: it keeps its own inertial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.export.pseudo_inertia import Body, pseudo_inertia, standard_of
+from seqid_cli.robot.types import Array
+
+
+@dataclass(frozen=True)
+class UrdfBody:
+    """The links that one identified joint moves: `merged` are fixed to `link`.
+
+    `kept` (10,) are the standard parameters, in the frame of `link`, of all links behind joints
+    that are not identified; zero where there are none, `loose` names those links.
+    """
+
+    link: str
+    merged: tuple[str, ...]
+    loose: tuple[str, ...]
+    kept: Array
+
+
+def bodies_of_urdf(raw: bytes, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
+    """Find the body of each of the identified `joints`.
+
+    Parameters
+    ----------
+    raw : bytes
+        The URDF, already known to be well-formed and usable.
+    joints : sequence of str
+        Names of identified joints, in chain order.
+
+    Raises
+    ------
+    ConfigError
+        If a number in it cannot be read.
+    """
+    try:
+        return _bodies(raw, joints)
+    except ValueError as problem:
+        raise ConfigError(
+            f"a number in the URDF cannot be read: {problem}", hint="Correct it in the URDF."
+        ) from None
+
+
+def _bodies(raw: bytes, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
+    root = ElementTree.fromstring(raw)
+    children: dict[str, list[ElementTree.Element]] = {}
+    by_name = {}
+    for joint in root.findall("joint"):
+        by_name[joint.get("name", "")] = joint
+        children.setdefault(_end(joint, "parent"), []).append(joint)
+    inertials = {
+        link.get("name", ""): phi
+        for link in root.findall("link")
+        if (phi := _inertial(link)) is not None
+    }
+    own = frozenset(joints)
+    return tuple(_body(_end(by_name[name], "child"), children, inertials, own) for name in joints)
+
+
+def _body(
+    link: str,
+    children: Mapping[str, Sequence[ElementTree.Element]],
+    inertials: Mapping[str, Array],
+    joints: frozenset[str],
+) -> UrdfBody:
+    merged, loose, kept = [], [], np.zeros((4, 4))
+    for name, placement, moves in _below(link, children, joints):
+        if moves:
+            loose.append(name)
+            if name in inertials:
+                kept += placement @ inertials[name] @ placement.T
+        else:
+            merged.append(name)
+    return UrdfBody(link, tuple(merged), tuple(loose), standard_of(kept))
+
+
+def _below(
+    link: str, children: Mapping[str, Sequence[ElementTree.Element]], joints: frozenset[str]
+) -> Iterator[tuple[str, Array, bool]]:
+    """Yield links below `link` up to the next identified joint: name, placement, whether loose."""
+    pending = [(link, np.eye(4), False)]
+    while pending:
+        parent, placement, moves = pending.pop()
+        for joint in children.get(parent, ()):
+            if joint.get("name", "") in joints:
+                continue
+            child = _end(joint, "child")
+            where = placement @ _origin(joint)
+            loose = moves or joint.get("type") != "fixed"
+            yield child, where, loose
+            pending.append((child, where, loose))
+
+
+def _end(joint: ElementTree.Element, which: str) -> str:
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
+
+
+def _inertial(link: ElementTree.Element) -> Array | None:
+    """Return the pseudo-inertia (4, 4) of a link in its own frame; None without an inertial."""
+    inertial = link.find("inertial")
+    mass = None if inertial is None else inertial.find("mass")
+    entries = None if inertial is None else inertial.find("inertia")
+    if inertial is None or mass is None or entries is None:
+        return None
+    values = [float(entries.get(name, "0")) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
+    xx, xy, xz, yy, yz, zz = values
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    J = pseudo_inertia(Body(float(mass.get("value", "0")), np.zeros(3), inertia).standard)
+    T = _origin(inertial)
+    placed: Array = T @ J @ T.T
+    return placed
+
+
+def _origin(element: ElementTree.Element) -> Array:
+    """Return the placement (4, 4) that an element's <origin> gives."""
+    origin = element.find("origin")
+    T = np.eye(4)
+    if origin is not None:
+        T[:3, 3] = _triple(origin.get("xyz"))
+        T[:3, :3] = rotation_of_rpy(*_triple(origin.get("rpy")))
+    return T
+
+
+def _triple(text: str | None) -> list[float]:
+    return [float(word) for word in (text or "0 0 0").split()]
+
+
+def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """Return Rz(yaw) Ry(pitch) Rx(roll) (3, 3), angles in rad."""
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_of_rotation(R: Array) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw [rad] of a rotation (3, 3), exact near a pitch of 90 degrees too."""
+    level = float(np.hypot(R[0, 0], R[1, 0]))
+    pitch = float(np.arctan2(-R[2, 0], level))
+    if level < 1e-9:  # only one of roll and yaw counts
+        return float(np.arctan2(-R[1, 2], R[1, 1])), pitch, 0.0
+    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))

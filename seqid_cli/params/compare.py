@@ -1,0 +1,321 @@
+"""Two results of one robot side by side, and what of the second is another than of the first.
+
+What counts as another number says `comparison`. The size of a rigid-body parameter is at least a
+thousandth of the largest of the same unit in its stage, so that those that are really zero have one
+too; friction surfaces are compared over the positions and speeds of both, not by coefficients.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.comparison import (
+    Comparison,
+    Difference,
+    Rule,
+    judged,
+    missing,
+    unlike,
+)
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.document import present
+from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.params.read_any import Document, Source
+from seqid_cli.params.schema import (
+    EffectOfJoint,
+    FrictionJoint,
+    FrictionStage,
+    ImuStage,
+    Parameter,
+    ParameterFile,
+    RigidStage,
+    Stages,
+)
+
+Array = NDArray[np.float64]
+
+_LEAST_SIZE = 1e-3  # of the largest parameter of the same unit
+_POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
+
+
+def compare(a: Source, b: Source, *, rule: Rule) -> Comparison:
+    """Compare two parameter, prediction or diagnosis files.
+
+    Parameters
+    ----------
+    a, b : Source
+        Two documents of one kind.
+    rule : Rule
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    UsageError
+        If they are of different kinds.
+    ConfigError
+        If they are about different robots.
+    """
+    kind = _kind(a.content)
+    if kind != _kind(b.content):
+        raise UsageError(
+            f"is a {_kind(b.content)} file, but {a.path} is a {kind} file",
+            where=b.path,
+            hint="Compare files of one kind.",
+        )
+    _same_robot(a, b)
+    notes = []
+    if a.content.robot.sha256 != b.content.robot.sha256:
+        notes.append("the robot files differ: geometry, limits or drives may have changed")
+    left, right = a.content, b.content
+    if isinstance(left, ParameterFile) and isinstance(right, ParameterFile):
+        found = list(_stages(left.stages, right.stages, rule))
+        notes += _verdict_notes(left.stages, right.stages)
+    elif isinstance(left, PredictionFile) and isinstance(right, PredictionFile):
+        found = list(_predictions(left, right, rule))
+    elif isinstance(left, DiagnosisFile) and isinstance(right, DiagnosisFile):
+        found = list(_diagnoses(left, right, rule))
+    return Comparison(kind, rule, tuple(found), tuple(notes))
+
+
+def _kind(content: Document) -> str:
+    if isinstance(content, ParameterFile):
+        return "parameter"
+    return "prediction" if isinstance(content, PredictionFile) else "diagnosis"
+
+
+def _same_robot(a: Source, b: Source) -> None:
+    mine, theirs = b.content.robot, a.content.robot
+    if (mine.name, mine.joints) != (theirs.name, theirs.joints):
+        raise ConfigError(
+            f"is about robot {mine.name!r} ({', '.join(mine.joints)}), "
+            f"but {a.path} about {theirs.name!r} ({', '.join(theirs.joints)})",
+            where=b.path,
+            hint="Compare results of one robot.",
+        )
+
+
+def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:
+    """Yield the differences of all stages; a stage that one file lacks is one."""
+    left, right = present(a), present(b)
+    for name in left.keys() | right.keys():
+        if name != "effects" and (name not in left or name not in right):
+            yield missing(name, "stage", there=name in left)
+    if a.friction and b.friction:
+        yield from _friction(a.friction, b.friction, rule)
+    for name, one, other in (
+        ("gravity", a.gravity, b.gravity),
+        ("inertia", a.inertia, b.inertia),
+    ):
+        if one and other:
+            yield from _rigid(name, one, other, rule)
+    if a.imu and b.imu:
+        yield from _imus(a.imu, b.imu, rule)
+    yield from _effects(a.effects or [], b.effects or [], rule)
+
+
+def _rigid(name: str, a: RigidStage, b: RigidStage, rule: Rule) -> Iterator[Difference]:
+    largest: dict[str, float] = {}
+    for parameter in (*a.parameters, *b.parameters):
+        size = max(largest.get(parameter.unit, 0.0), abs(parameter.value))
+        largest[parameter.unit] = size
+    least = {unit: _LEAST_SIZE * size for unit, size in largest.items()}
+    yield from _parameters(name, a.parameters, b.parameters, rule, least)
+    if a.rotor_coupling != b.rotor_coupling and a.parameters and b.parameters:
+        remark = f"rotors {a.rotor_coupling}, then {b.rotor_coupling}"
+        yield unlike(name, "rotor coupling", "", remark)
+
+
+def _parameters(
+    stage: str,
+    a: Sequence[Parameter],
+    b: Sequence[Parameter],
+    rule: Rule,
+    least: Mapping[str, float] | None = None,
+    prefix: str = "",
+) -> Iterator[Difference]:
+    left, right = ({parameter.name: parameter for parameter in side} for side in (a, b))
+    for name in [*left, *(name for name in right if name not in left)]:
+        some = left.get(name) or right[name]
+        if name not in left or name not in right:
+            yield missing(stage, prefix + name, joint=some.joint, there=name in left)
+            continue
+        yield judged(
+            stage,
+            prefix + name,
+            some.joint,
+            some.unit,
+            (left[name].value, right[name].value),
+            (left[name].std_error, right[name].std_error),
+            rule,
+            least=(least or {}).get(some.unit, 0.0),
+        )
+
+
+def _friction(a: FrictionStage, b: FrictionStage, rule: Rule) -> Iterator[Difference]:
+    for name in [*a.joints, *(name for name in b.joints if name not in a.joints)]:
+        if name not in a.joints or name not in b.joints:
+            yield missing("friction", "surface", joint=name, there=name in a.joints)
+        else:
+            yield _surface(name, a.joints[name], b.joints[name], rule)
+
+
+def _surface(name: str, a: FrictionJoint, b: FrictionJoint, rule: Rule) -> Difference:
+    """Compare two surfaces over the positions and speeds of both; report the point most changed."""
+    q, v = _shared_grid(a, b)
+    if not len(q):
+        remark = "no position and speed is in the identified range of both"
+        return unlike("friction", "surface", name, remark)
+    one, other = FrictionSurface.from_stage(a), FrictionSurface.from_stage(b)
+    tau_a, tau_b = one.torque(q, v), other.torque(q, v)
+    error = np.hypot(_errors(one, q, v), _errors(other, q, v))
+    size = max(float(np.abs(tau_a).max()), float(np.abs(tau_b).max()))
+    points = [
+        judged(
+            "friction",
+            "surface",
+            name,
+            a.unit,
+            (float(tau_a[k]), float(tau_b[k])),
+            (float(error[k]), 0.0),
+            rule,
+            least=size,
+            remark=f"at {q[k]:.3g}, speed {v[k]:.3g}",
+        )
+        for k in range(len(q))
+    ]
+    return max(points, key=lambda point: (point.different, point.relative or 0.0))
+
+
+def _shared_grid(a: FrictionJoint, b: FrictionJoint) -> tuple[Array, ...]:
+    """Positions and velocities (K,) inside the identified range of both; none if there is none."""
+    (low, high), (slow, fast) = (
+        (max(one[0], other[0]), min(one[1], other[1]))
+        for one, other in ((a.position_range, b.position_range), (a.speed_range, b.speed_range))
+    )
+    slow = max(slow, 3.0 * a.sign_width, 3.0 * b.sign_width)
+    if low > high or slow > fast:
+        return np.empty(0), np.empty(0)
+    speeds = np.linspace(slow, fast, _SPEEDS)
+    q, v = np.meshgrid(np.linspace(low, high, _POSITIONS), np.concatenate([-speeds, speeds]))
+    return q.ravel(), v.ravel()
+
+
+def _errors(
+    surface: FrictionSurface,
+    q: Array,
+    v: Array,
+) -> Array:
+    """Standard errors (K,) of a surface; zero where the file gives none."""
+    X = surface.columns(q, v)
+    if surface.covariance.shape != (X.shape[1], X.shape[1]):
+        return np.zeros(len(q))
+    variance = np.maximum(np.einsum("ki,ij,kj->k", X, surface.covariance, X), 0.0)
+    return np.asarray(np.sqrt(variance))
+
+
+def _imus(a: ImuStage, b: ImuStage, rule: Rule) -> Iterator[Difference]:
+    for name in [*a.imus, *(name for name in b.imus if name not in a.imus)]:
+        if name not in a.imus or name not in b.imus:
+            yield missing("imu", name, there=name in a.imus)
+            continue
+        one, other = a.imus[name], b.imus[name]
+        turn = np.array(one.rotation).T @ np.array(other.rotation)
+        angle = math.atan2(float(np.linalg.norm(turn - turn.T)) / math.sqrt(8.0), _cosine(turn))
+        yield judged(
+            "imu",
+            f"{name} rotation",
+            "",
+            "deg",
+            (0.0, math.degrees(angle)),
+            (one.std_error_deg, other.std_error_deg),
+            rule,
+            least=math.degrees(1.0),
+            remark="angle between the two mountings",
+        )
+
+
+def _cosine(turn: Array) -> float:
+    return 0.5 * (float(np.trace(turn)) - 1.0)
+
+
+def _effects(
+    a: Sequence[EffectOfJoint], b: Sequence[EffectOfJoint], rule: Rule
+) -> Iterator[Difference]:
+    left, right = ({(item.effect, item.joint or ""): item for item in side} for side in (a, b))
+    for key in [*left, *(key for key in right if key not in left)]:
+        effect, joint = key
+        if key not in left or key not in right:
+            yield missing("effects", effect, joint=joint, there=key in left)
+            continue
+        one, other = left[key], right[key]
+        prefix = f"{effect}: "
+        yield from _parameters("effects", one.parameters, other.parameters, rule, prefix=prefix)
+        stated = {parameter.name for parameter in (*one.parameters, *other.parameters)}
+        for name in one.settings.keys() & other.settings.keys() - stated:
+            values = (one.settings[name], other.settings[name])
+            if all(isinstance(x, int | float) and not isinstance(x, bool) for x in values):
+                numbers = (float(values[0]), float(values[1]))
+                yield judged("effects", prefix + name, joint, "", numbers, None, rule)
+
+
+def _predictions(a: PredictionFile, b: PredictionFile, rule: Rule) -> Iterator[Difference]:
+    for joint in [*a.joints, *(name for name in b.joints if name not in a.joints)]:
+        if joint not in a.joints or joint not in b.joints:
+            yield missing("prediction", "joint", joint=joint, there=joint in a.joints)
+            continue
+        one, other = a.joints[joint], b.joints[joint]
+        pairs = (("rmse", one.rmse, other.rmse), ("max_abs", one.max_abs, other.max_abs))
+        yield from _optional("prediction", joint, pairs, rule)
+
+
+def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: Rule) -> Iterator[Difference]:
+    if a.verdict != b.verdict:
+        yield unlike("diagnosis", "verdict", "", f"{a.verdict}, then {b.verdict}")
+    left, right = ({(f.effect, f.joint or ""): f for f in side.findings} for side in (a, b))
+    for effect, joint in [*left, *(key for key in right if key not in left)]:
+        if (effect, joint) not in left or (effect, joint) not in right:
+            yield missing("diagnosis", effect, joint=joint, there=(effect, joint) in left)
+    for joint in a.joints.keys() & b.joints.keys():
+        one, other = a.joints[joint], b.joints[joint]
+        pairs = (
+            ("rmse", one.rmse, other.rmse),
+            ("noise_floor", one.noise_floor, other.noise_floor),
+        )
+        yield from _optional("diagnosis", joint, pairs, rule)
+
+
+def _optional(
+    stage: str,
+    joint: str,
+    pairs: Iterable[tuple[str, float | None, float | None]],
+    rule: Rule,
+) -> Iterator[Difference]:
+    """Judge numbers that either file may lack; nothing to say where both do."""
+    for name, a, b in pairs:
+        if a is not None and b is not None:
+            yield judged(stage, name, joint, "N m", (a, b), None, rule)
+        elif a is not None or b is not None:
+            yield missing(stage, name, joint=joint, there=a is not None)
+
+
+def _verdict_notes(a: Stages, b: Stages) -> list[str]:
+    notes = []
+    for name in ("friction", "gravity", "imu", "inertia"):
+        one, other = getattr(a, name), getattr(b, name)
+        if one is None or other is None:
+            continue
+        good = {v.joint: v.good for v in one.verdicts}
+        for verdict in other.verdicts:
+            if good.get(verdict.joint, verdict.good) != verdict.good:
+                now = "good" if verdict.good else f"poor: {verdict.reason}"
+                notes.append(f"{name}: the verdict on {verdict.joint or 'the stage'} is now {now}")
+    return notes

@@ -1,0 +1,128 @@
+"""When a number has changed: by more than its standard errors and by more than a share of its size.
+
+    |b - a| > sigma sqrt(e_a^2 + e_b^2)    and    |b - a| > rtol max(|a|, |b|, least)
+
+The first alone would call the last digits of another machine a change where data are good; the
+second alone the noise of another log where they are poor. Numbers without a standard error are
+judged by their size alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+DEFAULT_SIGMA = 4.0  # one false alarm in 160 comparisons of 100 parameters each
+DEFAULT_RTOL = 0.01
+ROUNDING = 1e-6  # share of a number's size that other machines and threads may change
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What counts as a change: beyond `sigma` standard errors (None: never asked) and `rtol`."""
+
+    sigma: float | None
+    rtol: float
+
+    @classmethod
+    def of(cls, sigma: float | None, rtol: float | None) -> Rule:
+        """Take the limits that were asked for; with neither, the defaults of both.
+
+        Of one alone, it alone decides, down to rounding.
+        """
+        if sigma is None and rtol is None:
+            return cls(DEFAULT_SIGMA, DEFAULT_RTOL)
+        return cls(sigma, ROUNDING if rtol is None else rtol)
+
+    def broken(self, sigmas: float | None, relative: float | None) -> bool:
+        """Return whether a difference is a change; it is where `relative` is None."""
+        if relative is None:
+            return True
+        if sigmas is not None and self.sigma is not None and sigmas <= self.sigma:
+            return False
+        return relative > self.rtol
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One number in both results.
+
+    `a`, `b` are None where a file does not have it; `std_error` combines those of both, and
+    `sigmas`, `relative` are the difference in units of it and of the number's size. Numbers that
+    are None do not apply. `remark` says where or what else.
+    """
+
+    stage: str
+    name: str
+    joint: str
+    unit: str
+    a: float | None
+    b: float | None
+    std_error: float | None
+    sigmas: float | None
+    relative: float | None
+    different: bool
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All numbers of two results; `notes` are remarks that do not count as changes."""
+
+    kind: str
+    rule: Rule
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def changed(self) -> tuple[Difference, ...]:
+        """The numbers that changed."""
+        return tuple(item for item in self.differences if item.different)
+
+
+def judged(
+    stage: str,
+    name: str,
+    joint: str,
+    unit: str,
+    values: tuple[float, float],
+    errors: tuple[float, float] | None,
+    rule: Rule,
+    *,
+    least: float = 0.0,
+    remark: str = "",
+) -> Difference:
+    """Return two values (and their standard errors) as a difference, judged by a rule.
+
+    `least` is the size that the number has at least.
+    """
+    a, b = values
+    moved = abs(b - a)
+    size = max(abs(a), abs(b), least)
+    relative = moved / size if size > 0.0 else 0.0
+    error = math.hypot(*errors) if errors is not None else 0.0
+    sigmas = moved / error if error > 0.0 else None
+    return Difference(
+        stage=stage,
+        name=name,
+        joint=joint,
+        unit=unit,
+        a=a,
+        b=b,
+        std_error=error if error > 0.0 else None,
+        sigmas=sigmas,
+        relative=relative,
+        different=rule.broken(sigmas, relative),
+        remark=remark,
+    )
+
+
+def missing(stage: str, name: str, *, joint: str = "", there: bool) -> Difference:
+    """Return the change that a number is missing, in the second file where it is `there`."""
+    remark = "only in the first" if there else "only in the second"
+    return unlike(stage, name, joint, remark)
+
+
+def unlike(stage: str, name: str, joint: str, remark: str) -> Difference:
+    """Return a change that has no numbers."""
+    return Difference(stage, name, joint, "", None, None, None, None, None, True, remark)

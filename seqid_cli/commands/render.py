@@ -60,7 +60,9 @@ class Screen:
 
 
 def screen_of(context: typer.Context) -> Screen:
-    """Return the screen that the command line and the environment ask for."""
+    """Return the screen that the command line and the environment ask for, or a caller's own."""
+    if isinstance(context.obj, Screen):
+        return context.obj
     return Screen(
         command=context.info_name or "",
         quiet=screen_flag(context, "quiet"),

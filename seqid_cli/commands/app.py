@@ -35,6 +35,8 @@ class Entry(NamedTuple):
 
 
 COMMANDS: Mapping[str, Entry] = {
+    "init": Entry("init", "Write a robot file from a log and a URDF, to be completed."),
+    "inspect": Entry("inspect", "Look through logs: what is in them and what is wrong."),
     "friction": Entry("friction", "Identify joint friction from constant-velocity moves."),
     "gravity": Entry("gravity", "Identify the gravity parameters, given the friction."),
     "imu-calib": Entry("imu_calib", "Find how accelerometers and IMUs are mounted on the links."),
@@ -43,6 +45,9 @@ COMMANDS: Mapping[str, Entry] = {
     "diagnose": Entry("diagnose", "Find out which physical effects a model lacks."),
     "refine": Entry("refine", "Add the effects that a model lacks, checked on held-out logs."),
     "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
+    "report": Entry("report", "Write the results as one HTML page, the verdict first."),
+    "export": Entry("export", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
+    "compare": Entry("compare", "Compare two results against their standard errors."),
     "completion": Entry("completion", "Print the completion script of a shell."),
 }
 

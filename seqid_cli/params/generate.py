@@ -10,6 +10,7 @@ import msgspec
 
 from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.files import write_text_atomic
+from seqid_cli.params.inspection_schema import INSPECTION_SCHEMA, InspectionFile
 from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA, PredictionFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
@@ -18,6 +19,7 @@ DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     SCHEMA: ParameterFile,
     PREDICTION_SCHEMA: PredictionFile,
     DIAGNOSIS_SCHEMA: DiagnosisFile,
+    INSPECTION_SCHEMA: InspectionFile,
 }
 
 

@@ -54,7 +54,7 @@ def _imu(arm: Arm, imu: AccelerometerArray) -> list[str]:
         "accelerometers = [",
         *rows,
         "]",
-        "gyro = false",
+        f"gyro = {str(imu.gyro_noise is not None).lower()}",
     ]
 
 

@@ -1,0 +1,101 @@
+"""`seqid init`: a robot file from a log and a URDF, to be completed by hand."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from seqid_cli.commands.options import Logs
+from seqid_cli.commands.render import screen_of
+from seqid_cli.errors import UsageError
+from seqid_cli.logs.open import check_log, expand
+from seqid_cli.params.files import check_output, write_text_atomic
+from seqid_cli.robot.urdf_text import read_urdf_text
+
+EXAMPLES = (
+    "seqid init sample_logs/six_joint/friction --urdf sample_logs/six_joint/six_joint.urdf"
+    " -o robot.toml",
+    "seqid init sample_logs/two_joint/imu/joint_2.mcap --name two_joint",
+)
+
+UrdfPath = Annotated[
+    Path | None,
+    typer.Option("--urdf", metavar="FILE", help="URDF of the robot; without it a DH stub is made."),
+]
+TomlOutput = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help="Where the robot file goes; else printed."),
+]
+Name = Annotated[
+    str | None, typer.Option("--name", metavar="NAME", help="The robot's name; else the URDF's.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite a robot file that exists.")]
+
+
+def run(
+    context: typer.Context,
+    logs: Logs,
+    urdf: UrdfPath = None,
+    output: TomlOutput = None,
+    name: Name = None,
+    force: Force = False,
+) -> int:
+    """Write a commented robot file: joints, limits, encoder steps, channels, IMUs as far as known.
+
+    What nobody can read off a log stands in it as a TODO.
+    """
+    screen = screen_of(context)
+    files = expand(logs)
+    for file in files:
+        check_log(file)
+    text = read_urdf_text(urdf) if urdf is not None else None
+    if output is not None:
+        check_output(output, [*files, *([urdf] if urdf else [])])
+        if output.exists() and not force:
+            raise UsageError(
+                "exists already", where=str(output), hint="Give another name, or --force."
+            )
+
+    from seqid_cli.inspect.propose import propose
+    from seqid_cli.robot.template import robot_toml
+
+    proposal = propose(
+        files,
+        urdf=text,
+        urdf_path=_beside(urdf, output),
+        name=name or (urdf.stem if urdf else "robot"),
+    )
+    content = robot_toml(proposal.template)
+    if output is not None:
+        write_text_atomic(output, content, inputs=files)
+    screen.document(
+        {
+            "output": str(output) if output else None,
+            "joints": [joint.name for joint in proposal.template.joints],
+            "todo": list(proposal.todo),
+            "robot_toml": content,
+        }
+    )
+    if output is None and not screen.json:
+        sys.stdout.write(content)
+    for line in proposal.todo:
+        screen.note(f"to do: {line}")
+    if output is not None:
+        screen.note(f"written: {output}")
+        screen.note(f"next: seqid inspect {logs[0]} -r {output}")
+    return 0
+
+
+def _beside(urdf: Path | None, output: Path | None) -> str | None:
+    """Return the URDF's path as seen from the robot file."""
+    if urdf is None:
+        return None
+    folder = output.parent if output is not None else Path()
+    try:
+        return Path(os.path.relpath(urdf, folder)).as_posix()
+    except ValueError:  # on another drive
+        return str(urdf.resolve())

@@ -1,0 +1,121 @@
+"""An inspection on the screen: the verdict first, then logs, joints, moves, findings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from seqid_cli.commands.render import Screen, number, percent
+from seqid_cli.params.inspection_schema import InspectedLog, InspectionFile, InspectionFinding
+
+_WORDS = {
+    "good": "nothing wrong was found",
+    "usable": "with warnings",
+    "faulty": "something is wrong: see the errors",
+    "unreadable": "a log cannot be read",
+}
+_SHOWN = 3  # logs that are shown in detail without -v
+
+
+def show_inspection(screen: Screen, file: InspectionFile) -> None:
+    """Print the verdict, a line per log, the findings, and what moves."""
+    count = f"{len(file.logs)} log" + ("s" if len(file.logs) != 1 else "")
+    screen.result(f"verdict: {file.verdict} - {_WORDS[file.verdict]} ({count})")
+    _logs(screen, file.logs)
+    _findings(screen, file.findings)
+    readable = [log for log in file.logs if log.joints]
+    detailed = readable if screen.verbose or len(readable) <= _SHOWN else []
+    for log in detailed:
+        _details(screen, log)
+    if readable and not detailed:
+        screen.note("joints and moves of each log: add -v")
+    for line in file.advice:
+        screen.note(f"next: {line}")
+
+
+def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
+    columns = ("log", "verdict", "format", "s", "Hz", "jitter", "gaps", "moving", "serves")
+    rows = [
+        (
+            log.path,
+            log.verdict,
+            log.format or "-",
+            number(log.seconds, 4),
+            number(log.rate_hz, 5),
+            percent(log.jitter),
+            str(len(log.gaps)),
+            f"{sum(joint.moves for joint in log.joints)} of {len(log.joints)}",
+            ", ".join(log.serves) or "-",
+        )
+        for log in logs
+    ]
+    screen.table(columns, rows)
+
+
+def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
+    """Print findings, the gravest first; what several logs share comes once."""
+    order = {"error": 0, "warning": 1, "note": 2}
+    shared: dict[tuple[str, str, str, str], list[InspectionFinding]] = {}
+    for item in sorted(findings, key=lambda finding: order[finding.severity]):
+        key = (item.code, item.joint, item.channel, item.message)
+        shared.setdefault(key, []).append(item)
+    for group in shared.values():
+        first = group[0]
+        more = f" (and {len(group) - 1} more logs)" if len(group) > 1 else ""
+        place = [part for part in (first.log + more, first.joint, first.channel) if part]
+        message = first.message.removeprefix(f"{first.joint}: ")
+        screen.result(f"{first.severity} [{first.code}] {': '.join([*place, message])}")
+        screen.result(f"    {first.remedy}")
+
+
+def _details(screen: Screen, log: InspectedLog) -> None:
+    screen.result(f"\n{log.path}")
+    if log.log_minus_header_s is not None:
+        screen.result(f"logged {number(1e3 * log.log_minus_header_s)} ms after the header stamp")
+    columns = ("joint", "moves", "from", "to", "top speed", "encoder step", "effort", "RMS", "degC")
+    rows = [
+        (
+            joint.name,
+            "yes" if joint.moves else "no",
+            number(joint.low),
+            number(joint.high),
+            number(joint.top_speed) if joint.moves else "-",
+            number(joint.encoder_step),
+            joint.effort or "-",
+            number(joint.effort_rms),
+            f"{joint.temperature[0]:.0f} to {joint.temperature[1]:.0f}"
+            if joint.temperature
+            else "-",
+        )
+        for joint in log.joints
+    ]
+    screen.table(columns, rows)
+    moves = [
+        (
+            item.joint,
+            str(item.forward),
+            str(item.backward),
+            number(item.slowest),
+            number(item.fastest),
+            str(item.postures),
+        )
+        for item in log.moves
+    ]
+    screen.table(
+        ("constant velocity", "forward", "backward", "slowest", "fastest", "postures"), moves
+    )
+    if log.moving_together:
+        screen.result(f"moving together: {', '.join(log.moving_together)}")
+    imus = [
+        (
+            imu.name,
+            str(imu.accelerometers),
+            "yes" if imu.gyro else "no",
+            number(imu.rate_hz),
+            number(imu.rest_norm, 4),
+            number(1e3 * imu.delay_s if imu.delay_s is not None else None, 2),
+        )
+        for imu in log.imus
+    ]
+    screen.table(("imu", "accelerometers", "gyro", "Hz", "m/s^2 at rest", "delay ms"), imus)
+    for name, near in log.missing.items():
+        screen.result(f"not in this log: {name}" + (f" (nearest: {near})" if near else ""))

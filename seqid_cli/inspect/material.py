@@ -1,0 +1,96 @@
+"""One log as the checks see it: samples as they were logged, and on one time base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.clocks import tidy
+from seqid_cli.logs.open import check_log
+from seqid_cli.logs.raw import RawLog, Stream, TimeSource
+from seqid_cli.logs.read import READERS, read_recording
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.segments import moving_mask, noise_step
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ABSURD = 1e9  # the reader takes such values as missing
+
+
+@dataclass(frozen=True)
+class LogData:
+    """A log, read.
+
+    `joints` holds the joint samples in the order of time, `moving` (N, n) says where each joint
+    moves on the recording's time base. `modelled` is False where the robot is only guessed from
+    the log, so that nothing may be concluded from its geometry.
+    """
+
+    robot: Robot
+    modelled: bool
+    raw: RawLog
+    joints: Stream
+    recording: Recording
+    step: Array  # (n,) rad, what counts as more than encoder noise
+    moving: Mask
+
+    @property
+    def t(self) -> Array:
+        """Seconds of the joint samples since the first, (M,)."""
+        stamps = self.joints.stamp_ns
+        seconds: Array = (stamps - stamps[0]).astype(np.float64) * 1e-9
+        return seconds
+
+    def effort(self) -> tuple[str, Array] | None:
+        """Return which of torque and current was logged, and its values (M, n); None if neither."""
+        choices = ("current", "torque") if self.raw.prefer_current else ("torque", "current")
+        for quantity in choices:
+            values = self.joints.channels.get(quantity)
+            if values is not None and np.isfinite(values).any():
+                return quantity, values
+        return None
+
+    def moves(self, joint: int) -> bool:
+        """Whether a joint moves at all."""
+        return bool(self.moving[:, joint].any())
+
+    def moving_samples(self, joint: int) -> Mask:
+        """Where a joint moves, on the joint samples (M,)."""
+        base = self.recording
+        seconds = (self.joints.stamp_ns * 1e-9 - base.start) * base.rate_hz
+        rows = np.clip(np.rint(seconds), 0, len(base.t) - 1).astype(np.intp)
+        here: Mask = self.moving[rows, joint]
+        return here
+
+
+def read_log(path: Path, robot: Robot, *, modelled: bool, time_source: TimeSource) -> LogData:
+    """Read a log for inspection.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or lacks what the robot file promises.
+    """
+    recording = read_recording(path, robot, time_source=time_source)
+    raw = READERS[check_log(path)](path, robot, time_source)
+    step = noise_step(recording.q, encoder_resolution(robot))
+    return LogData(
+        robot=robot,
+        modelled=modelled,
+        raw=raw,
+        joints=_without_absurd(tidy(raw.joints).stream),
+        recording=recording,
+        step=step,
+        moving=moving_mask(recording.q, recording.rate_hz, step),
+    )
+
+
+def _without_absurd(stream: Stream) -> Stream:
+    channels = {n: np.where(np.abs(v) > ABSURD, np.nan, v) for n, v in stream.channels.items()}
+    return replace(stream, channels=channels)

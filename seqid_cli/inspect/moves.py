@@ -1,0 +1,161 @@
+"""Which joints move how, and which stage a log serves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.imu_motion import Following
+from seqid_cli.inspect.imus import rest_rows
+from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.positions import top_speeds
+from seqid_cli.inspect.report import ImuSummary, JointSummary, Moves
+from seqid_cli.inspect.values import lattice
+from seqid_cli.motion.segments import Stretch, constant_velocity
+
+Array = NDArray[np.float64]
+
+SAME_POSTURE = 0.03  # rad
+SPEEDS = 3  # different ones, that friction needs
+DIFFERENT = 1.25
+SLOW_SHARE = 0.25  # of the speed limit (or of the fastest), that gravity's trials stay below
+TOGETHER = 0.1  # of the moving time
+
+
+def stretches_of(data: LogData) -> list[Stretch]:
+    """Find the constant-velocity stretches of a log."""
+    recording = data.recording
+    return constant_velocity(recording.q, recording.rate_hz, step=data.step, valid=recording.valid)
+
+
+def joint_summaries(data: LogData) -> tuple[JointSummary, ...]:
+    """Describe what the log shows of each joint."""
+    effort, speeds = data.effort(), top_speeds(data)
+    temperature = data.joints.channels.get("temperature")
+    result = []
+    for j, name in enumerate(data.robot.joint_names):
+        q = data.joints.channels["position"][:, j]
+        q = q[np.isfinite(q)]
+        values = effort[1][:, j] if effort else np.zeros(0)
+        values = values[np.isfinite(values)]
+        warm = (
+            temperature[np.isfinite(temperature[:, j]), j]
+            if temperature is not None
+            else values[:0]
+        )
+        result.append(
+            JointSummary(
+                name=name,
+                moves=data.moves(j),
+                low=float(q.min()),
+                high=float(q.max()),
+                top_speed=speeds[j] if data.moves(j) else 0.0,
+                encoder_step=lattice(q) or None,
+                effort=effort[0] if effort and len(values) else "",
+                effort_rms=float(np.sqrt(np.mean(values**2))) if len(values) else None,
+                temperature=(float(warm.min()), float(warm.max())) if len(warm) else None,
+            )
+        )
+    return tuple(result)
+
+
+def imu_summaries(data: LogData, following: list[Following]) -> tuple[ImuSummary, ...]:
+    """Describe what the log shows of each IMU."""
+    result = []
+    for imu in data.robot.imus:
+        streams = data.raw.imus.get(imu.name, ())
+        values = data.recording.accelerometers.get(imu.name)
+        gyro = imu.name in data.recording.gyros
+        if values is None and not gyro:
+            continue
+        spans = [np.median(np.diff(s.stamp_ns)) * 1e-9 for s in streams if len(s) > 1]
+        norm = None
+        if values is not None and np.linalg.matrix_rank(imu.axes) == 3:
+            rest = rest_rows(data, values)
+            force = np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)
+            norm = float(np.median(force)) if len(rest) else None
+        delay = next((f.fit.delay for f in following if f.imu.name == imu.name), None)
+        count = 0 if values is None else values.shape[1]
+        rate = 1.0 / float(max(spans)) if spans and max(spans) > 0 else 0.0
+        result.append(ImuSummary(imu.name, count, gyro, rate, norm, delay))
+    return tuple(result)
+
+
+def moves_of(data: LogData, stretches: list[Stretch]) -> tuple[Moves, ...]:
+    """Summarise the constant-velocity stretches of each joint."""
+    result = []
+    for j, name in enumerate(data.robot.joint_names):
+        mine = [s for s in stretches if s.joint == j]
+        if mine:
+            speeds = [abs(s.velocity) for s in mine]
+            forward = sum(s.velocity > 0 for s in mine)
+            result.append(
+                Moves(
+                    name,
+                    forward,
+                    len(mine) - forward,
+                    min(speeds),
+                    max(speeds),
+                    len(_postures(mine, j)),
+                )
+            )
+    return tuple(result)
+
+
+def _postures(stretches: list[Stretch], joint: int) -> list[Array]:
+    """List the different postures of the locked joints."""
+    found: list[Array] = []
+    for stretch in stretches:
+        others = np.delete(np.array(stretch.configuration), joint)
+        if not any(np.abs(others - known).max(initial=0.0) < SAME_POSTURE for known in found):
+            found.append(others)
+    return found
+
+
+def together(data: LogData) -> tuple[str, ...]:
+    """Return the joints that move at the same time as others for a fair share of the time."""
+    several = data.moving.sum(axis=1) >= 2
+    busy = max(int(data.moving.any(axis=1).sum()), 1)
+    share = (data.moving & several[:, None]).sum(axis=0) / busy
+    return tuple(
+        name for name, part in zip(data.robot.joint_names, share, strict=True) if part > TOGETHER
+    )
+
+
+def serves(data: LogData, stretches: list[Stretch]) -> tuple[str, ...]:
+    """Tell for which stages a log is made."""
+    stages: list[str] = []
+    torque = data.recording.tau is not None
+    for j in range(data.robot.n):
+        mine = [s for s in stretches if s.joint == j]
+        ways = {np.sign(s.velocity) for s in mine}
+        if not torque or len(ways) < 2:
+            continue
+        if _speeds(mine) >= SPEEDS:
+            stages.append("friction")
+        if _gravity_acts(data) and (len(_postures(mine, j)) > 1 or _is_slow(data, j, mine)):
+            stages.append("gravity")
+    if data.recording.accelerometers or data.recording.gyros:
+        moving = [j for j in range(data.robot.n) if data.moves(j)]
+        if len(moving) == 1:
+            stages.append("imu-calib")
+    if torque and (len(together(data)) >= 2 or (data.robot.n == 1 and data.moves(0))):
+        stages.append("inertia")
+    return tuple(dict.fromkeys(stages))
+
+
+def _speeds(stretches: list[Stretch]) -> int:
+    count, last = 0, 0.0
+    for speed in sorted(abs(s.velocity) for s in stretches):
+        if speed > DIFFERENT * last:
+            count, last = count + 1, speed
+    return count
+
+
+def _is_slow(data: LogData, j: int, stretches: list[Stretch]) -> bool:
+    limit = data.robot.joints[j].velocity_limit or 1.0
+    return max(abs(s.velocity) for s in stretches) < SLOW_SHARE * limit
+
+
+def _gravity_acts(data: LogData) -> bool:
+    return bool(data.robot.gravity.any())

@@ -1,0 +1,224 @@
+"""A robot file proposed from logs and a URDF."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from seqid_cli.errors import InputError
+from seqid_cli.inspect.guess import Guess, guess
+from seqid_cli.inspect.inspect import inspect_log
+from seqid_cli.inspect.report import JointSummary
+from seqid_cli.logs.presets import find_scheme, time_names
+from seqid_cli.logs.survey import Survey, survey
+from seqid_cli.robot.template import ImuTemplate, JointTemplate, RobotTemplate
+from seqid_cli.robot.urdf_joints import UrdfJoint, best_chain
+from seqid_cli.robot.urdf_text import UrdfText
+
+NEAR = 0.6
+_FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A robot file, and what is left for a person to say."""
+
+    template: RobotTemplate
+    todo: tuple[str, ...]
+
+
+def propose(
+    paths: Sequence[Path], *, urdf: UrdfText | None, urdf_path: str | None, name: str
+) -> Proposal:
+    """Propose a robot file from logs of one robot.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The first says which joints and channels there are, all of them what moves.
+    urdf : UrdfText, optional
+        The robot's URDF; without it the geometry is left to be filled in.
+    urdf_path : str, optional
+        How the file is to name the URDF.
+    name : str
+        The robot's name.
+
+    Raises
+    ------
+    InputError
+        A log cannot be read, or no joint is found in it.
+    """
+    surveyed = survey(paths[0])
+    guessed = guess(surveyed)
+    reports = [inspect_log(path) for path in paths]
+    for report in reports:
+        if report.verdict == "unreadable":
+            first = report.findings[0]
+            raise InputError(first.message, hint=first.remedy, where=report.path)
+    seen = _merged([joint for report in reports for joint in report.joints])
+    pairs, chain = _matched(guessed.joints, urdf)
+    joints = tuple(_joint(log_name, joint, seen[log_name]) for log_name, joint in pairs) or tuple(
+        _joint(log_name, None, seen[log_name]) for log_name in guessed.joints
+    )
+    names = tuple(joint.name for joint in joints)
+    effort = next((joint.effort for joint in seen.values() if joint.effort), "")
+    if surveyed.format == "mcap" and effort:
+        effort = "effort"
+    channels, unread = _channels(surveyed, guessed, names)
+    taken = {joint.name for _, joint in pairs}
+    template = RobotTemplate(
+        name=name,
+        joints=joints,
+        urdf=urdf_path if pairs else None,
+        effort=effort,
+        imus=tuple(ImuTemplate(i.name, len(i.positions), i.gyro) for i in guessed.imus),
+        channels=channels,
+        left_out=tuple(joint.name for joint in chain if joint.name not in taken),
+    )
+    return Proposal(template, (*unread, *_todo(template, guessed, pairs, urdf)))
+
+
+def _merged(joints: Sequence[JointSummary]) -> dict[str, JointSummary]:
+    """Put together what several logs say of a joint: it moves if it moves in any."""
+    found: dict[str, JointSummary] = {}
+    for joint in joints:
+        if joint.name not in found or (joint.moves and not found[joint.name].moves):
+            found[joint.name] = joint
+    return found
+
+
+def match_names(log: Sequence[str], urdf: Sequence[str]) -> dict[str, str]:
+    """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest.
+
+    Names differ in case, separators and fillers (`elbow`, `elbow_joint`); a number in both must be
+    the same.
+    """
+    pairs = {name: name for name in log if name in urdf}
+    left = [name for name in log if name not in pairs]
+    free = [name for name in urdf if name not in pairs.values()]
+    scored = sorted(
+        ((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free),
+    )
+    for score, i, j in scored:
+        if -score >= NEAR and log[i] not in pairs and urdf[j] not in pairs.values():
+            pairs[log[i]] = urdf[j]
+    return pairs
+
+
+def _likeness(a: str, b: str) -> float:
+    numbers = [re.findall(r"[0-9]+", text) for text in (a, b)]
+    if numbers[0] and numbers[1] and numbers[0] != numbers[1]:
+        return 0.0
+    plain = [_FILLERS.sub("", re.sub(r"[^a-z0-9]", "", text.lower())) for text in (a, b)]
+    if plain[0] == plain[1]:
+        return 1.0
+    return difflib.SequenceMatcher(a=plain[0], b=plain[1]).ratio() if all(plain) else 0.0
+
+
+def _matched(
+    log: Sequence[str], urdf: UrdfText | None
+) -> tuple[list[tuple[str, UrdfJoint]], tuple[UrdfJoint, ...]]:
+    """Pair the log's joints with those of the URDF's chain that fits best, in chain order."""
+    if urdf is None:
+        return [], ()
+    pairs = match_names(log, urdf.movable)
+    back = {joint: name for name, joint in pairs.items()}
+    chain = best_chain(urdf, lambda joint: 1000.0 * (joint.name in back) + 1.0)
+    found = [(back[joint.name], joint) for joint in chain if joint.name in back]
+    if len(found) == len(log):
+        return found, chain
+    chain = best_chain(urdf)
+    numbered = all(re.fullmatch(r"[A-Za-z_]*[0-9]+", name) for name in log)
+    if numbered and len(chain) >= len(log):
+        return list(zip(log, chain, strict=False)), chain
+    return found, chain
+
+
+def _joint(log_name: str, joint: UrdfJoint | None, seen: JointSummary) -> JointTemplate:
+    if joint is None:
+        return JointTemplate(log_name, encoder_step=seen.encoder_step, moves=seen.moves)
+    limits = None
+    if joint.lower is not None and joint.upper is not None:
+        limits = (joint.lower, joint.upper)
+    remark = "" if joint.name == log_name else f"{log_name} in the log"
+    return JointTemplate(
+        joint.name,
+        limits,
+        joint.velocity,
+        joint.effort,
+        seen.encoder_step,
+        seen.moves,
+        remark,
+    )
+
+
+def _channels(
+    surveyed: Survey, guessed: Guess, joints: tuple[str, ...]
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return `[channels]` that the log needs, and what cannot be said by them."""
+    renamed = tuple(f"{a} -> {b}" for a, b in zip(guessed.joints, joints, strict=False) if a != b)
+    rename = (
+        "the log's joints have other names than the URDF's, and no pattern turns one into the "
+        f"other: rename them in a copy of the URDF ({', '.join(renamed)})",
+    )
+    if surveyed.format == "mcap":
+        return {}, rename if set(guessed.joints) != set(joints) else ()
+    names = [channel.name for channel in surveyed.channels]
+    times = time_names(names)
+    channels = {}
+    if "t" not in times and len(times) != 1:
+        channels["time"] = next(iter(times), "TODO")
+    if find_scheme(joints, names) is not None:
+        return channels, ()
+    patterns = dict(guessed.patterns) or {"position": "{name}.position"}
+    if all("{index" in pattern for pattern in patterns.values()):
+        return {**channels, **patterns}, ()
+    mapped = {key: _mapped(pattern, guessed.joints, joints) for key, pattern in patterns.items()}
+    if all(mapped.values()):
+        return {**channels, **mapped}, ()
+    return {**channels, **patterns}, rename
+
+
+def _mapped(pattern: str, log: tuple[str, ...], joints: tuple[str, ...]) -> str:
+    """Write the log's names by those of the URDF, where they only have something around them."""
+    for prefix, suffix in {_around(a, b) for a, b in zip(log, joints, strict=False)}:
+        if all(a == f"{prefix}{b}{suffix}" for a, b in zip(log, joints, strict=True)):
+            return pattern.replace("{name}", f"{prefix}{{name}}{suffix}")
+    return ""
+
+
+def _around(log: str, joint: str) -> tuple[str, str]:
+    before, found, after = log.partition(joint)
+    return (before, after) if found else ("", "")
+
+
+def _todo(
+    template: RobotTemplate,
+    guessed: Guess,
+    pairs: Sequence[tuple[str, UrdfJoint]],
+    urdf: UrdfText | None,
+) -> tuple[str, ...]:
+    todo: list[str] = []
+    lost: Mapping[str, None] = dict.fromkeys(guessed.joints)
+    if urdf is not None and not pairs:
+        todo.append(
+            f"none of the log's joints ({', '.join(guessed.joints)}) was found in the URDF "
+            f"({', '.join(urdf.movable) or 'no movable joint'}): give the geometry by hand"
+        )
+    elif urdf is not None:
+        missing = [name for name in lost if name not in {log for log, _ in pairs}]
+        if missing:
+            todo.append(f"joints of the log that the URDF's chain lacks: {', '.join(missing)}")
+    elif urdf is None:
+        todo.append("the geometry: name a URDF, or complete dh of every joint")
+    if template.effort == "current":
+        todo.append("torque_constant and gear_ratio of every joint")
+    if template.effort == "effort":
+        todo.append('whether effort is torque in N m or current in A (effort = "current")')
+    if template.channels.get("time") == "TODO":
+        todo.append("the time column")
+    todo += [f"where IMU {imu.name} rides, and its layout" for imu in template.imus]
+    return tuple(todo)

@@ -1,0 +1,121 @@
+"""Torque and current, channel by channel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.report import Finding, found
+from seqid_cli.inspect.values import clipped, equal_runs, held, lattice, missing_share
+
+Array = NDArray[np.float64]
+
+MISSING = 0.01
+STUCK_SAMPLES, STUCK_S = 50, 0.2
+LIVELY = 0.9  # share of changing samples of a channel that does not repeat itself
+COARSE = 0.25  # of the standard deviation
+WHOLE, WHOLE_LEAST = 0.999, 30.0
+
+
+def torque_findings(data: LogData) -> Iterator[Finding]:
+    """Check the torque or current of every joint."""
+    effort = data.effort()
+    if effort is None:
+        yield found("torque_missing", "there is neither torque nor current")
+        return
+    quantity, values = effort
+    for j, joint in enumerate(data.robot.joints):
+        column = values[:, j]
+        present = np.isfinite(column)
+        if not present.any():
+            continue
+        share = missing_share(column)
+        if share > MISSING:
+            text = f"{100 * share:.1f} % of the values are missing"
+            yield found("values_missing", text, joint=joint.name, channel=quantity)
+        if data.moves(j):
+            for code, text in _of_moving(data, j, column, present):
+                yield found(code, text, joint=joint.name, channel=quantity)
+    if quantity == "current":
+        yield from _milliamperes(data, values)
+
+
+def _of_moving(
+    data: LogData, j: int, column: Array, present: NDArray[np.bool_]
+) -> Iterator[tuple[str, str]]:
+    values, t = column[present], data.t[present]
+    if not values.any():
+        yield "torque_zero", "is zero throughout although the joint moves"
+        return
+    if np.ptp(values) == 0.0:
+        yield "torque_constant_value", f"is {values[0]:.4g} throughout although the joint moves"
+        return
+    moving = data.moving_samples(j)[present]
+    stuck = _stuck(values, t, moving)
+    if stuck:
+        yield "torque_stuck", stuck
+        return
+    limit = clipped(values)
+    if limit is not None:
+        yield "torque_saturated", f"is at {limit[0]:.4g} in {100 * limit[1]:.2g} % of the samples"
+    size = held(values)
+    if size > 1:
+        yield "channel_held", f"repeats each value {size} times"
+    step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
+    if step and spread and step > COARSE * spread:
+        yield "torque_quantised", f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
+
+
+def _stuck(values: Array, t: Array, moving: NDArray[np.bool_]) -> str:
+    if np.mean(np.diff(values) != 0) < LIVELY:
+        lively = np.median(np.diff(values[moving]) != 0) if moving.sum() > 2 else 0.0
+        if not lively:
+            return ""
+    for run in equal_runs(values, STUCK_SAMPLES):
+        inside = slice(run.start, run.start + run.length)
+        seconds = float(t[run.start + run.length - 1] - t[run.start])
+        if (
+            seconds >= STUCK_S
+            and moving[inside].mean() > 0.5
+            and run.value not in (values.min(), values.max())
+        ):
+            return f"stays at {run.value:.4g} for {seconds:.3g} s from {t[run.start]:.3f} s"
+    return ""
+
+
+def _milliamperes(data: LogData, values: Array) -> Iterator[Finding]:
+    """Whole numbers beyond 30 in all channels are no amperes of an arm's drive."""
+    columns = [values[np.isfinite(values[:, j]), j] for j in range(data.robot.n)]
+    live = {j: c for j, c in enumerate(columns) if len(c) and np.ptp(c) > 0}
+    whole = all(np.mean(c == np.rint(c)) > WHOLE for c in live.values())
+    if live and whole and max(float(np.abs(c).max()) for c in live.values()) > WHOLE_LEAST:
+        for j in live:
+            text = "holds whole numbers beyond 30: it looks like mA"
+            name = data.robot.joint_names[j]
+            yield found("current_in_ma", text, joint=name, channel="current")
+
+
+def temperature_findings(data: LogData) -> Iterator[Finding]:
+    """Check the temperatures."""
+    temperatures = data.joints.channels.get("temperature")
+    if temperatures is None:
+        return
+    for j, joint in enumerate(data.robot.joints):
+        values = temperatures[np.isfinite(temperatures[:, j]), j]
+        if not len(values):
+            continue
+        middle = float(np.median(values))
+        text, code = "", "temperature_nonsense"
+        if 240.0 < middle < 420.0:
+            text, code = f"is {middle:.4g} in the median", "temperature_in_kelvin"
+        elif not values.any():
+            text = "is exactly 0 throughout"
+        elif values.min() < -40.0 or values.max() > 200.0:
+            text = f"runs from {values.min():.4g} to {values.max():.4g} degC"
+        elif len(values) > 1 and float(np.abs(np.diff(values)).max()) > 20.0:
+            text = f"steps by {float(np.abs(np.diff(values)).max()):.3g} K"
+        if text:
+            yield found(code, text, joint=joint.name, channel="temperature")

@@ -1,0 +1,116 @@
+"""Tests of one channel by itself: stuck, clipped, held, quantised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.motion.cutoff import encoder_step
+from seqid_cli.motion.filtering import runs
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RUN = 3  # samples at an extreme that make a run
+CLIPPED_LEAST, CLIPPED_SHARE = 10, 2e-3
+PILED = 3.0  # times the next level of a quantised channel
+HELD_SHARE, HELD_REGULAR = 0.7, 0.95
+FEW = 20
+
+
+@dataclass(frozen=True)
+class Run:
+    """A stretch of equal values: first sample, number of samples, value."""
+
+    start: int
+    length: int
+    value: float
+
+
+def equal_runs(values: Array, least: int) -> list[Run]:
+    """List the stretches of at least `least` equal values of a channel (M,)."""
+    same = np.concatenate([[False], np.diff(values) == 0, [False]])
+    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
+    pairs = zip(edges[::2], edges[1::2], strict=True)
+    return [Run(int(a), int(b - a + 1), float(values[a])) for a, b in pairs if b - a + 1 >= least]
+
+
+def clipped(values: Array) -> tuple[float, float] | None:
+    """Find a limit at which a channel (M,) is cut off.
+
+    Returns
+    -------
+    (limit, share of the samples) or None
+    """
+    if len(values) < FEW or len(np.unique(values[:: max(1, len(values) // 2000)])) < FEW:
+        return None
+    step = lattice(values)
+    for limit in (float(values.max()), float(values.min())):
+        if limit == 0.0:
+            continue  # a brake, or a channel that is off, not a limit
+        at = values == limit
+        piled = sum(b - a for a, b in runs(at, len(at)) if b - a >= RUN)
+        if piled < max(CLIPPED_LEAST, CLIPPED_SHARE * len(values)):
+            continue
+        inner = (
+            [
+                int(np.count_nonzero(np.abs(np.abs(values - limit) - k * step) < 0.5 * step))
+                for k in (1, 2)
+            ]
+            if step
+            else [0]
+        )
+        if int(at.sum()) > PILED * max(inner):
+            return limit, float(at.mean())
+    return None
+
+
+def held(values: Array) -> int:
+    """Return in groups of how many samples a channel (M,) repeats its values; 1 if it does not."""
+    changes = np.flatnonzero(np.diff(values) != 0)
+    if len(changes) < FEW:
+        return 1
+    gaps = np.diff(changes)
+    size = int(np.bincount(gaps).argmax())
+    regular = float(np.mean(gaps % size == 0))
+    if size < 2 or np.mean(gaps == size) < HELD_SHARE or regular < HELD_REGULAR:
+        return 1
+    step = lattice(values)
+    if step and np.median(np.abs(np.diff(values)[changes])) < 1.5 * step:
+        return 1  # a coarse channel at constant speed changes as evenly
+    return size
+
+
+def lattice(values: Array) -> float:
+    """Return the step of a quantised channel (M,); 0 where it is not quantised."""
+    scale = float(np.abs(values).max(initial=0.0))
+    if not scale:
+        return 0.0
+    return _refined(values, float(encoder_step((values / scale)[:, None])[0]) * scale)
+
+
+def _refined(values: Array, step: float) -> float:
+    """Count the steps over ever larger spans, so that all digits of the step come out."""
+    levels = np.unique(values)
+    span = levels - levels[0]
+    for reach in np.geomspace(20.0, 1e7, 18) * step:
+        near = span[span <= reach]
+        count = np.rint(near / max(step, 1e-300))
+        if step and len(near) > 2:
+            step = float(count @ near / max(float(count @ count), 1.0))
+        if reach > span[-1]:
+            break
+    return step
+
+
+def missing_share(values: Array) -> float:
+    """Share of a channel (M,) that is missing at uneven distances; 0 for one merely slower."""
+    present = np.flatnonzero(np.isfinite(values))
+    if len(present) < 2:
+        return 0.0
+    distance = np.diff(present)
+    usual = int(np.bincount(distance).argmax())
+    share = 1.0 - (len(present) - 1) * usual / float(present[-1] - present[0])
+    return max(share, 0.0)

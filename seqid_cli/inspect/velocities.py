@@ -1,0 +1,135 @@
+"""Logged velocities against the positions, over windows in which the encoder sees motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.positions import DEGREES
+from seqid_cli.inspect.report import Finding, found
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 0.1
+COUNTS = 20.0  # encoder steps of travel that make a window count
+FEWEST = 10
+NOTHING = 0.05
+NEAR = 0.15
+GAIN_LOW, GAIN_HIGH, CORRELATED = 0.8, 1.25, 0.9
+CROSSED = 0.95
+DEAD = 0.3  # of the usual travel of a window, that a dead encoder's joint must move
+
+
+def velocity_findings(data: LogData, broken: frozenset[str] = frozenset()) -> Iterator[Finding]:
+    """Check the velocity of every joint that moves, but for the joints named in `broken`."""
+    if data.recording.dq is None:
+        return
+    travel, integral = _windows(data)
+    counts = np.abs(travel) > COUNTS * data.step
+    names = data.robot.joint_names
+    judged = [
+        j for j in range(data.robot.n) if names[j] not in broken and counts[:, j].sum() >= FEWEST
+    ]
+    for j in range(data.robot.n):
+        if names[j] not in broken:
+            size = np.abs(integral[:, j])
+            fast = max(COUNTS * data.step[j], DEAD * float(np.quantile(size, 0.9)))
+            dead = (travel[:, j] == 0.0) & (size > fast)
+            if dead.sum() >= FEWEST:
+                text = (
+                    f"stands still for {WINDOW_S * dead.sum():.2g} s in which its velocity moves it"
+                )
+                yield found("position_stuck", text, joint=names[j], channel="position")
+                judged = [i for i in judged if i != j]
+    fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in judged}
+    shared = _time_unit({j: gain for j, (gain, r, _) in fits.items() if abs(r) > CORRELATED})
+    if shared:
+        yield found(
+            "time_unit",
+            f"the velocity is {1 / shared:.3g} times the slope of the position at every joint",
+            channel="t",
+        )
+        return
+    crossed = _crossed(travel, integral, counts, judged)
+    for a, b in crossed:
+        text = f"the velocity of {names[a]} fits the position of {names[b]} and the other way round"
+        yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="velocity")
+    for j in judged:
+        if not any(j in pair for pair in crossed):
+            yield from _verdict(data, j, *fits[j])
+
+
+def _windows(data: LogData) -> tuple[Array, Array]:
+    """Travel (W, n) of the positions and integral (W, n) of the velocities over windows."""
+    recording = data.recording
+    assert recording.dq is not None
+    width = max(2, round(WINDOW_S * recording.rate_hz))
+    edges = np.arange(0, len(recording.t), width)
+    step = 1.0 / recording.rate_hz
+    middles = 0.5 * (recording.dq[1:] + recording.dq[:-1]) * step
+    total = np.vstack([np.zeros((1, data.robot.n)), np.cumsum(middles, axis=0)])
+    broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
+    whole = np.diff(broken) == 0
+    return np.diff(recording.q[edges], axis=0)[whole], np.diff(total[edges], axis=0)[whole]
+
+
+def _fit(travel: Array, integral: Array) -> tuple[float, float, float]:
+    """Gain from integral to travel, their correlation, and the ratio of their RMS."""
+    energy = float(integral @ integral)
+    power = float(travel @ travel)
+    ratio = np.sqrt(energy / max(power, 1e-300))
+    if energy <= 0.0 or power <= 0.0:
+        return 0.0, 0.0, float(ratio)
+    product = float(travel @ integral)
+    return product / energy, product / np.sqrt(energy * power), float(ratio)
+
+
+def _time_unit(gains: dict[int, float]) -> float:
+    """Return the power of 1000 by which all gains are off; 0 where they are not."""
+    if not gains:
+        return 0.0
+    for factor in (1e-3, 1e-6, 1e3, 1e6):
+        if all(abs(gain / factor - 1.0) < NEAR for gain in gains.values()):
+            return factor
+    return 0.0
+
+
+def _crossed(
+    travel: Array, integral: Array, counts: NDArray[np.bool_], judged: list[int]
+) -> list[tuple[int, int]]:
+    pairs = []
+    for a in judged:
+        for b in judged:
+            if a < b:
+                rows = counts[:, a] | counts[:, b]
+                own = [_fit(travel[rows, j], integral[rows, j])[1] for j in (a, b)]
+                other = [_fit(travel[rows, i], integral[rows, j])[1] for i, j in ((a, b), (b, a))]
+                if min(other) > CROSSED and max(own) < CORRELATED:
+                    pairs.append((a, b))
+    return pairs
+
+
+def _verdict(
+    data: LogData, j: int, gain: float, correlation: float, ratio: float
+) -> Iterator[Finding]:
+    joint = data.robot.joints[j]
+    if ratio < NOTHING and abs(correlation) < CORRELATED:
+        text = f"integrates to {100 * ratio:.2g} % of the position's travel"
+        yield found("velocity_zero", text, joint=joint.name, channel="velocity")
+        return
+    codes = {DEGREES: "position_in_degrees", 1.0 / DEGREES: "velocity_in_degrees", -1.0: ""}
+    if joint.prismatic:
+        codes = {1000.0: "position_in_mm", -1.0: ""}
+    text = f"the position changes by {gain:.3g} times the velocity's integral"
+    if abs(correlation) > CORRELATED:
+        for factor, code in codes.items():
+            if abs(gain / factor - 1.0) < (NEAR if code else 0.2):
+                channel = "position" if code.startswith("position") else "velocity"
+                yield found(code or "velocity_sign", text, joint=joint.name, channel=channel)
+                return
+    if not GAIN_LOW < gain < GAIN_HIGH or correlation < CORRELATED:
+        text += f", correlation {correlation:.2f}"
+        yield found("velocity_inconsistent", text, joint=joint.name, channel="velocity")

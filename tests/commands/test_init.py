@@ -1,0 +1,195 @@
+"""`seqid init`: the robot file that it writes, and that the package reads it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.inspect.guess import guess_channels
+from seqid_cli.inspect.propose import match_names
+from seqid_cli.robot.file import load_robot
+from tests.commands.conftest import Rig
+from tests.inspect.faults import SAMPLES, SIX, read_columns, write_columns
+
+URDF = SAMPLES / "six_joint" / "six_joint.urdf"
+LOG = SAMPLES / "six_joint" / "validation" / "fourier_1.parquet"
+
+
+def log_with(folder: Path, rename: dict[str, str]) -> str:
+    """Write the sample log under other column names."""
+    columns = {}
+    for name, values in read_columns(LOG).items():
+        if "imu" not in name:
+            new = name
+            for old, text in rename.items():
+                new = new.replace(old, text)
+            columns[new] = values
+    write_columns(folder / "log.parquet", columns)
+    shutil.copy(URDF, folder / "arm.urdf")
+    return "log.parquet"
+
+
+def completed(path: Path) -> Path:
+    """Fill in the drive data that only a person knows."""
+    text = path.read_text()
+    text = re.sub(r"# (torque_constant = [0-9.]+)", r"\1", text)
+    path.write_text(re.sub(r"# (gear_ratio = [0-9.]+)", r"\1", text))
+    return path
+
+
+def test_the_file_holds_what_log_and_urdf_say_and_loads(rig: Rig) -> None:
+    log = log_with(rig.folder, {})
+    done = rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml")
+    assert done.code == 0, done.err
+    assert "to do: torque_constant and gear_ratio of every joint" in done.err
+    robot = load_robot(rig.folder / "new.toml")
+    assert robot.joint_names == SIX
+    assert robot.joints[2].position_limits == (-2.4, 2.4)
+    assert robot.joints[0].velocity_limit == 2.2
+    assert robot.joints[1].encoder_resolution == pytest.approx(3.0517578125e-05, rel=1e-5)
+    document = tomllib.loads((rig.folder / "new.toml").read_text())
+    assert "channels" not in document
+    assert document["gravity"] == [0.0, 0.0, -9.81]
+    completed(rig.folder / "new.toml")
+    found = json.loads(rig.run("inspect", log, "-r", "new.toml", "--json").out)
+    assert found["findings"] == []
+
+
+@pytest.mark.parametrize(
+    ("rename", "channels"),
+    [
+        (
+            {f"{name}.": f"axis{k + 1}_" for k, name in enumerate(SIX)},
+            {"position": "axis{index}_position", "current": "axis{index}_current"},
+        ),
+        ({name: f"arm_{name}_link" for name in SIX}, None),
+    ],
+)
+def test_names_of_other_loggers_are_mapped(
+    rig: Rig, rename: dict[str, str], channels: dict[str, str] | None
+) -> None:
+    log = log_with(rig.folder, rename)
+    assert rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml").code == 0
+    document = tomllib.loads((rig.folder / "new.toml").read_text())
+    assert [joint["name"] for joint in document["joint"]] == list(SIX)
+    if channels is not None:
+        assert document["channels"] == channels
+    robot = load_robot(completed(rig.folder / "new.toml"))
+    from seqid_cli.logs.read import read_recording
+
+    recording = read_recording(rig.folder / log, robot)
+    np.testing.assert_allclose(recording.q[:, 2], read_columns(LOG)["elbow.position"])
+
+
+def test_an_unmapped_current_is_refused_with_the_key_to_fill_in(rig: Rig) -> None:
+    log = log_with(rig.folder, {f"{name}.": f"axis{k + 1}_" for k, name in enumerate(SIX)})
+    rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml")
+    done = rig.run("inspect", log, "-r", "new.toml")
+    assert done.code == 2
+    assert "torque_constant" in done.err
+
+
+def test_without_a_urdf_the_geometry_is_left_to_be_filled_in(rig: Rig) -> None:
+    log = log_with(rig.folder, {})
+    done = rig.run("init", log, "-o", "new.toml")
+    assert done.code == 0
+    with pytest.raises(ConfigError, match="neither urdf nor joint"):
+        load_robot(rig.folder / "new.toml")
+    path = completed(rig.folder / "new.toml")
+    path.write_text(path.read_text().replace("# dh = ", "dh = "))
+    assert load_robot(path).joint_names == SIX
+
+
+def test_mimic_and_fixed_joints_and_other_branches_are_left_out(rig: Rig) -> None:
+    log = log_with(rig.folder, {})
+    text = (rig.folder / "arm.urdf").read_text()
+    tip = re.findall(r'<child link="([^"]+)"', text)[-1]
+    gripper = (
+        '<link name="l"/><link name="r"/><link name="t"/>'
+        f'<joint name="left" type="prismatic"><parent link="{tip}"/><child link="l"/>'
+        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+        f'<joint name="right" type="prismatic"><parent link="{tip}"/><child link="r"/>'
+        '<limit lower="0" upper="1" effort="1" velocity="1"/><mimic joint="left"/></joint>'
+        f'<joint name="tool" type="fixed"><parent link="{tip}"/><child link="t"/></joint></robot>'
+    )
+    (rig.folder / "arm.urdf").write_text(text.replace("</robot>", gripper))
+    assert rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml").code == 0
+    assert load_robot(completed(rig.folder / "new.toml")).joint_names == SIX
+    assert "lacks, locked at zero: left" in (rig.folder / "new.toml").read_text()
+
+
+def test_an_existing_file_is_kept_unless_forced(rig: Rig) -> None:
+    log = log_with(rig.folder, {})
+    (rig.folder / "new.toml").write_text("mine")
+    done = rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml")
+    assert done.code == 2
+    assert "--force" in done.err
+    assert (rig.folder / "new.toml").read_text() == "mine"
+    assert rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml", "--force").code == 0
+    assert load_robot(rig.folder / "new.toml").n == 6
+
+
+def test_imus_and_the_meaning_of_effort_are_left_to_be_said(rig: Rig) -> None:
+    shutil.copy(SAMPLES / "two_joint" / "imu" / "joint_2.mcap", rig.folder / "log.mcap")
+    done = rig.run("init", "log.mcap", "--json")
+    document = json.loads(done.out)
+    assert document["joints"] == ["joint_1", "joint_2"]
+    text = document["robot_toml"]
+    assert '# name = "imu_a"' in text
+    assert text.count("# [[imu]]") == 2
+    assert '# effort = "current"' in text
+    assert tomllib.loads(text)["schema"] == "seqid/robot@1"
+
+
+def test_match_names_pairs_the_nearest_one_to_one() -> None:
+    urdf = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "joint_1", "joint_2"]
+    log = ["ShoulderPan", "elbow", "shoulder_lift", "Joint2"]
+    assert match_names(log, urdf) == {
+        "ShoulderPan": "shoulder_pan_joint",
+        "elbow": "elbow_joint",
+        "shoulder_lift": "shoulder_lift_joint",
+        "Joint2": "joint_2",
+    }
+
+
+@pytest.mark.parametrize(
+    ("columns", "patterns", "joints"),
+    [
+        (
+            ["timestamp", *(f"{c}_{k}" for c in ("actual_q", "target_q", "actual_qd",
+             "actual_current", "target_moment", "joint_temperatures") for k in range(6))],
+            {"position": "actual_q_{index0}", "velocity": "actual_qd_{index0}",
+             "current": "actual_current_{index0}", "temperature": "joint_temperatures_{index0}"},
+            6,
+        ),
+        (
+            ["t", *(f"{c}_{k}" for c in ("q", "dq", "tau", "tau_des") for k in (1, 2, 3))],
+            {"position": "q_{index}", "velocity": "dq_{index}", "torque": "tau_{index}"},
+            3,
+        ),
+        (
+            ["time", *(f"state.{c}[{k}]" for c in ("q", "q_d", "tau_J") for k in range(7))],
+            {"position": "state.q[{index0}]", "torque": "state.tau_J[{index0}]"},
+            7,
+        ),
+        (
+            ["time", "elbow/pos", "elbow/effort", "wrist/pos", "wrist/effort"],
+            {"position": "{name}/pos", "torque": "{name}/effort"},
+            2,
+        ),
+        (["time", "voltage", "status_1"], {}, 0),
+    ],
+)  # fmt: skip
+def test_channels_are_guessed_from_names(
+    columns: list[str], patterns: dict[str, str], joints: int
+) -> None:
+    found, names = guess_channels(columns)
+    assert found == patterns
+    assert len(names) == joints

@@ -43,10 +43,10 @@ def run(
     time: Clock = "header",
     strict: Strict = False,
 ) -> int:
-    """Find how accelerometers and IMUs are mounted on the links.
+    """Find how accelerometers and IMUs are mounted on the links, and what they are like.
 
     The logs hold rotations of the first joint with the other joints locked in several
-    configurations.
+    configurations. Mounting, place, biases, scales, axes and clock offset are found together.
     """
     job = prepare(
         screen_of(context), logs, robot, parameters or (), output=output, time_source=time
@@ -56,8 +56,12 @@ def run(
         raise ConfigError("the robot file names no IMU", where=str(robot), hint=hint)
 
     from seqid_cli.identify.imu import calibrate_imus
+    from seqid_cli.motion.imu_array import layout_report
     from seqid_cli.motion.options import MotionOptions
 
+    for imu in job.robot.imus:
+        for text in layout_report(imu).statements:
+            job.screen.note(f"{imu.name}: {text}")
     options = MotionOptions(cutoff_hz=cutoff)
     earlier = job.previous.stages if job.previous else None
 

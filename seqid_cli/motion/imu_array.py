@@ -11,18 +11,21 @@ well-placed accelerometers determine all of them; the products give w up to its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filtering import Lowpass, differentiate, runs
+from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DETERMINED = 1 - 1e-6
+STRETCH = 0.05  # of the RMS speed, below which a sign may turn unseen
 
 
 @dataclass(frozen=True)
@@ -30,14 +33,15 @@ class AngularReading:
     """What an IMU says, in its own frame.
 
     `dw` (N, 3) rad/s^2; `products` (N, 3, 3) rad^2/s^2 is w w'; `force` (N, 3) m/s^2;
-    `speed_known` is
-    False where the layout does not show the products (then `products` is zero).
+    `speed_known` is False where the layout does not show the products (then `products` is zero).
+    `covariance` (12, 12) of force, dw and products, per raw sample, where the noise was given.
     """
 
     dw: Array
     products: Array
     force: Array
     speed_known: bool
+    covariance: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -66,18 +70,161 @@ def array_matrix(imu: Imu) -> Array:
 
 def layout(imu: Imu) -> ArrayLayout:
     """Judge a layout before any data: which unknowns it determines, and how well."""
-    A = array_matrix(imu)
-    scale = np.linalg.norm(A, axis=0)
-    scale[scale == 0] = 1.0
-    _, s, Vt = np.linalg.svd(A / scale)
+    _, s, Vt = np.linalg.svd(_scaled(array_matrix(imu))[0])
     kept = s > 1e-6 * s[0]
     resolution = np.sum(Vt[: len(s)][kept] ** 2, axis=0)
     seen = resolution > DETERMINED
     return ArrayLayout(float(s[0] / s[kept][-1]), bool(seen[3:6].all()), bool(seen[6:].all()))
 
 
+@dataclass(frozen=True)
+class LayoutReport:
+    """What an array of a given layout can and cannot tell, before any data.
+
+    `statements` are plain sentences, empty where it sees everything. `errors` are standard errors
+    per 1 m/s^2 of white noise on each accelerometer: of the specific force [m/s^2] (3,), the
+    angular acceleration [rad/s^2] (3,) and the products of angular velocity [rad^2/s^2] (6,),
+    infinite where not seen.
+    """
+
+    accelerometers: int
+    rank: int
+    condition: float
+    force: bool
+    acceleration: bool
+    products: bool
+    errors: Array
+    statements: tuple[str, ...]
+
+
+QUANTITIES = (
+    *(f"specific force along {a}" for a in "xyz"),
+    *(f"angular acceleration about {a}" for a in "xyz"),
+    *(f"angular velocity product {a}" for a in ("xx", "yy", "zz", "xy", "xz", "yz")),
+)
+POOR_CONDITION = 1e3
+
+
+def layout_report(imu: Imu) -> LayoutReport:
+    """Say what a layout of accelerometers, and its gyro, can see.
+
+    Parameters
+    ----------
+    imu : Imu
+
+    Returns
+    -------
+    LayoutReport
+        With one sentence for each thing that it cannot see.
+    """
+    A, scale = _scaled(array_matrix(imu))
+    _, s, Vt = np.linalg.svd(A)
+    kept = s > 1e-6 * s[0]
+    rank = int(kept.sum())
+    resolution = np.sum(Vt[: len(s)][kept] ** 2, axis=0)
+    seen = resolution > DETERMINED
+    variance = np.sum((Vt[: len(s)][kept] / s[kept, None]) ** 2, axis=0) / scale**2
+    errors = np.where(seen, np.sqrt(variance), np.inf)
+    condition = float(s[0] / s[kept][-1])
+    acceleration = bool(seen[3:6].all()) or imu.gyro
+    products = bool(seen[6:].all()) or imu.gyro
+    said = tuple(_statements(imu, seen, rank, condition))
+    force = bool(seen[:3].all())
+    return LayoutReport(len(A), rank, condition, force, acceleration, products, errors, said)
+
+
+def _statements(imu: Imu, seen: Mask, rank: int, condition: float) -> list[str]:
+    """What cannot be seen, and what would mend it."""
+    said = []
+    hidden = np.array([not x for x in seen])
+    if imu.gyro:
+        hidden[3:] = False
+    for group, what in (
+        (slice(0, 3), "the specific force"),
+        (slice(3, 6), "the angular acceleration"),
+        (slice(6, 12), "the products of the angular velocity"),
+    ):
+        if hidden[group].all():
+            said.append(f"{what} cannot be told from the rest")
+        elif hidden[group].any():
+            names = [n for n, h in zip(QUANTITIES[group], hidden[group], strict=True) if h]
+            said.append(f"not told from the rest: {', '.join(names)}")
+    if said and rank < len(imu.axes):
+        spare = len(imu.axes) - rank
+        said.append(f"{spare} of its {len(imu.axes)} accelerometers repeat what others say")
+    if hidden[3:].any():
+        said.append(_remedy(imu))
+    elif condition > POOR_CONDITION and not imu.gyro:
+        said.append(f"its accelerometers are too close or too alike (condition {condition:.3g})")
+    return said
+
+
+def _remedy(imu: Imu) -> str:
+    spread = np.linalg.svd(imu.positions - imu.positions.mean(axis=0), compute_uv=False)
+    if len(imu.axes) < 12:
+        return f"{len(imu.axes)} accelerometers are fewer than the 12 that see everything"
+    size = spread / max(float(spread[0]), 1e-12)
+    if spread[0] < 1e-9:
+        return "all of them sit at one point: spread them"
+    missing = int(np.sum(size < 1e-6))
+    if missing:
+        return f"they sit on a {'line' if missing > 1 else 'plane'}: place some off it"
+    return "turn some of the sensing axes"
+
+
+def _scaled(A: Array) -> tuple[Array, Array]:
+    """Columns of unit size, and their sizes."""
+    scale = np.linalg.norm(A, axis=0)
+    scale[scale == 0] = 1.0
+    return A / scale, scale
+
+
+def calibrated(
+    imu: Imu, calibration: ImuCalibration, accelerations: Array, gyro: Array | None
+) -> tuple[Imu, Array, Array | None]:
+    """Take a calibration's biases and gains off the readings, and its axes into the layout.
+
+    Parameters
+    ----------
+    imu : Imu
+        As in the robot file.
+    calibration : ImuCalibration
+        What it does not determine is left as the robot file has it.
+    accelerations : (N, K) array [m/s^2]
+    gyro : (N, 3) array [rad/s], optional
+
+    Returns
+    -------
+    tuple of Imu, (N, K) array, (N, 3) array or None
+        Readings of an instrument without those faults, whose axes are those of the returned Imu.
+        The clock offset stays in.
+    """
+    bias = _known(calibration.accelerometer_bias, len(imu.axes), 0.0)
+    scale = _known(calibration.accelerometer_scale, len(imu.axes), 1.0)
+    axes = np.array(calibration.accelerometer_axes) if calibration.accelerometer_axes else imu.axes
+    mended = replace(imu, axes=axes)
+    if gyro is None:
+        return mended, (accelerations - bias) / scale, None
+    rate = (gyro - _known(calibration.gyro_bias, 3, 0.0)) / _known(calibration.gyro_scale, 3, 1.0)
+    if calibration.gyro_axes:
+        rate = rate @ np.linalg.inv(np.array(calibration.gyro_axes)).T
+    return mended, (accelerations - bias) / scale, rate
+
+
+def _known(values: list[float | None], count: int, otherwise: float) -> Array:
+    if not values:
+        return np.full(count, otherwise)
+    return np.array([otherwise if value is None else value for value in values])
+
+
 def read_angular(
-    imu: Imu, accelerations: Array, gyro: Array | None, lowpass: Lowpass, valid: Mask
+    imu: Imu,
+    accelerations: Array,
+    gyro: Array | None,
+    lowpass: Lowpass,
+    valid: Mask,
+    *,
+    noise: Array | None = None,
 ) -> AngularReading:
     """Solve the array for angular acceleration and products of angular velocity.
 
@@ -93,6 +240,8 @@ def read_angular(
         Filter of the motion; applied once.
     valid : (N,) bool array
         False in gaps.
+    noise : (K,) array, optional
+        Standard deviation of each accelerometer [m/s^2]; they weigh alike without it.
 
     Returns
     -------
@@ -104,14 +253,33 @@ def read_angular(
         dw, _ = differentiate(w, lowpass.rate_hz, valid)
         force = filtered @ np.linalg.pinv(imu.axes).T
         return AngularReading(dw, w[:, :, None] * w[:, None, :], force, True)
-    A = array_matrix(imu)
-    scale = np.linalg.norm(A, axis=0)
-    scale[scale == 0] = 1.0
-    inverse = np.linalg.pinv(A / scale, rcond=1e-6) / scale[:, None]
+    inverse, covariance = array_inverse(imu, noise)
     unknowns = filtered @ inverse.T
     known = layout(imu).products
     products = _symmetric(unknowns[:, 6:]) if known else np.zeros((len(filtered), 3, 3))
-    return AngularReading(unknowns[:, 3:6], products, unknowns[:, :3], known)
+    told = None if noise is None else covariance
+    return AngularReading(unknowns[:, 3:6], products, unknowns[:, :3], known, told)
+
+
+def array_inverse(imu: Imu, noise: Array | None = None) -> tuple[Array, Array]:
+    """Weighted least squares of the array: unknowns (12,) from readings, and their covariance.
+
+    Parameters
+    ----------
+    imu : Imu
+    noise : (K,) array, optional
+        Standard deviations of the readings [m/s^2], one each without it.
+
+    Returns
+    -------
+    tuple of (12, K) and (12, 12) arrays
+        The map to f, dw and the products xx, yy, zz, xy, xz, yz, and their covariance. What the
+        layout does not see has the least possible size and no variance: see `layout_report`.
+    """
+    sigma = np.ones(len(imu.axes)) if noise is None else noise
+    A, scale = _scaled(array_matrix(imu) / sigma[:, None])
+    inverse = np.linalg.pinv(A, rcond=1e-6) / scale[:, None]
+    return inverse / sigma, inverse @ inverse.T
 
 
 def _symmetric(p: Array) -> Array:
@@ -129,16 +297,72 @@ def speed_about(products: Array, axis: Array) -> Array:
 def angular_velocity(products: Array, reference: Array) -> Array:
     """Angular velocity (N, 3) rad/s from w w', its sign taken from a rough reference (N, 3).
 
-    The main direction of w w' and the root of its size; where the reference says nothing the sign
-    of the sample before is kept, as the paper proposes below Eq. 42.
+    The main direction of w w' and the root of its size (Eq. 31 and 41 need it up to the sign). The
+    sign is decided for whole stretches between two passages near zero, by a vote of the samples
+    for or against the reference: single samples of a noisy reference cannot turn it, and where the
+    reference says nothing the sign of the stretch before is kept, as the paper proposes below
+    Eq. 42. Slow samples follow the line between the stretches beside them.
     """
     value, vector = np.linalg.eigh(products)
     w: Array = vector[:, :, 2] * np.sqrt(np.maximum(value[:, 2], 0.0))[:, None]
-    agree = np.sum(w * reference, axis=1)
-    sign = np.sign(agree)
-    known = np.flatnonzero(sign)
-    if len(known):
-        last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(sign)), known[0]))
-        flips = sign[last]
-        w = w * flips[:, None]
+    speed = np.linalg.norm(w, axis=1)
+    floor = STRETCH * float(np.sqrt(np.mean(speed**2))) if len(speed) else 0.0
+    fast = runs(speed > floor, len(speed))
+    last = 1.0
+    for start, stop in fast:
+        # An eigenvector's sign means nothing: neighbours first, then all by the reference.
+        agree = np.sum(w[start + 1 : stop] * w[start : stop - 1], axis=1)
+        chain = np.cumprod(np.concatenate(([1.0], np.where(agree < 0, -1.0, 1.0))))
+        own = w[start:stop] * chain[:, None]
+        vote = np.sign(np.sum(own * reference[start:stop], axis=1)) @ np.sum(own**2, axis=1)
+        last = float(np.sign(vote)) or last
+        w[start:stop] = last * own
+    known = speed > floor
+    if known.any() and not known.all():
+        at = np.arange(len(w))
+        between = np.column_stack([np.interp(at, at[known], w[known, k]) for k in range(3)])
+        w *= np.where(~known & (np.sum(w * between, axis=1) < 0), -1.0, 1.0)[:, None]
     return w
+
+
+def fused_velocity(
+    w: Array, dw: Array, rate_hz: float, *, speed_noise: float, acceleration_noise: float
+) -> Array:
+    """Fuse the angular velocity from the products with the integral of the angular acceleration.
+
+    The root of a square is worst where it is small: an error e of the products is e / (2 |w|) of
+    the velocity, the larger the slower. The integral is smooth, but drifts. A Kalman smoother with
+    both errors (a random walk driven by `dw` and observed by `w`) takes the better at each sample.
+
+    Parameters
+    ----------
+    w : (N, 3) array
+        Signed angular velocity [rad/s], see `angular_velocity`.
+    dw : (N, 3) array
+        Angular acceleration [rad/s^2].
+    rate_hz : float
+    speed_noise : float
+        Standard deviation of the products [rad^2/s^2].
+    acceleration_noise : float
+        Standard deviation of `dw` [rad/s^2].
+
+    Returns
+    -------
+    (N, 3) array
+        Angular velocity [rad/s].
+    """
+    speed = np.linalg.norm(w, axis=1)
+    sigma = speed_noise / np.maximum(2 * speed, np.sqrt(speed_noise))
+    weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
+    link = 1.0 / max(acceleration_noise / rate_hz, 1e-12) ** 2
+    steps = 0.5 * (dw[1:] + dw[:-1]) / rate_hz
+    band = np.zeros((2, len(w)))
+    band[0] = weight
+    band[0, 1:] += link
+    band[0, :-1] += link
+    band[1, :-1] = -link
+    right = weight[:, None] * w
+    right[1:] += link * steps
+    right[:-1] -= link * steps
+    fused: Array = solveh_banded(band, right, lower=True)
+    return fused

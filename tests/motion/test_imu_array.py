@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 from seqid_cli.motion.filtering import Lowpass, differentiate
 from seqid_cli.motion.imu_array import (
     angular_velocity,
+    array_inverse,
     array_matrix,
+    calibrated,
+    fused_velocity,
     layout,
+    layout_report,
     read_angular,
     speed_about,
 )
+from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 from tests.plants.rigid import LinkMotion
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
@@ -173,13 +178,100 @@ def test_the_sign_of_the_velocity_comes_from_the_reference() -> None:
     np.testing.assert_allclose(got, w, atol=1e-7)
 
 
-def test_where_the_reference_is_silent_the_last_sign_is_kept() -> None:
-    w = np.tile([0.0, 0.0, -1.5], (20, 1))
+def test_a_wild_reference_sample_does_not_turn_the_sign_and_silence_keeps_it() -> None:
+    t = np.arange(800) / 200.0
+    w = np.column_stack([np.zeros_like(t), np.zeros_like(t), 1.5 * np.cos(2 * t)])
     reference = np.zeros_like(w)
-    reference[5], reference[12] = w[5], -w[12]
+    reference[::3] = w[::3]
+    reference[30:33] = -20 * w[30:33]
+    reference[400:560] = 0.0  # silent over half of a stretch
     got = angular_velocity(w[:, :, None] * w[:, None, :], reference)
-    np.testing.assert_allclose(got[:12], w[:12], atol=1e-12)
-    np.testing.assert_allclose(got[12:], -w[12:], atol=1e-12)
+    np.testing.assert_allclose(got, w, atol=1e-7)
+
+
+def test_fused_velocity_beats_the_root_of_the_products_and_the_integral() -> None:
+    rng = np.random.default_rng(10)
+    t = np.arange(2000) / 250.0
+    w = np.column_stack([np.sin(3 * t), 0.5 * np.sin(3 * t), np.zeros_like(t)])
+    dw = np.column_stack([3 * np.cos(3 * t), 1.5 * np.cos(3 * t), np.zeros_like(t)])
+    noise = 0.05 * rng.standard_normal((len(t), 3, 3))
+    products = w[:, :, None] * w[:, None, :] + 0.5 * (noise + noise.transpose(0, 2, 1))
+    rough = w + 0.2 * rng.standard_normal(w.shape)
+    root = angular_velocity(products, rough)
+    noisy = dw + 0.3 * rng.standard_normal(w.shape)
+    integral = root[0] + np.cumsum(noisy, axis=0) / 250.0
+    fused = fused_velocity(root, noisy, 250.0, speed_noise=0.05, acceleration_noise=0.3)
+
+    def error(v: Array) -> float:
+        return float(np.sqrt(np.mean((v - w) ** 2)))
+
+    assert error(fused) < 0.5 * min(error(root), error(integral))
+
+
+def test_noisy_accelerometers_count_less_and_the_covariance_says_so(imu: Imu) -> None:
+    """Redundant array: the spread over noise is what the covariance promises, and the least."""
+    rng = np.random.default_rng(11)
+    wide = imu_of(np.vstack([imu.positions, -imu.positions]), np.vstack([imu.axes, imu.axes]))
+    noise = np.where(np.arange(24) < 12, 0.02, 0.5)
+    inverse, covariance = array_inverse(wide, noise)
+    plain, _ = array_inverse(wide)
+    errors = noise * rng.standard_normal((4000, 24))
+    np.testing.assert_allclose(np.var(errors @ inverse.T, axis=0), np.diag(covariance), rtol=0.15)
+    assert np.all(np.diag(covariance) < np.var(errors @ plain.T, axis=0))
+    np.testing.assert_allclose(inverse @ array_matrix(wide), np.eye(12), atol=1e-8)
+
+
+def test_the_report_says_in_words_what_a_layout_does_not_see(imu: Imu) -> None:
+    good = layout_report(imu)
+    assert good.statements == ()
+    assert np.isfinite(good.errors).all()
+    positions, axes = tetrahedral_array(0.05)
+    point = layout_report(imu_of(np.zeros((12, 3)), axes))
+    assert not point.acceleration
+    assert point.force
+    assert "the angular acceleration cannot be told from the rest" in point.statements
+    assert any("one point" in text for text in point.statements)
+    few = layout_report(imu_of(positions[:9], axes[:9]))
+    assert any("fewer than the 12" in text for text in few.statements)
+    assert np.isinf(few.errors).any()
+    flat = positions.copy()
+    flat[:, 2] = 0.0
+    assert any("plane" in text for text in layout_report(imu_of(flat, axes)).statements)
+    assert layout_report(imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)).statements == ()
+
+
+def test_errors_of_the_report_are_those_of_the_covariance(imu: Imu) -> None:
+    _, covariance = array_inverse(imu)
+    np.testing.assert_allclose(layout_report(imu).errors, np.sqrt(np.diag(covariance)), rtol=1e-8)
+
+
+def test_calibrated_readings_are_those_of_an_instrument_without_faults() -> None:
+    rng = np.random.default_rng(12)
+    imu = imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)
+    tilt = 0.02 * rng.standard_normal((2, 3, 3))
+    skew = np.eye(3) + tilt
+    skew /= np.linalg.norm(skew, axis=2, keepdims=True)
+    f, w = rng.standard_normal((2, 40, 3))
+    scale, bias = 1.0 + 0.1 * rng.standard_normal((2, 3)), rng.standard_normal((2, 3))
+    calibration = ImuCalibration(
+        rotation=np.eye(3).tolist(),
+        std_error_deg=0.1,
+        accelerometer_scale=scale[0].tolist(),
+        accelerometer_bias=bias[0].tolist(),
+        accelerometer_axes=skew[0].tolist(),
+        gyro_scale=scale[1].tolist(),
+        gyro_bias=bias[1].tolist(),
+        gyro_axes=skew[1].tolist(),
+    )
+    mended, values, gyro = calibrated(
+        imu, calibration, scale[0] * (f @ skew[0].T) + bias[0], scale[1] * (w @ skew[1].T) + bias[1]
+    )
+    np.testing.assert_allclose(values @ np.linalg.pinv(mended.axes).T, f, atol=1e-12)
+    assert gyro is not None
+    np.testing.assert_allclose(gyro, w, atol=1e-12)
+    untold = ImuCalibration(rotation=np.eye(3).tolist(), std_error_deg=0.1)
+    untold.accelerometer_bias = [None, 0.5, None]
+    np.testing.assert_allclose(calibrated(imu, untold, f, None)[1], f - [0.0, 0.5, 0.0])
 
 
 def test_speed_about_an_axis_is_its_component() -> None:

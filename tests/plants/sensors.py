@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from tests.plants.rigid import LinkMotion
@@ -14,12 +15,81 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Faults:
+    """What a real sensor adds to noise and a constant bias; standard deviations unless said.
+
+    `drift` is what the bias wanders in a second (m/s^2/sqrt(s) or rad/s/sqrt(s)), `turn_on` how it
+    differs from log to log, `scale` the gain's error, `tilt` rad of each axis about each direction
+    across it. `delay` s is by how much the IMU's stamps are late against the encoders'; `spikes`
+    the share of samples that are wild, `limit` where the channels saturate. What belongs to the
+    instrument is drawn from `seed`, the rest anew in each log.
+    """
+
+    seed: int = 0
+    bias: float = 0.0
+    drift: float = 0.0
+    turn_on: float = 0.0
+    scale: float = 0.0
+    tilt: float = 0.0
+    delay: float = 0.0
+    spikes: float = 0.0
+    limit: float = np.inf
+
+    def gains(self, count: int) -> Array:
+        """Gain of each channel, (count,)."""
+        return 1.0 + self.scale * self._rng(1).standard_normal(count)
+
+    def axes(self, nominal: Array) -> Array:
+        """Unit axes as they are, (K, 3)."""
+        off = self.tilt * self._rng(2).standard_normal(nominal.shape)
+        off -= np.sum(off * nominal, axis=1, keepdims=True) * nominal
+        moved = nominal + off
+        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+
+    def biases(self, count: int) -> Array:
+        """Bias of each channel on average, (count,)."""
+        return self.bias * self._rng(3).standard_normal(count)
+
+    def _rng(self, purpose: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, purpose])
+
+    def read(
+        self,
+        ideal: Array,
+        white: float,
+        resolution: float,
+        rate_hz: float,
+        rng: np.random.Generator,
+    ) -> Array:
+        """Readings (N, K) of channels that feel `ideal`, already along their own axes."""
+        n, count = ideal.shape
+        steps = self.drift / np.sqrt(rate_hz) * rng.standard_normal((n, count))
+        offset = self.biases(count) + self.turn_on * rng.standard_normal(count)
+        values = self.gains(count) * delayed(ideal, self.delay, rate_hz)
+        values = (
+            values + offset + np.cumsum(steps, axis=0) + white * rng.standard_normal((n, count))
+        )
+        wild = rng.random((n, count)) < self.spikes
+        size = 50.0 * max(white, 0.02) * rng.standard_normal((n, count))
+        return quantise(np.clip(values + wild * size, -self.limit, self.limit), resolution)
+
+
+def delayed(values: Array, delay: float, rate_hz: float) -> Array:
+    """Values (N, K) as they were `delay` s before each row; the first row lasts before it."""
+    if delay == 0.0:
+        return values
+    t = np.arange(len(values)) / rate_hz
+    spline = CubicSpline(t, values)
+    return np.asarray(spline(np.clip(t - delay, t[0], t[-1])))
+
+
+@dataclass(frozen=True)
 class AccelerometerArray:
     """K single-axis accelerometers on the link after joint `after` (0-based).
 
     `positions` (K, 3) m and `axes` (K, 3) in the array's own frame, which sits at `lever` (3,) m
     in the link frame, turned by `rotation` (3, 3) = R_link_from_imu. Noise, bias and resolution in
-    m/s^2.
+    m/s^2. With `gyro_noise` rad/s it is an IMU with a gyro, whose faults are `gyro_faults`.
     """
 
     name: str
@@ -31,22 +101,39 @@ class AccelerometerArray:
     noise: float = 0.03
     bias: float = 0.0
     resolution: float = 2.0**-7
+    faults: Faults | None = None
+    gyro_noise: float | None = None
+    gyro_faults: Faults = field(default_factory=Faults)
+    gyro_resolution: float = 2.0**-12
 
     def ideal(self, motion: LinkMotion) -> Array:
         """Specific force along each axis, (N, K) m/s^2."""
+        own = self.axes if self.faults is None else self.faults.axes(self.axes)
         points = self.lever + self.positions @ self.rotation.T
-        axes = self.axes @ self.rotation.T
+        axes = own @ self.rotation.T
         omega, alpha = motion.omega[:, None, :], motion.alpha[:, None, :]
         force = motion.force[:, None, :] + np.cross(alpha, points)
         force = force + np.cross(omega, np.cross(omega, points))
         return np.asarray(np.einsum("nkj,kj->nk", force, axes))
 
-    def read(self, motion: LinkMotion, rng: np.random.Generator) -> Array:
+    def read(self, motion: LinkMotion, rng: np.random.Generator, rate_hz: float = 1000.0) -> Array:
         """Return readings with bias, white noise and resolution, (N, K) m/s^2."""
         ideal = self.ideal(motion)
+        if self.faults is not None:
+            return self.faults.read(ideal, self.noise, self.resolution, rate_hz, rng)
         bias = self.bias * rng.standard_normal(ideal.shape[1])
         noisy = ideal + bias + self.noise * rng.standard_normal(ideal.shape)
         return quantise(noisy, self.resolution)
+
+    def read_gyro(
+        self, motion: LinkMotion, rng: np.random.Generator, rate_hz: float
+    ) -> Array | None:
+        """Return angular velocity in the IMU's frame as its gyro reads it, (N, 3) rad/s."""
+        if self.gyro_noise is None:
+            return None
+        axes = self.gyro_faults.axes(np.eye(3)) @ self.rotation.T
+        ideal = motion.omega @ axes.T
+        return self.gyro_faults.read(ideal, self.gyro_noise, self.gyro_resolution, rate_hz, rng)
 
 
 def tetrahedral_array(size: float) -> tuple[Array, Array]:

@@ -16,9 +16,12 @@ from seqid_cli.commands.options import (
     Parameters,
     RobotPath,
     Strict,
+    imu_stage_for,
+    source_for_effects,
 )
 from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.show_diagnosis import show_diagnosis
+from seqid_cli.commands.show_motion import announced, show_motion
 from seqid_cli.commands.stages import tell_output
 from seqid_cli.params.diagnosis_schema import (
     DIAGNOSIS_SCHEMA,
@@ -34,6 +37,7 @@ from seqid_cli.params.diagnosis_schema import (
 from seqid_cli.params.document import now, present, robot_id, tool
 from seqid_cli.params.io import file_sha256, write_json_atomic
 from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.schema import MotionUse
 
 if TYPE_CHECKING:
     from seqid_cli.discover.results import Diagnosis, Finding, JointResidual, Unexplained
@@ -79,22 +83,28 @@ def run(
         parameters,
         output=output,
         time_source=time,
-        needs=("friction", "inertia", *(("imu",) if motion == "imu" else ())),
+        needs=("friction", "inertia", *imu_stage_for(motion)),
     )
 
     from seqid_cli.discover.diagnose import diagnose
     from seqid_cli.discover.options import DiscoverOptions
+    from seqid_cli.identify.motion_use import motion_uses
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.motion.options import MotionOptions
 
-    options = DiscoverOptions(InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=motion))
+    options = DiscoverOptions(
+        InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=source_for_effects(motion))
+    )
     account = Account(job)
-    found = diagnose(account, job.robot, job.stages, options=options)
-    file = _document(job, account, found)
+    recordings = list(announced(account, job.screen, job.stages.imu, motion))
+    found = diagnose(recordings, job.robot, job.stages, options=options)
+    uses = motion_uses(recordings, job.robot, job.stages.imu, options=options.motion)
+    file = _document(job, account, found, uses)
     if job.output is not None:
         write_json_atomic(job.output, file, inputs=[*job.files, *job.parameters])
     job.screen.document(file)
     show_diagnosis(job.screen, file)
+    show_motion(job.screen, file.motion)
     tell_output(job, "")
     _tell_next(job, file)
     missing = file.verdict != "nothing_missing"
@@ -112,7 +122,9 @@ def _tell_next(job: Job, file: DiagnosisFile) -> None:
     )
 
 
-def _document(job: Job, account: Account, found: Diagnosis) -> DiagnosisFile:
+def _document(
+    job: Job, account: Account, found: Diagnosis, motion: list[MotionUse]
+) -> DiagnosisFile:
     return DiagnosisFile(
         schema=DIAGNOSIS_SCHEMA,
         created=now(),
@@ -133,6 +145,7 @@ def _document(job: Job, account: Account, found: Diagnosis) -> DiagnosisFile:
             HiddenEntry(effect=item.effect, joint=item.joint, visible=item.visible)
             for item in found.hidden
         ],
+        motion=motion,
         notes=list(found.notes),
     )
 

@@ -17,8 +17,10 @@ from seqid_cli.commands.options import (
     Parameters,
     RobotPath,
     Strict,
+    imu_stage_for,
 )
 from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.show_motion import announced
 from seqid_cli.commands.stages import run_stage
 from seqid_cli.params.schema import Stages
 
@@ -49,7 +51,6 @@ def run(
 
     The logs hold moves of two joints (or more) at a time.
     """
-    imu = ("imu",) if motion == "imu" else ()
     job = prepare(
         screen_of(context),
         logs,
@@ -57,7 +58,7 @@ def run(
         parameters,
         output=output,
         time_source=time,
-        needs=("friction", "gravity", *imu),
+        needs=("friction", "gravity", *imu_stage_for(motion)),
     )
 
     from seqid_cli.identify.inertia import identify_inertia
@@ -67,6 +68,9 @@ def run(
     options = InertiaOptions(motion=MotionOptions(cutoff_hz=cutoff), source=motion)
 
     def identify(recordings: Iterable[Recording]) -> Stages:
-        return Stages(inertia=identify_inertia(recordings, job.robot, job.stages, options=options))
+        logs = announced(recordings, job.screen, job.stages.imu, motion)
+        return Stages(
+            inertia=identify_inertia(logs, job.robot, job.stages, options=options, compare=True)
+        )
 
     return run_stage(job, identify, strict=strict, following=_FOLLOWING)

@@ -73,7 +73,7 @@ def prepare(
     SeqidError
         A path, the robot file or a parameter file is wrong.
     """
-    files = expand(logs)
+    files = expand(logs, screen.warn)
     for file in files:
         check_log(file)
     for path in [output, *more_outputs]:

@@ -63,9 +63,30 @@ Clock = Annotated[
     typer.Option("--time", help="Which time stamps of an MCAP log count."),
 ]
 MotionSource = Annotated[
-    Literal["auto", "encoder", "imu"],
-    typer.Option("--motion", help="Where joint acceleration comes from."),
+    Literal["auto", "encoder", "imu", "fused"],
+    typer.Option(
+        "--motion",
+        help="Where joint motion comes from: encoders, IMUs (Eq. 30-42), or both in one smoother;"
+        " auto is fused where a log has a calibrated IMU (to look for effects: and where encoders"
+        " are much the worse), else encoder.",
+    ),
 ]
+
+
+def source_for_effects(motion: str) -> str:
+    """Return the source of motion for commands that look for effects.
+
+    By default IMUs take part only where encoders are too coarse: what a drive or its encoder does
+    wrong is what these commands are to find, and IMUs would make up for it.
+    """
+    return "needed" if motion == "auto" else motion
+
+
+def imu_stage_for(motion: str) -> tuple[str, ...]:
+    """Return the stages that a source of motion insists on."""
+    return ("imu",) if motion in ("imu", "fused") else ()
+
+
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 when a verdict is poor.")]
 
 _SCREEN_FLAGS = (

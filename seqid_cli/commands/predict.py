@@ -18,9 +18,11 @@ from seqid_cli.commands.options import (
     Parameters,
     RobotPath,
     Strict,
+    imu_stage_for,
 )
 from seqid_cli.commands.render import Screen, number, percent, screen_of
 from seqid_cli.commands.show import verdict_text
+from seqid_cli.commands.show_motion import announced, show_motion
 from seqid_cli.commands.stages import tell_output
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.document import now, present, robot_id, tool
@@ -35,7 +37,8 @@ from seqid_cli.params.prediction_schema import (
 from seqid_cli.params.schema import Verdict
 
 if TYPE_CHECKING:
-    from seqid_cli.commands.prediction_errors import ErrorSums
+    from seqid_cli.commands.prediction_errors import ErrorSums, TorqueWriter
+    from seqid_cli.export.torques_mcap import McapTorqueWriter
     from seqid_cli.identify.options import InertiaOptions
 
 EXAMPLES = (
@@ -43,13 +46,15 @@ EXAMPLES = (
     " -p inertia.json -o prediction.json",
     "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
     " -p inertia.json --torques torques.parquet --json",
+    "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    " -p inertia.json --torques torques.mcap",
 )
 # Above this share of the measured torque's RMS, a user should not rely on the prediction.
 MAX_RELATIVE_RMSE = 0.3
 
 Torques = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Where the torques themselves go, as Parquet."),
+    typer.Option(metavar="FILE", help="Where the torques go: as MCAP if it ends so, else Parquet."),
 ]
 WithUnexplained = Annotated[
     bool,
@@ -85,7 +90,7 @@ def run(
         output=output,
         more_outputs=[torques] if torques else [],
         time_source=time,
-        needs=("imu",) if motion == "imu" else (),
+        needs=imu_stage_for(motion),
     )
     there = present(job.stages)
     if not there:
@@ -117,7 +122,7 @@ def _predict(
     *,
     unexplained: bool,
 ) -> PredictionFile:
-    from seqid_cli.commands.prediction_errors import ErrorSums, TorqueWriter
+    from seqid_cli.commands.prediction_errors import ErrorSums
     from seqid_cli.identify.predict import predict
     from seqid_cli.model.effects.fitted import effect_notes
 
@@ -125,9 +130,12 @@ def _predict(
     overall = sliding = ErrorSums.none(len(names))
     logs = []
     told = effect_notes(job.stages, job.robot, unexplained=unexplained)
-    predictions = predict(account, job.robot, job.stages, options=options, unexplained=unexplained)
+    told_logs = announced(account, job.screen, job.stages.imu, options.source)
+    predictions = predict(
+        told_logs, job.robot, job.stages, options=options, unexplained=unexplained
+    )
     with contextlib.ExitStack() as stack:
-        writer = stack.enter_context(TorqueWriter.open(torques, names)) if torques else None
+        writer = stack.enter_context(_torque_writer(torques, names)) if torques else None
         for log in predictions:
             own, slid = ErrorSums.of(log, sliding=False), ErrorSums.of(log, sliding=True)
             overall, sliding = overall + own, sliding + slid
@@ -139,6 +147,7 @@ def _predict(
                     cutoff_hz=log.cutoff_hz,
                     joints=_joints(own, slid, names),
                     notes=list(log.notes),
+                    motion=log.motion,
                 )
             )
             if writer is not None:
@@ -158,6 +167,18 @@ def _predict(
         verdicts=[_verdict(name, error) for name, error in joints.items() if error.samples_sliding],
         notes=[*told, *_notes(used, joints)],
     )
+
+
+def _torque_writer(
+    path: Path, names: tuple[str, ...]
+) -> contextlib.AbstractContextManager[TorqueWriter | McapTorqueWriter]:
+    if path.suffix.lower() == ".mcap":
+        from seqid_cli.export.torques_mcap import McapTorqueWriter
+
+        return McapTorqueWriter.open(path, names)
+    from seqid_cli.commands.prediction_errors import TorqueWriter
+
+    return TorqueWriter.open(path, names)
 
 
 def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
@@ -211,5 +232,6 @@ def _show(screen: Screen, file: PredictionFile) -> None:
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     for note in notes:
         screen.note(f"note: {note}")
+    show_motion(screen, [log.motion for log in file.logs if log.motion is not None])
     for log in file.logs:
         screen.detail(f"{log.path}: cut-off {number(log.cutoff_hz)} Hz")

@@ -21,6 +21,7 @@ from seqid_cli.params.files import replacing, writing
 
 _ROWS = 65536  # per row group
 _KINDS = ("torque", "predicted", "residual")
+_MOTION = ("position", "velocity")
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,10 @@ class ErrorSums:
 
 
 class TorqueWriter:
-    """Writes `t`, `log` and three torque columns per joint, a log at a time."""
+    """Writes `t`, `log`, three torque columns per joint, then what they are looked at over.
+
+    That is `used` (whether the errors count the sample) and position and velocity of each joint.
+    """
 
     def __init__(self, path: Path, writer: pq.ParquetWriter, schema: pa.Schema) -> None:
         self._path = path
@@ -98,6 +102,8 @@ class TorqueWriter:
         """Write to `path` in one step: an interrupted run leaves the old file or none."""
         fields = [("t", pa.float64()), ("log", pa.string())]
         fields += [(f"{name}.{kind}", pa.float64()) for name in joints for kind in _KINDS]
+        fields += [("used", pa.bool_())]
+        fields += [(f"{name}.{kind}", pa.float64()) for name in joints for kind in _MOTION]
         schema = pa.schema(fields)
         with replacing(path) as temporary:
             with writing(path):
@@ -111,6 +117,11 @@ class TorqueWriter:
         columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
         for tau, predicted in zip(log.tau.T, log.predicted.T, strict=True):
             columns += [pa.array(tau), pa.array(predicted), pa.array(tau - predicted)]
+        columns.append(pa.array(log.used))
+        for joint in range(log.tau.shape[1]):
+            for values in (log.q, log.dq):
+                known = np.full(len(log.t), np.nan) if values is None else values[:, joint]
+                columns.append(pa.array(known, from_pandas=True))  # NaN is null
         with writing(self._path):
             table = pa.table(columns, schema=self._schema)
             self._writer.write_table(table, row_group_size=_ROWS)

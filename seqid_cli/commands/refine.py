@@ -20,8 +20,11 @@ from seqid_cli.commands.options import (
     Parameters,
     RobotPath,
     Strict,
+    imu_stage_for,
+    source_for_effects,
 )
 from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.show_motion import announced, show_motion
 from seqid_cli.commands.show_refinement import show_refinement
 from seqid_cli.commands.stages import tell_output
 from seqid_cli.params.document import refined, robot_id
@@ -31,6 +34,7 @@ from seqid_cli.params.schema import (
     ClosedLoop,
     InputLog,
     JointRmse,
+    MotionUse,
     ParameterFile,
     RefinementRound,
 )
@@ -96,7 +100,7 @@ def run(
         parameters,
         output=output,
         time_source=time,
-        needs=("friction", "inertia", *(("imu",) if motion == "imu" else ())),
+        needs=("friction", "inertia", *imu_stage_for(motion)),
     )
     assert job.previous is not None
 
@@ -105,7 +109,7 @@ def run(
     from seqid_cli.motion.options import MotionOptions
 
     options = DiscoverOptions(
-        InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=motion),
+        InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=source_for_effects(motion)),
         max_effects=rounds,
         with_unexplained=with_unexplained,
     )
@@ -116,6 +120,7 @@ def run(
         write_json_atomic(job.output, file, inputs=inputs)
     job.screen.document(file)
     show_refinement(job.screen, file.closed_loop, file.stages.effects or [])
+    show_motion(job.screen, file.closed_loop.motion)
     tell_output(job, _FOLLOWING)
     return exit_code(untrusted=strict and not file.closed_loop.rounds, partial=partial)
 
@@ -124,9 +129,13 @@ def _refine(
     job: Job, previous: ParameterFile, held_out: Sequence[Path], options: DiscoverOptions
 ) -> tuple[ParameterFile, list[str]]:
     from seqid_cli.discover.refine import refine
+    from seqid_cli.identify.motion_use import motion_uses
 
     training, kept_out = Account(job), Account(replace(job, files=tuple(held_out)))
-    fitted, unseen = list(training), list(kept_out)
+    imu, source = job.stages.imu, options.motion.source
+    fitted, unseen = (
+        list(announced(account, job.screen, imu, source)) for account in (training, kept_out)
+    )
     found = find_earlier(
         previous.inputs,
         [path.parent for path in job.parameters],
@@ -139,12 +148,13 @@ def _refine(
         f"{len(fitted)} logs to fit, {len(unseen)} held out, {count} of earlier stages"
     )
     stages, loop = refine(fitted, unseen, job.robot, previous, earlier=earlier, options=options)
+    uses = motion_uses([*fitted, *unseen], job.robot, imu, options=options.motion)
     file = refined(
         previous,
         robot_id(job.robot),
         training.inputs("effects"),
         stages,
-        _closed_loop(loop, kept_out.inputs(), found.notes),
+        _closed_loop(loop, kept_out.inputs(), found.notes, uses),
     )
     return file, [*training.partial, *kept_out.partial, *partial]
 
@@ -166,7 +176,10 @@ def _read_earlier(
 
 
 def _closed_loop(
-    loop: results.ClosedLoop, held_out: list[InputLog], notes: Sequence[str]
+    loop: results.ClosedLoop,
+    held_out: list[InputLog],
+    notes: Sequence[str],
+    motion: list[MotionUse],
 ) -> ClosedLoop:
     return ClosedLoop(
         rounds=[_round(tried) for tried in loop.rounds if tried.accepted],
@@ -177,6 +190,7 @@ def _closed_loop(
         gain_interval={name: list(limits) for name, limits in loop.gain_interval.items()},
         evaluated_on=list(loop.evaluated_on),
         held_out=held_out,
+        motion=motion,
         notes=[*notes, *loop.notes],
     )
 

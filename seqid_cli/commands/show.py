@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from seqid_cli.commands.render import Screen, number
+from seqid_cli.commands.show_motion import show_motion
 from seqid_cli.params.schema import FrictionStage, ImuStage, RigidStage, Stages, Verdict
 
 
@@ -71,6 +72,7 @@ def _rigid(screen: Screen, name: str, stage: RigidStage) -> None:
     ]
     screen.table(("joint", "RMS error N m", "verdict"), joints)
     _remarks(screen, name, stage.verdicts, stage.notes, stage.rmse)
+    show_motion(screen, stage.motion_use)
 
 
 def _imu(screen: Screen, stage: ImuStage) -> None:

@@ -8,8 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from seqid_cli.commands.job import prepare
-from seqid_cli.commands.options import Clock, Cutoff, Logs, Output, RobotPath, Strict
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Logs,
+    MotionSource,
+    OptionalParameters,
+    Output,
+    RobotPath,
+    Strict,
+    imu_stage_for,
+)
 from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.show_motion import announced
 from seqid_cli.commands.stages import run_stage
 from seqid_cli.params.schema import Stages
 
@@ -33,17 +44,28 @@ def run(
     context: typer.Context,
     logs: Logs,
     robot: RobotPath,
+    parameters: OptionalParameters = None,
     output: Output = None,
     offset: Offset = False,
+    motion: MotionSource = "auto",
     cutoff: Cutoff = None,
     time: Clock = "header",
     strict: Strict = False,
 ) -> int:
     """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
 
-    Any logs will do. For comparison, and for data without moves of single joints.
+    Any logs will do. For comparison, and for data without moves of single joints. With the file of
+    seqid imu-calib (-p) accelerometers are used as well.
     """
-    job = prepare(screen_of(context), logs, robot, (), output=output, time_source=time)
+    job = prepare(
+        screen_of(context),
+        logs,
+        robot,
+        parameters or (),
+        output=output,
+        time_source=time,
+        needs=imu_stage_for(motion),
+    )
 
     from seqid_cli.identify.simultaneous import identify_simultaneous
     from seqid_cli.motion.options import MotionOptions
@@ -51,8 +73,14 @@ def run(
     options = MotionOptions(cutoff_hz=cutoff)
 
     def identify(recordings: Iterable[Recording]) -> Stages:
+        imu = job.stages.imu
         friction, inertia = identify_simultaneous(
-            recordings, job.robot, options=options, offset=offset
+            announced(recordings, job.screen, imu, motion),
+            job.robot,
+            options=options,
+            imu=imu,
+            source=motion,
+            offset=offset,
         )
         return Stages(friction=friction, inertia=inertia)
 

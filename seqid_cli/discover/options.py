@@ -16,7 +16,7 @@ class DiscoverOptions:
     lets refinement add a smooth term where no effect of the catalogue explains a residual.
     """
 
-    motion: InertiaOptions = field(default_factory=InertiaOptions)
+    motion: InertiaOptions = field(default_factory=lambda: InertiaOptions(source="needed"))
     seed: int = 0
     clean_runs: int = 4
     max_effects: int = 4

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.base import Basis, base_regressor
 from seqid_cli.robot.types import Robot
 
@@ -21,16 +23,26 @@ BLOCK_S = 1.0
 CHUNK = 4096
 
 
-def torque_motion(recording: Recording, robot: Robot, options: MotionOptions) -> Motion:
+def torque_motion(
+    recording: Recording,
+    robot: Robot,
+    options: MotionOptions,
+    *,
+    imu: ImuStage | None = None,
+    source: str = "encoder",
+) -> Motion:
     """Decimated motion of a log that carries torque.
+
+    `imu` holds the calibrations and `source` says where motion comes from (see `best_motion`).
 
     Raises
     ------
     InputError
-        If the log carries neither torque nor current.
+        If the log carries neither torque nor current, or not the IMU that `source` insists on.
     """
     torque_of(recording)
-    return decimated(estimate_motion(recording, robot, options))
+    encoder = estimate_motion(recording, robot, options)
+    return decimated(best_motion(recording, robot, imu, encoder, source=source))
 
 
 def cutoff_note(cutoffs: Sequence[float], options: MotionOptions) -> str:

@@ -12,7 +12,9 @@ the rotor is there too is asked of the data, as one more parameter that is eithe
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,7 @@ from seqid_cli.identify.equations import (
 )
 from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve, whitened
+from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid_stage import (
     not_excited,
@@ -34,9 +37,8 @@ from seqid_cli.identify.rigid_stage import (
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, friction_torque, known_rotors, sliding
-from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import Motion
-from seqid_cli.params.schema import RigidStage, Stages, Verdict
+from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
 from seqid_cli.robot.base import Basis, free_basis, gear_ratios, standard_names
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
@@ -48,7 +50,12 @@ POOR_SHARE = 0.15  # residual over torque RMS beyond which a joint's verdict is 
 
 
 def identify_inertia(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    compare: bool = False,
 ) -> RigidStage:
     """Identify the base parameters that gravity does not show.
 
@@ -62,6 +69,8 @@ def identify_inertia(
         With friction; with gravity where gravity loads the arm; with imu to use accelerometers.
     options : InertiaOptions
         Cut-off and source of the motion.
+    compare : bool
+        Whether to do it a second time with the encoders alone, for their standard errors.
 
     Returns
     -------
@@ -79,11 +88,31 @@ def identify_inertia(
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
     basis = free_basis(robot)
     equations = InertiaEquations(robot, basis, stages, options)
+    others = InertiaEquations(robot, basis, stages, replace(options, source="encoder"))
     for recording in recordings:
         equations.add(recording)
+        if compare:
+            others.add(recording)
     if not any(joint.samples for joint in equations.joints):
         raise QualityError("no joint with known friction moves in these logs")
-    return equations.stage()
+    stage = equations.stage()
+    if compare and any(use.source != "encoder" for use in stage.motion_use):
+        stage = _compared(stage, others.stage())
+    return stage
+
+
+def _compared(stage: RigidStage, encoders: RigidStage) -> RigidStage:
+    """The stage with the standard errors that encoders alone would have left."""
+    before = {p.name: p.std_error for p in encoders.parameters}
+    both = [(before[p.name], p.std_error) for p in stage.parameters if p.name in before]
+    ratio = [encoder / max(used, 1e-300) for encoder, used in both]
+    note = ""
+    if ratio:
+        times = f"{np.median(ratio):.2g} times these"
+        note = f"by the encoders alone the standard errors would be {times} (median)"
+    return msgspec.structs.replace(
+        stage, encoder_std_errors=before, notes=[*stage.notes, *([note] if note else [])]
+    )
 
 
 class InertiaEquations:
@@ -97,20 +126,20 @@ class InertiaEquations:
         self.joints = [Accumulator(basis.size + 1) for _ in range(robot.n)]
         self.torque_squares = np.zeros(robot.n)
         self.cutoffs: list[float] = []
-        self.sources: dict[str, str] = {}
+        self.uses: list[MotionUse] = []
         self._cross: dict[int, Array] = {}
 
     def add(self, recording: Recording) -> None:
         """Add the rows of one log."""
-        motion = best_motion(
+        motion = torque_motion(
             recording,
             self.robot,
-            self.stages.imu,
-            torque_motion(recording, self.robot, self.options.motion),
+            self.options.motion,
+            imu=self.stages.imu,
             source=self.options.source,
         )
         self.cutoffs.append(motion.cutoff.hz)
-        self.sources[str(recording.path)] = motion.source
+        self.uses.append(motion_use(recording.path, self.robot, motion))
         usable = sliding(motion, self.slowest)
         y = self._right_side(motion)
         kappa = self._coupling_column(motion)
@@ -197,7 +226,8 @@ class InertiaEquations:
             not_excited=missing,
             rmse=rmse,
             rotor_coupling="gyroscopic" if coupled else "diagonal",
-            motion=self.sources,
+            motion={use.log: source_text(use) for use in self.uses},
+            motion_use=self.uses,
             missing_pairs=pairs,
             cutoff_hz=float(np.median(self.cutoffs)),
             verdicts=self._verdicts(solution, joints),

@@ -23,7 +23,7 @@ class FrictionOptions:
 
 @dataclass(frozen=True)
 class InertiaOptions:
-    """`source` is where joint accelerations come from: "auto", "encoder" or "imu"."""
+    """`source` is where joint motion comes from: "auto", "encoder", "imu" or "fused"."""
 
     motion: MotionOptions = field(default_factory=MotionOptions)
     source: str = "auto"

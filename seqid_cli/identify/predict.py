@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.inertia import slowest_speeds
+from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
@@ -17,7 +18,7 @@ from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, sliding
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import estimate_motion
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -32,7 +33,9 @@ class LogPrediction:
 
     `used` (N,) marks the samples that count, away from ends and gaps; `sliding` (N, n) those at
     which a joint certainly slides. Elsewhere friction is known only as an interval, and
-    `predicted` is the value of it that lies nearest to the measured torque.
+    `predicted` is the value of it that lies nearest to the measured torque. `q`, `dq` (N, n) are
+    the joint positions and velocities behind the prediction, `start` [s] is the first sample on the
+    log's own clock.
     """
 
     path: Path
@@ -45,6 +48,10 @@ class LogPrediction:
     used: Mask
     sliding: Mask
     notes: tuple[str, ...] = ()
+    q: Array | None = None
+    dq: Array | None = None
+    motion: MotionUse | None = None
+    start: float = 0.0
 
 
 def predict(
@@ -116,6 +123,10 @@ def _predict_log(
         used=motion.usable,
         sliding=slides,
         notes=tuple(_notes(model, robot, stages, model.outside(motion) & slides, slides)),
+        q=motion.q,
+        dq=motion.dq,
+        motion=motion_use(recording.path, robot, motion),
+        start=recording.start,
     )
 
 

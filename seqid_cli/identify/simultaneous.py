@@ -10,6 +10,7 @@ every later command reads it like any other file.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from seqid_cli.identify.equations import (
     torque_motion,
 )
 from seqid_cli.identify.least_squares import Accumulator, Solution, solve
+from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.rigid_stage import not_excited, parameters_of, representative_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import known_rotors, sliding
@@ -30,6 +32,8 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import (
     FrictionJoint,
     FrictionStage,
+    ImuStage,
+    MotionUse,
     Parameter,
     RigidStage,
     SpeedLevel,
@@ -51,6 +55,8 @@ def identify_simultaneous(
     *,
     options: MotionOptions,
     offset: bool = False,
+    imu: ImuStage | None = None,
+    source: str = "auto",
 ) -> tuple[FrictionStage, RigidStage]:
     """Identify rigid body and Coulomb-viscous friction together.
 
@@ -64,6 +70,10 @@ def identify_simultaneous(
         Cut-off.
     offset : bool
         Whether each joint has a constant torque F_o besides.
+    imu : ImuStage, optional
+        Calibrations, to use accelerometers.
+    source : {"auto", "encoder", "imu", "fused"}
+        Where motion comes from.
 
     Returns
     -------
@@ -78,7 +88,9 @@ def identify_simultaneous(
     basis = free_basis(robot)
     equations = SimultaneousEquations(robot, basis, offset=offset)
     for recording in recordings:
-        equations.add(torque_motion(recording, robot, options))
+        equations.add(
+            recording.path, torque_motion(recording, robot, options, imu=imu, source=source)
+        )
     if not any(joint.samples for joint in equations.joints):
         raise QualityError("no joint moves in these logs", hint="record moves of every joint")
     return equations.stages(options)
@@ -97,10 +109,12 @@ class SimultaneousEquations:
         self.position = np.array([[np.inf, -np.inf]] * robot.n)
         self.torque_squares = np.zeros(robot.n)
         self.cutoffs: list[float] = []
+        self.uses: list[MotionUse] = []
 
-    def add(self, motion: Motion) -> None:
+    def add(self, path: Path, motion: Motion) -> None:
         """Add the rows of one log."""
         assert motion.tau is not None
+        self.uses.append(motion_use(path, self.robot, motion))
         self._remember(motion)
         self.cutoffs.append(motion.cutoff.hz)
         usable = sliding(motion, self.width)
@@ -203,6 +217,8 @@ class SimultaneousEquations:
             not_excited=missing,
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
             method="simultaneous",
+            motion={use.log: source_text(use) for use in self.uses},
+            motion_use=self.uses,
             cutoff_hz=cutoff,
             verdicts=self._verdicts(solution, missing),
             notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],

@@ -15,11 +15,16 @@ which stops where a further percent of information would cost more than 1 / KAPP
 With a fine encoder that is higher than the model reaches (elasticity, ripple), so the cut-off also
 stays below ten times the motion's own bandwidth, the frequency below which 99 percent of the
 velocity's power lies.
+
+With motion from the smoother, N is the power of its error instead (see `smoothed_error`). That is
+so small that J rises as long as the motion has content; the cut-off is the lowest one within a
+percent of the highest J, for what lies above is noise of the torque and nothing to learn from. It
+is never below that of the encoders, beside which the smoother has nowhere more noise.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +36,7 @@ KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
 BANDWIDTHS = 10.0
 CLEAR_FALL = 0.05  # of the score, beyond which a later maximum is not looked for
+WORTH = 0.01  # of the score per joint, that a higher cut-off of smoothed motion must bring
 
 
 @dataclass(frozen=True)
@@ -50,8 +56,42 @@ class Cutoff:
     @property
     def acceleration_noise(self) -> Array:
         """Standard deviation (n,) rad/s^2 of the differentiated encoder below the cut-off."""
-        noise: Array = np.sqrt(self.noise_density * (2 * np.pi) ** 4 * self.hz**5 / 5)
+        noise: Array = np.sqrt(differentiated_error(self.noise_density, self.hz))
         return noise
+
+
+def differentiated_error(density: Array, hz: float | Array) -> Array:
+    """Power of twice differentiated white noise of a density (rad^2/Hz) below a cut-off."""
+    power: Array = density * (2 * np.pi) ** 4 * hz**5 / 5
+    return power
+
+
+def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
+    """Power of the smoother's acceleration error below a cut-off.
+
+    Above some f_c the IMUs make the error of the acceleration white of density s, below it the
+    encoder holds it down to s (f / f_c)^4. Velocity and position then have the variances
+    4 s / (3 (2 pi)^2 f_c) and 4 s / (3 (2 pi)^4 f_c^3), from which f_c and s follow. No more than
+    the smoother's whole error lies below a cut-off, and no more than the encoder alone would have.
+
+    Parameters
+    ----------
+    variance : (n, 3) array
+        Typical variance of the smoother's q, dq, ddq.
+    density : (n,) array
+        Noise of the encoders [rad^2/Hz].
+    hz : float
+        Cut-off.
+
+    Returns
+    -------
+    (n,) array
+        [(rad/s^2)^2].
+    """
+    position, velocity, acceleration = np.maximum(variance, 1e-300).T
+    white = 0.75 * 2 * np.pi * velocity * np.sqrt(velocity / position)
+    error: Array = np.minimum(acceleration, white * hz)
+    return np.minimum(error, differentiated_error(density, hz))
 
 
 def encoder_step(q: Array) -> Array:
@@ -105,7 +145,7 @@ def choose_cutoff(
     joints = [j for j in range(q.shape[1]) if moving is None or moving[j]]
     highest = min(HIGHEST_HZ, rate_hz / 8)
     if joints:
-        bandwidth = max(_bandwidth(q[:, j], rate_hz) for j in joints)
+        bandwidth = max(_bandwidth(np.diff(q[:, j]) * rate_hz, rate_hz) for j in joints)
         highest = min(highest, max(BANDWIDTHS * bandwidth, 2 * LOWEST_HZ))
     candidates = np.geomspace(min(LOWEST_HZ, highest / 2), highest, 120)
     score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
@@ -118,6 +158,60 @@ def choose_cutoff(
     return Cutoff(float(candidates[best]), step, float(bias[best]), True, density)
 
 
+def choose_smoothed_cutoff(
+    encoder: Cutoff,
+    dq: Array,
+    ddq: Array,
+    variance: Array,
+    rate_hz: float,
+    *,
+    moving: NDArray[np.bool_],
+) -> Cutoff:
+    """Choose one low-pass cut-off for all joints of a log whose motion comes from the smoother.
+
+    Parameters
+    ----------
+    encoder : Cutoff
+        The choice for the encoders alone, for what it says of them.
+    dq, ddq : (N, n) arrays
+        Smoothed motion [rad/s, rad/s^2].
+    variance : (n, 3) array
+        Typical variance of the smoother's q, dq, ddq.
+    rate_hz : float
+        Samples per second.
+    moving : (n,) bool array
+        Joints that move.
+
+    Returns
+    -------
+    Cutoff
+        That of the encoders with another `hz`, and the `bias` that is left at it.
+    """
+    joints = np.flatnonzero(moving)
+    if not len(joints):
+        return encoder
+    bandwidth = max(_bandwidth(dq[:, j], rate_hz) for j in joints)
+    highest = min(HIGHEST_HZ, rate_hz / 8, max(BANDWIDTHS * bandwidth, 2 * LOWEST_HZ))
+    candidates = np.geomspace(encoder.hz, max(encoder.hz, highest), 60)
+    score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
+    error = np.array([smoothed_error(variance, encoder.noise_density, hz) for hz in candidates])
+    for j in joints:
+        signal = np.maximum(_power_below(ddq[:, j], rate_hz, candidates) - error[:, j], 1e-12)
+        score += np.log(signal) - KAPPA * error[:, j] / signal
+        bias = np.maximum(bias, error[:, j] / signal)
+    best = _first_maximum(score)
+    best = int(np.flatnonzero(score >= score[best] - WORTH * len(joints))[0])
+    return replace(encoder, hz=float(candidates[best]), bias=float(bias[best]))
+
+
+def _power_below(values: Array, rate_hz: float, cutoffs: Array) -> Array:
+    """Power of a signal below each cut-off."""
+    length = min(len(values), max(256, int(8 * rate_hz)))
+    frequency, density = welch(values, rate_hz, nperseg=length, detrend=False)
+    total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
+    return np.asarray(np.interp(cutoffs, frequency, total))
+
+
 def _first_maximum(score: Array) -> int:
     """Index of the best value before the first clear fall.
 
@@ -128,9 +222,8 @@ def _first_maximum(score: Array) -> int:
     return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
 
 
-def _bandwidth(position: Array, rate_hz: float) -> float:
+def _bandwidth(velocity: Array, rate_hz: float) -> float:
     """Frequency, Hz, below which 99 percent of the velocity's power lies."""
-    velocity = np.diff(position) * rate_hz
     length = min(len(velocity), max(256, int(20 * rate_hz)))
     frequency, density = welch(velocity, rate_hz, nperseg=length, detrend=False)
     # Twice the floor at the top of the spectrum comes off: a coarse encoder is not a fast motion.
@@ -153,7 +246,7 @@ def _powers(
     floor = _noise_density(frequency, density, omega4, rate_hz, step)
     width = frequency[1]
     total = np.concatenate(([0.0], np.cumsum(density[1:] * width)))
-    noise = floor * (2 * np.pi) ** 4 * cutoffs**5 / 5
+    noise = differentiated_error(np.asarray(floor), cutoffs)
     signal = np.interp(cutoffs, frequency, total) - noise
     # Power beyond the first point where noise takes over is noise, whatever its exact level.
     signal = np.maximum.accumulate(np.maximum(signal, 1e-12))

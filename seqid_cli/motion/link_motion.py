@@ -1,37 +1,38 @@
-"""Joint accelerations from every calibrated IMU and the encoders together.
+"""Joint accelerations from every calibrated IMU, and the choice of where motion comes from.
 
 An IMU on link m, its readings turned into the link's frame, sees
 
     dw_m = sum_{i <= m} z_i ddq_i + c_m(q, dq),
 
 z_i the joint axes in that frame and c_m what the velocities alone produce (Eq. 39 for two joints).
-With the differentiated encoder as one more measurement, each weighted by its noise below the
-cut-off, this is a small least squares per sample; Eq. 30 and 42 are its cases of one and two
-moving joints.
+Each IMU weighted by its noise below the cut-off, this is a small least squares per sample; Eq. 30
+and 42 are its cases of one and two moving joints. Only what no IMU sees is left to the encoder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.errors import UsageError
+from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.fused import absent_imus, fused_motion, needed
 from seqid_cli.motion.imu_array import layout, read_angular
 from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.options import SOURCES
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import forward, link_angular_motion
 from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]
 
-SOURCES = ("auto", "encoder", "imu")
 DISAGREEMENT = 0.5  # share of the encoder's acceleration beyond which an IMU is not believed
 AXIS_ERROR = 0.003  # what calibration leaves of scale and alignment
+UNSEEN = 1e-6  # weight of an encoder beside IMUs
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class LinkReading:
 def best_motion(
     recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion, *, source: str
 ) -> Motion:
-    """Improve the encoder's accelerations by the IMUs that are calibrated and healthy.
+    """Improve the encoders' motion by the IMUs that are calibrated and healthy.
 
     Parameters
     ----------
@@ -56,36 +57,79 @@ def best_motion(
     stage : ImuStage, optional
         Calibrations.
     motion : Motion
-        From the encoders, possibly decimated.
-    source : {"auto", "encoder", "imu"}
-        "imu" insists: a log without a usable IMU is an error.
+        From the encoders, at the log's own rate.
+    source : {"auto", "needed", "encoder", "imu", "fused"}
+        "imu" and "fused" insist: a log without a usable IMU is an error. "auto" is "fused" where
+        that can be had and contradicts no encoder, and "encoder" elsewhere; "needed" takes the
+        encoder as well where it is nearly as good (see `fused.needed`).
 
     Returns
     -------
     Motion
-        With `ddq` and `source` replaced where IMUs took part.
+        "imu" replaces `ddq` (Eq. 30-42), "fused" all motion, and the filter with it.
 
     Raises
     ------
     UsageError
-        If `source` is unknown, or "imu" and no calibrated IMU is in the log.
+        If `source` is unknown.
+    InputError
+        If it is "imu" or "fused" and no calibrated, healthy IMU is in the log.
     """
     if source not in SOURCES:
         raise UsageError(f"motion source {source!r} is not one of {', '.join(SOURCES)}")
-    moving = np.flatnonzero(motion.moving.any(axis=0))
-    readings = [] if source == "encoder" else list(_readings(recording, robot, stage, motion))
-    readings = [r for r in readings if _healthy(r, robot, motion, moving)]
-    if not readings:
-        if source == "imu":
-            raise UsageError(
-                "no calibrated, healthy IMU in this log",
-                hint="run seqid imu-calib and pass its file with -p, or use --motion auto",
-                where=str(recording.path),
-            )
+    if source == "encoder":
         return motion
-    ddq = _solve(robot, motion, moving, readings, trust_encoder=source == "auto")
-    names = "+".join(r.imu.name for r in readings)
-    return replace(motion, ddq=ddq, source=f"encoder+{names}" if source == "auto" else names)
+    if source == "imu":
+        return _from_imus(recording, robot, stage, motion)
+    found = fused_motion(recording, robot, stage, motion, insist=source == "fused")
+    if source == "fused" and found.source != "fused":
+        raise _impossible(source, recording, robot, stage, found.warnings)
+    return motion if source == "needed" and not needed(found) else found
+
+
+def _from_imus(
+    recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion
+) -> Motion:
+    moving = np.flatnonzero(motion.moving.any(axis=0))
+    there = list(_readings(recording, robot, stage, motion))
+    readings = [reading for reading in there if _healthy(reading, robot, motion, moving)]
+    names = tuple(reading.imu.name for reading in readings)
+    left_out = [reading.imu.name for reading in there if reading.imu.name not in names]
+    warnings = [*absent_imus(recording, robot, stage)]
+    warnings += [f"{name} is left out: it contradicts the encoders" for name in left_out]
+    if not readings:
+        raise _impossible("imu", recording, robot, stage, warnings)
+    ddq, error = _solve(robot, motion, moving, readings)
+    return replace(
+        motion,
+        ddq=ddq,
+        source="imu",
+        imus=names,
+        error=error,
+        encoder_error=motion.acceleration_error,
+        warnings=tuple(warnings),
+    )
+
+
+def _impossible(
+    source: str,
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    reasons: Sequence[str],
+) -> InputError:
+    """The error of a log that has no IMU to go by, with what stands in the way."""
+    if not robot.imus:
+        why = "the robot file names no IMU"
+    elif stage is None or not stage.imus:
+        why = f"{', '.join(imu.name for imu in robot.imus)}: no calibration given"
+    else:
+        why = "; ".join(reasons) or "no IMU sees a joint that moves"
+    return InputError(
+        f"no calibrated, healthy IMU for --motion {source} in this log: {why}",
+        hint="run seqid imu-calib and give its file with -p, or use --motion encoder",
+        where=str(recording.path),
+    )
 
 
 def _readings(
@@ -169,14 +213,9 @@ def _healthy(reading: LinkReading, robot: Robot, motion: Motion, moving: NDArray
 
 
 def _solve(
-    robot: Robot,
-    motion: Motion,
-    moving: NDArray[np.intp],
-    readings: list[LinkReading],
-    *,
-    trust_encoder: bool,
-) -> Array:
-    """Weighted least squares per sample for the accelerations of the moving joints."""
+    robot: Robot, motion: Motion, moving: NDArray[np.intp], readings: list[LinkReading]
+) -> tuple[Array, Array]:
+    """Weighted least squares per sample for the moving joints: accelerations, their error (n,)."""
     count = len(moving)
     normal = np.zeros((motion.samples, count, count))
     right = np.zeros((motion.samples, count))
@@ -192,12 +231,12 @@ def _solve(
         weight = 1.0 / max(reading.noise, 1e-9) ** 2
         normal += weight * np.einsum("nik,nil->nkl", J, J)
         right += weight * np.einsum("nik,ni->nk", J, reading.dw - c)
-    encoder = 1.0 / np.maximum(motion.cutoff.acceleration_noise[moving], 1e-9) ** 2
-    if not trust_encoder:
-        # Only what no IMU sees is left to the encoder.
-        encoder = 1e-6 * encoder
+    noise = np.maximum(motion.cutoff.acceleration_noise, 1e-9)
+    encoder = UNSEEN / noise[moving] ** 2
     normal[:, range(count), range(count)] += encoder
     right += encoder * motion.ddq[:, moving]
-    ddq = np.zeros_like(motion.ddq)
+    ddq, error = np.zeros_like(motion.ddq), noise.copy()
     ddq[:, moving] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    return ddq
+    variance = np.median(np.linalg.inv(normal), axis=0).diagonal()
+    error[moving] = np.minimum(np.sqrt(variance), noise[moving] / np.sqrt(UNSEEN))
+    return ddq, np.where(error > 0.5 * noise / np.sqrt(UNSEEN), noise, error)

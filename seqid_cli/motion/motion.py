@@ -27,7 +27,10 @@ class Motion:
 
     `q`, `dq`, `ddq` (N, n) went through the low-pass once, `tau` (N, n) N m twice: terms computed
     from the motion are to be filtered once more with `lowpass` (see `filtered`), friction twice.
-    `usable` (N,) is False near ends and gaps, where the filter has not settled.
+    `usable` (N,) is False near ends and gaps, where the filter has not settled. `source` is
+    "encoder", "imu" (accelerations by Eq. 30-42) or "fused" (all of it by the smoother), `imus` are
+    the IMUs that took part, `error` (n,) rad/s^2 the standard deviation of `ddq` that they leave,
+    `encoder_error` that of the encoders alone, and `warnings` say what was not as it should be.
     """
 
     t: Array
@@ -42,11 +45,20 @@ class Motion:
     lowpass: Lowpass
     cutoff: Cutoff
     source: str = "encoder"
+    imus: tuple[str, ...] = ()
+    error: Array | None = None
+    encoder_error: Array | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:
         """Number of samples."""
         return len(self.t)
+
+    @property
+    def acceleration_error(self) -> Array:
+        """Standard deviation (n,) rad/s^2 of `ddq`."""
+        return self.cutoff.acceleration_noise if self.error is None else self.error
 
     def filtered(self, values: Array, times: int = 1) -> Array:
         """Send computed terms (N, ...) through the motion's own low-pass."""
@@ -85,19 +97,30 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     lowpass = Lowpass(cutoff.hz, rate)
     q = lowpass(recording.q, recording.valid)
     dq, ddq = differentiate(q, rate, recording.valid)
-    tau = None
-    if recording.tau is not None:
-        tau = lowpass(lowpass(recording.tau, recording.valid), recording.valid)
-    usable = shrink(recording.valid, 2 * lowpass.settling)
-    if not usable.any():
-        raise InputError(
-            f"no stretch without a gap is long enough for a low-pass of {cutoff.hz:.3g} Hz",
-            hint="record longer, mend the gaps, or give a higher --cutoff",
-            where=str(recording.path),
-        )
+    tau, usable = filtered_torque(recording, lowpass)
     return Motion(
         recording.t, q, dq, ddq, tau, moving, usable, recording.valid, rate, lowpass, cutoff
     )
+
+
+def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | None, Mask]:
+    """Torque (N, n) after two passes, where there is one, and the samples at which it has settled.
+
+    Raises
+    ------
+    InputError
+        If no stretch of the log is long enough to filter.
+    """
+    usable = shrink(recording.valid, 2 * lowpass.settling)
+    if not usable.any():
+        raise InputError(
+            f"no stretch without a gap is long enough for a low-pass of {lowpass.cutoff_hz:.3g} Hz",
+            hint="record longer, mend the gaps, or give a higher --cutoff",
+            where=str(recording.path),
+        )
+    if recording.tau is None:
+        return None, usable
+    return lowpass(lowpass(recording.tau, recording.valid), recording.valid), usable
 
 
 def _cutoff(

@@ -12,7 +12,8 @@ signs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +22,28 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
-from seqid_cli.motion.smoother_encoder import encoder_view
-from seqid_cli.motion.smoother_imus import believed, mounted_imus
+from seqid_cli.motion.smoother_belief import believed, contradiction
+from seqid_cli.motion.smoother_chunk import Chunk, Mounted, motion_at, resampled
+from seqid_cli.motion.smoother_encoder import bridged, encoder_view
+from seqid_cli.motion.smoother_imus import handed_on, mounted_imus, read
 from seqid_cli.motion.smoother_solve import (
     Solution,
-    all_together,
+    between,
+    detailed,
     encoder_motion,
     probed_covariance,
+    settled,
 )
-from seqid_cli.motion.smoother_system import Chunk, Mounted, motion_at
+from seqid_cli.motion.smoother_system import chosen
+from seqid_cli.motion.smoother_terms import Jerk
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
+Places = NDArray[np.intp]
 
-FIRST_JERK = 1e3  # rad/s^3 between knots, to start with
-LEAST_KNOTS_HZ = 1000.0
+FIRST_JERK = 1e3  # rad/s^3 between knots a millisecond apart, to start with
+FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for the constants
 CHUNK_S, OVERLAP_S = 10.0, 0.5
 
 
@@ -44,19 +51,29 @@ CHUNK_S, OVERLAP_S = 10.0, 0.5
 class Smoothed:
     """Motion (N, n) at every sample; `covariance` (N, n, 3, 3) of each joint's q, dq, ddq.
 
-    `bias` of each IMU's readings [m/s^2, then rad/s] and `lever`, its place on the link [m], are
-    of the last chunk; `jerk` (n,) rad/s^3 is the standard deviation of the jerk between knots.
+    `bias` of each IMU's readings [m/s^2, then rad/s], `lever`, its place on the link [m], and
+    `time_offset`, its clock's stamp minus the encoders' [s], are of the last chunk it took part in;
+    `jerk` (n,) rad/s^3 is the standard deviation of the jerk between knots. The covariance is kept
+    at some `places` only and made for all samples when asked for.
     """
 
     q: Array
     dq: Array
     ddq: Array
-    covariance: Array
+    places: Places
+    covariance_at_places: Array  # (G, n, 3, 3)
     bias: dict[str, Array]
     lever: dict[str, Array]
+    time_offset: dict[str, float]
+    time_offset_std_error: dict[str, float]
     jerk: Array
     imus: tuple[str, ...]
     notes: tuple[str, ...]
+
+    @property
+    def covariance(self) -> Array:
+        """(N, n, 3, 3), interpolated between the places."""
+        return between(self.covariance_at_places, self.places, len(self.q))
 
 
 def smoothed_motion(
@@ -81,86 +98,158 @@ def smoothed_motion(
     """
     # Threads of the linear algebra only get into each other's way with matrices this narrow.
     with threadpool_limits(1):
-        return _smoothed(recording, robot, stage, every)
+        return _joined(recording, robot, stage, every)
 
 
-def _smoothed(recording: Recording, robot: Robot, stage: ImuStage | None, every: int) -> Smoothed:
+@dataclass(frozen=True)
+class _Part:
+    """One chunk's motion (N, 3, n) and covariance, and its IMUs with what it says of them."""
+
+    start: int
+    motion: Array
+    places: Places
+    covariance: Array
+    jerk: Array
+    imus: tuple[Mounted, ...]
+    notes: tuple[str, ...] = field(default=())
+
+
+def _parts(recording: Recording, robot: Robot, imus: list[Mounted], every: int) -> Iterator[_Part]:
+    """Smooth one chunk after the other; each starts from the constants that the last has found."""
     step = encoder_resolution(robot)
-    step = np.where(step > 0, step, encoder_step(recording.q))
-    views = [encoder_view(recording.q[:, j], float(step[j])) for j in range(robot.n)]
-    imus, notes = mounted_imus(recording, robot, stage, every)
-    # A jolt between two samples must not have to spread over both: knots come no rarer than this.
-    finer = max(1, round(LEAST_KNOTS_HZ / recording.rate_hz)) if every == 1 else 1
-    views = [view.refined(finer) for view in views]
-    imus = [_refined(x, finer) for x in imus]
-    valid = np.repeat(recording.valid, finer)
-    rate_hz = recording.rate_hz * finer
-    parts, jerk = [], np.full(robot.n, FIRST_JERK)
-    whole = Chunk(robot, tuple(views), valid, 1.0 / rate_hz, every, tuple(imus))
-    for start, stop in _bounds(len(valid), rate_hz, every):
-        chunk = _cut(whole, start, stop)
-        c, sizes = encoder_motion(chunk, jerk)
-        chunk, said = believed(chunk, c)
-        notes += [f"{start * chunk.dt:.1f} s: {text}" for text in said]
-        solution = all_together(chunk, c, sizes)
-        parts.append((start, solution))
-        jerk = solution.jerk.size
-    return _joined(whole, parts, tuple(notes), finer)
+    step = np.where(step > 0, step, encoder_step(_filled(recording)))
+    spacing = max(COARSE_S, every / recording.rate_hz)
+    size = np.full(robot.n, FIRST_JERK * np.sqrt(spacing / FINE_S))
+    known = {x.name: x for x in imus}
+    for start, stop in _bounds(len(recording.q), recording.rate_hz):
+        own = slice(start, stop)
+        views = tuple(
+            encoder_view(recording.q[own, j], float(step[j]), recording.valid[own])
+            for j in range(robot.n)
+        )
+        here = tuple(read(x, recording, own) for x in known.values())
+        part, size = _smoothed(Chunk(robot, views, 1.0 / recording.rate_hz, every, here), size)
+        known |= {x.name: x for x in part.imus}
+        when = f"{start / recording.rate_hz:.1f} s: "
+        yield replace(part, start=start, notes=tuple(when + text for text in part.notes))
 
 
-def _bounds(samples: int, rate_hz: float, every: int) -> list[tuple[int, int]]:
-    """Overlapping chunks of nearly the same length, each starting on a knot."""
+def _filled(recording: Recording) -> Array:
+    """Positions (N, n) with missing ones bridged."""
+    q = recording.q
+    if np.isfinite(q).all():
+        return q
+    return np.column_stack([bridged(x, np.isfinite(x)) for x in q.T])
+
+
+def _smoothed(chunk: Chunk, size: Array) -> tuple[_Part, Array]:
+    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse."""
+    between_knots = COARSE_S if chunk.dt <= FINE_S else FINE_S
+    coarse = _on_knots(chunk, between_knots, chunk.every).gathered()
+    c, jerk = encoder_motion(coarse, size)
+    coarse, notes = believed(coarse, c)
+    shared, said = _agreed(coarse, c, jerk)
+    notes += said
+    fine = _on_knots(replace(chunk, imus=shared.chunk.imus), FINE_S, chunk.every).gathered()
+    c = resampled(coarse, shared.c, fine)
+    last = detailed(fine, c, _on_finer(shared.jerk, coarse, fine))
+    places, covariance = probed_covariance(last, shared)
+    motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
+    imus = _with_covariance(shared, last)
+    part = _Part(0, motion, places, covariance, last.jerk.size, imus, tuple(notes))
+    return part, shared.jerk.size
+
+
+def _agreed(coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution, list[str]]:
+    """Settle the constants; IMUs whose readings no motion explains are left out one by one."""
+    notes = []
+    while True:
+        shared = settled(coarse, c, jerk)
+        name, said = contradiction(shared.chunk, c, shared.c)
+        notes += said
+        if not name:
+            return shared, notes
+        coarse = replace(coarse, imus=tuple(x for x in coarse.imus if x.name != name))
+
+
+def _on_finer(jerk: Jerk, coarse: Chunk, fine: Chunk) -> Jerk:
+    """The same jerk between knots that are closer together."""
+    times = (np.arange(fine.intervals) + 0.5) * fine.spacing / coarse.spacing
+    at = np.minimum(times.astype(int), coarse.intervals - 1)
+    size = jerk.size * np.sqrt(coarse.spacing / fine.spacing)
+    return replace(jerk, size=size, relative=jerk.relative[at])
+
+
+def _with_covariance(shared: Solution, last: Solution) -> tuple[Mounted, ...]:
+    """IMUs as the next chunk is to take them; the clocks as the fine knots have them."""
+    found_here, found, start = np.linalg.inv(shared.schur), [], 0
+    for x, fine in zip(shared.chunk.imus, last.chunk.imus, strict=True):
+        taken = chosen(x, shared.constants)
+        own = slice(start, start + len(taken))
+        start += len(taken)
+        covariance: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
+        covariance[taken], covariance[:, taken] = 0.0, 0.0
+        covariance[np.ix_(taken, taken)] = found_here[own, own]
+        found.append(handed_on(replace(x, delay=fine.delay), covariance))
+    return tuple(found)
+
+
+def _on_knots(chunk: Chunk, spacing: float, every: int) -> Chunk:
+    """The same with knots about as far apart as `spacing` s, or `every` samples where set."""
+    finer = max(1, round(chunk.dt / spacing)) if every == 1 else 1
+    views = tuple(view.refined(finer) for view in chunk.views) if finer > 1 else chunk.views
+    every = max(every, round(spacing / chunk.dt), 1) if finer == 1 else 1
+    return replace(chunk, views=views, dt=chunk.dt / finer, every=every)
+
+
+def _bounds(samples: int, rate_hz: float) -> list[tuple[int, int]]:
+    """Overlapping chunks of nearly the same length."""
     count = max(1, round(samples / (CHUNK_S * rate_hz)))
-    edges = np.linspace(0, samples, count + 1).astype(int) // every * every
-    lap = int(OVERLAP_S * rate_hz) // every * every
+    edges = np.linspace(0, samples, count + 1).astype(int)
+    lap = int(OVERLAP_S * rate_hz)
     starts = np.maximum(edges[:-1] - lap, 0)
     stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples)
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
 
 
-def _refined(x: Mounted, finer: int) -> Mounted:
-    """The same with `finer` intervals per sample, of which the first was read."""
-    seen = np.zeros((len(x.seen), finer), dtype=bool)
-    seen[:, 0] = x.seen
-    return replace(x, y=np.repeat(x.y, finer, axis=0), seen=seen.ravel())
-
-
-def _cut(whole: Chunk, start: int, stop: int) -> Chunk:
-    """Part of the log between two samples."""
-    knots = slice(start // whole.every, -(-stop // whole.every))
-    return replace(
-        whole,
-        views=tuple(view.part(start, stop) for view in whole.views),
-        valid=whole.valid[start:stop],
-        imus=tuple(replace(x, y=x.y[knots], seen=x.seen[knots]) for x in whole.imus),
-    )
-
-
-def _joined(
-    whole: Chunk, parts: list[tuple[int, Solution]], notes: tuple[str, ...], finer: int
-) -> Smoothed:
+def _joined(recording: Recording, robot: Robot, stage: ImuStage | None, every: int) -> Smoothed:
     """Lay the chunks side by side; each fades into the next over their overlap."""
-    samples, n = whole.samples, whole.joints
-    motion, covariance = np.zeros((samples, 3, n)), np.zeros((samples, n, 3, 3))
-    spans = [(start, start + solution.chunk.samples) for start, solution in parts]
-    t = np.arange(samples, dtype=float)
-    for k, (_, solution) in enumerate(parts):
-        own = slice(*spans[k])
-        before = [spans[k][0], spans[k - 1][1]] if k else [-2.0, -1.0]
-        after = [spans[k + 1][0], spans[k][1]] if k < len(parts) - 1 else [samples, samples + 1.0]
-        share = np.interp(t[own], [*before, *after], [0.0, 1.0, 1.0, 0.0])
-        motion[own] += share[:, None, None] * motion_at(solution.chunk, solution.c)
-        covariance[own] += share[:, None, None, None] * probed_covariance(solution)
-    imus = parts[-1][1].chunk.imus
-    q, dq, ddq = (np.ascontiguousarray(motion[::finer, d]) for d in range(3))
+    samples = len(recording.q)
+    imus, notes = mounted_imus(recording, robot, stage)
+    bounds = [(-2, -1), *_bounds(samples, recording.rate_hz), (samples, samples + 1)]
+    motion = np.zeros((samples, 3, robot.n))
+    places, covariance = [], []
+    found: dict[str, Mounted] = {}
+    for k, part in enumerate(_parts(recording, robot, imus, every)):
+        (start, stop), before, after = bounds[k + 1], bounds[k][1], bounds[k + 2][0]
+        t = np.arange(start, stop, dtype=float)
+        rise, fall = [max(start, 0) - (k == 0), before], [after, stop]
+        if k == 0:
+            rise = [-2, -1]
+        share = np.interp(t, [*rise, *fall], [0.0, 1.0, 1.0, 0.0])
+        motion[start:stop] += share[:, None, None] * part.motion
+        own = share[part.places] >= 0.5
+        places.append(part.places[own] + start)
+        covariance.append(part.covariance[own])
+        notes += part.notes
+        found |= {x.name: x for x in part.imus}
+        jerk = part.jerk
+    q, dq, ddq = (np.ascontiguousarray(motion[:, d]) for d in range(3))
+    late = {name: x.place.channels + 6 for name, x in found.items()}
     return Smoothed(
         q,
         dq,
         ddq,
-        covariance[::finer],
-        {x.imu.name: x.bias for x in imus},
-        {x.imu.name: x.lever for x in imus},
-        parts[-1][1].jerk.size,
-        tuple(x.imu.name for x in imus),
-        notes,
+        np.concatenate(places),
+        np.concatenate(covariance),
+        {name: x.bias for name, x in found.items()},
+        {name: x.place.lever for name, x in found.items()},
+        {name: x.delay for name, x in found.items()},
+        {
+            name: float(np.sqrt(np.linalg.inv(x.precision)[late[name], late[name]]))
+            for name, x in found.items()
+        },
+        jerk,
+        tuple(x.name for x in imus if x.name in found),
+        tuple(notes),
     )

@@ -8,10 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 EDGE = 0.03  # of a count, by which the places of an encoder's edges are off
 NOISY = 0.3  # share of code changes that turn back at once, beyond which noise hides the edges
 SMALLEST_VARIANCE = 1e-16  # rad^2, of an encoder
+
+
+def white_noise(values: Array, known: Mask | None = None) -> Array:
+    """Standard deviation of the white part of signals (N, K), each (K,).
+
+    Fourth differences keep the noise (times sqrt 70) and drop the motion; the median drops jolts.
+    Only those within stretches that are `known` (N,) count.
+    """
+    if len(values) < 9:
+        return np.zeros(values.shape[1])
+    rough = np.abs(np.diff(values, 4, axis=0))
+    if known is not None and not known.all():
+        rough = rough[np.convolve(known, np.ones(5), "valid") > 4.5]
+    if not len(rough):
+        return np.zeros(values.shape[1])
+    return np.asarray(np.median(rough, axis=0) / 0.6745 / np.sqrt(70.0))
 
 
 @dataclass(frozen=True)
@@ -19,8 +36,8 @@ class EncoderView:
     """What a joint's encoder codes say: `step` rad (0 where not quantised) and white noise rad^2.
 
     `edge` (N,) is the position of the edge crossed between a sample and the next, else NaN;
-    `dwell` (N,) how many samples the code lasted. Only every `stride`-th place from `start` on was
-    sampled.
+    `dwell` (N,) how many samples the code lasted. Only every `stride`-th place was sampled, and
+    of those, the `known` ones (N,) hold a position.
     """
 
     q: Array
@@ -28,21 +45,28 @@ class EncoderView:
     white: float
     edge: Array
     dwell: Array
+    known: Mask
     stride: int = 1
-    start: int = 0
 
     def part(self, start: int, stop: int) -> EncoderView:
         """What lies between two places."""
         own = slice(start, stop)
-        first = (self.start - start) % self.stride
-        return replace(self, q=self.q[own], edge=self.edge[own], dwell=self.dwell[own], start=first)
+        return replace(
+            self,
+            q=self.q[own],
+            edge=self.edge[own],
+            dwell=self.dwell[own],
+            known=self.known[own],
+        )
 
     def refined(self, stride: int) -> EncoderView:
         """The same with `stride` places per sample; edges lie between samples."""
         edge = np.full(len(self.q) * stride, np.nan)
         edge[(stride - 1) // 2 :: stride] = self.edge
+        known = np.zeros(len(edge), dtype=bool)
+        known[::stride] = self.known
         q, dwell = np.repeat(self.q, stride), np.repeat(self.dwell, stride)
-        return replace(self, q=q, edge=edge, dwell=dwell, stride=stride)
+        return replace(self, q=q, edge=edge, dwell=dwell, known=known, stride=stride)
 
     def weights(self, speed: Array, dt: float) -> tuple[Array, Array]:
         """Weights, 1/rad^2, of samples and of the edges half a sample after them.
@@ -52,36 +76,45 @@ class EncoderView:
         lasts its samples say the same again and again; together they count once.
         """
         uniform = self.step**2 / 12
-        sampled = np.zeros(len(self.q))
-        sampled[self.start :: self.stride] = 1.0
         if not self.step or not np.isfinite(self.edge).any():
-            known = np.full(len(self.q), 1.0 / max(self.white + uniform, SMALLEST_VARIANCE))
-            known *= sampled / (self.dwell if self.step else 1.0)
-            return known, np.zeros(len(self.q))
+            known = self.known / max(self.white + uniform, SMALLEST_VARIANCE)
+            return known / (self.dwell if self.step else 1.0), np.zeros(len(self.q))
         moved = np.abs(speed) * dt * self.stride
         fast = moved >= self.step
         crossing = np.isfinite(self.edge) & ~fast
         edges = crossing / (moved**2 / 12 + (EDGE * self.step) ** 2 + self.white)
         samples = 1.0 / (uniform * np.where(fast, 1.0, self.dwell) + self.white)
-        return samples * sampled, edges
+        return samples * self.known, edges
 
 
-def encoder_view(q: Array, step: float) -> EncoderView:
-    """Read codes and edges off one joint's positions (N,) [rad]."""
-    nowhere = np.full(len(q), np.nan)
-    white = float(np.median(np.abs(np.diff(q, 4))) / 0.6745) ** 2 / 70.0 if len(q) > 8 else 0.0
+def bridged(q: Array, known: Mask) -> Array:
+    """Positions (N,) with straight lines where they are not known; zero if none is."""
+    at = np.flatnonzero(known)
+    if not len(at):
+        return np.zeros(len(q))
+    return np.asarray(np.interp(np.arange(len(q)), at, q[at]))
+
+
+def encoder_view(q: Array, step: float, valid: Mask | None = None) -> EncoderView:
+    """Read codes and edges off one joint's positions (N,) [rad], where they are finite."""
+    known: Mask = np.isfinite(q) if valid is None else np.isfinite(q) & valid
+    if not known.all():
+        q = bridged(q, known)
+    nowhere, once = np.full(len(q), np.nan), np.ones(len(q))
+    white = float(white_noise(q[:, None], known)[0]) ** 2
     if step <= 0:
-        return EncoderView(q, 0.0, white, nowhere, np.ones(len(q)))
+        return EncoderView(q, 0.0, white, nowhere, once, known)
     code = np.round(q / step)
     change = np.diff(code)
-    at = np.flatnonzero(change)
+    between = known[1:] & known[:-1]
+    at = np.flatnonzero((change != 0) & between)
     back = (np.diff(at) <= 3) & (change[at[1:]] * change[at[:-1]] < 0)
     if len(at) > 20 and float(np.mean(back)) > NOISY:
-        return EncoderView(q, step, white, nowhere, np.ones(len(q)))
+        return EncoderView(q, step, white, nowhere, once, known)
     edge = nowhere.copy()
     single = at[np.abs(change[at]) == 1]
     edge[single] = 0.5 * (q[single] + q[single + 1])
-    bounds = np.concatenate(([0], at + 1, [len(q)]))
+    bounds = np.concatenate(([0], np.flatnonzero((change != 0) | ~between) + 1, [len(q)]))
     lasting = np.diff(bounds)
     dwell = np.repeat(lasting, lasting).astype(float)
-    return EncoderView(q, step, 0.0, edge, dwell)
+    return EncoderView(q, step, 0.0, edge, dwell, known)

@@ -1,7 +1,8 @@
-"""IMUs for the motion smoother: their readings, where they sit, and whether to believe them."""
+"""IMUs for the motion smoother: what calibration knows of them, and their live readings."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,129 +11,195 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.smoother_system import Chunk, Mounted, jacobians, predicted, state_of
+from seqid_cli.motion.smoother_chunk import Mounted
+from seqid_cli.motion.smoother_encoder import white_noise
+from seqid_cli.motion.smoother_terms import Mounting
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BIAS, GYRO_BIAS, LEVER = 0.3, 0.05, 1.0  # m/s^2, rad/s, m: prior standard deviations
+# Prior standard deviations where no calibration says better, and what changes since it was made.
+BIAS, GYRO_BIAS, LEVER, DELAY_S, GAIN = 0.3, 0.05, 1.0, 0.02, 0.01
+BIAS_DRIFT, GYRO_BIAS_DRIFT, LEVER_DRIFT, DELAY_DRIFT_S, GAIN_DRIFT = 0.05, 5e-3, 2e-4, 1e-3, 1e-3
 TURN_DEG = (0.03, 10.0)  # limits of a calibration's standard error as a prior
 LEAST_NOISE = 1e-3  # m/s^2 or rad/s
-DISAGREEMENT = 0.5  # share of the expected reading's changes, beyond which an IMU is not believed
-LARGEST_OFFSET = 2.0  # m/s^2 or rad/s, of a mean reading
-LEAST_SEEN = 0.3  # share of the samples
-COMPARE_S = 0.1
-SILENT = 25  # samples alike in all channels
+FORGET = 1.5  # growth of the constants' covariance from one chunk to the next
+SILENT, STUCK_S = 25, 0.5  # samples alike in all channels; seconds in one while others move
+CLIPPED, CLIPPED_NOISE = 3, 20.0  # samples alike at a channel's limit, far beyond its noise
 
 
 def mounted_imus(
-    recording: Recording, robot: Robot, stage: ImuStage | None, every: int
+    recording: Recording, robot: Robot, stage: ImuStage | None
 ) -> tuple[list[Mounted], list[str]]:
-    """IMUs with calibration and readings, at the recording's full length."""
+    """IMUs with calibration and readings, as the calibration has them; they hold no readings yet.
+
+    The notes name those that are left out.
+    """
     found, notes = [], []
     calibrations = stage.imus if stage else {}
     for imu in robot.imus:
         calibration = calibrations.get(imu.name)
-        values = recording.accelerometers.get(imu.name)
-        if calibration is None or values is None:
+        if calibration is None or imu.name not in recording.accelerometers:
             notes.append(f"{imu.name}: not calibrated or not recorded")
             continue
-        gyro = recording.gyros.get(imu.name) if imu.gyro else None
-        raw = values if gyro is None else np.hstack([values, gyro])
-        found.append(_mounted(imu, calibration, raw, recording.valid, every, gyro is not None))
+        gyro = imu.gyro and imu.name in recording.gyros
+        found.append(_mounted(imu, calibration, gyro=gyro, rate_hz=recording.rate_hz))
     return found, notes
 
 
-def _mounted(
-    imu: Imu, calibration: ImuCalibration, raw: Array, valid: Mask, every: int, gyro: bool
-) -> Mounted:
-    live = np.isfinite(raw).all(axis=1) & valid
-    # A sensor that fell silent repeats its last reading in all channels.
-    same = np.append(False, (np.diff(raw, axis=0) == 0).all(axis=1))
-    live &= uniform_filter1d(same.astype(float), SILENT) < 0.9
-    raw = np.where(live[:, None], raw, 0.0)
-    pad = -len(raw) % every
-    y = np.pad(raw, [(0, pad), (0, 0)]).reshape(-1, every, raw.shape[1]).mean(axis=1)
-    seen: Mask = np.asarray(np.pad(live, (0, pad)).reshape(-1, every).all(axis=1))
-    # Fourth differences keep the noise (times sqrt 70) and drop the motion.
-    whole = uniform_filter1d(live.astype(float), 5)[2:-2] > 0.99
-    rough = np.abs(np.diff(raw, 4, axis=0))[whole] if whole.any() else np.ones_like(raw[:1])
-    noise = np.maximum(np.median(rough, axis=0) / 0.6745 / np.sqrt(70.0), LEAST_NOISE)
-    errors = calibration.std_errors_deg or [calibration.std_error_deg]
-    turn = np.radians(np.clip(np.max(errors), *TURN_DEG))
-    biases = np.repeat([BIAS, GYRO_BIAS], [len(imu.axes), raw.shape[1] - len(imu.axes)])
-    prior = np.concatenate([biases, np.full(3, LEVER), np.full(3, turn)])
-    R = np.array(calibration.rotation)
-    zero = np.zeros(3)
-    noise = noise / np.sqrt(every)
-    return Mounted(imu, y, seen, noise, R, zero, np.zeros_like(biases), zero, prior, gyro)
+def _known(values: Sequence[float | None], count: int, default: float) -> Array:
+    """Entries (count,) of a calibration; the default where it has none."""
+    if len(values) != count:
+        return np.full(count, default)
+    return np.array([default if v is None else v for v in values], dtype=np.float64)
 
 
-def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
-    """Place the IMUs on the encoders' motion `c`; those that contradict it are left out."""
-    if not chunk.imus:
-        return chunk, []
-    state = state_of(chunk, c)
-    cells, told = jacobians(chunk, c), predicted(chunk, state)
-    placed = [
-        _placed(x, y, rows[1] * x.noise[:, None], cells.size)
-        for x, y, rows in zip(chunk.imus, told, cells.rows, strict=True)
-    ]
-    chunk = replace(chunk, imus=tuple(placed))
-    kept, notes = [], []
-    for x, expected in zip(chunk.imus, predicted(chunk, state), strict=True):
-        reason = _contradiction(x, expected, chunk)
-        if reason:
-            notes.append(f"{x.imu.name} is left out: {reason}")
-        else:
-            kept.append(x)
-    return replace(chunk, imus=tuple(kept)), notes
+def _axes(rows: Sequence[Sequence[float]], gains: Sequence[float | None], nominal: Array) -> Array:
+    """Sensing axes (K, 3), as long as the channels' gains."""
+    axes = np.array(rows) if len(rows) == len(nominal) else nominal
+    return np.asarray(axes * _known(gains, len(nominal), 1.0)[:, None])
 
 
-def _placed(x: Mounted, told: Array, G: Array, size: int) -> Mounted:
-    """Least squares for an IMU's constants on a motion that is taken as given."""
-    cells = np.arange(0, len(x.y), size)
-    count = np.maximum(np.add.reduceat(x.seen.astype(float), cells), 1e-9)[:, None]
-    r = np.add.reduceat((x.y - told) * x.seen[:, None], cells, axis=0) / count
-    G = G * (count > 0.5)[:, :, None]
-    noise = np.maximum(x.noise, 1.4826 * np.median(np.abs(r), axis=0))
-    G = G / noise[:, None]
-    information = np.tensordot(G, G, ([0, 1], [0, 1])) + np.diag(x.prior**-2.0)
-    gradient = np.tensordot(r / noise, G, 2) - x.constants / x.prior**2
-    return moved(x, np.asarray(np.linalg.solve(information, gradient), dtype=np.float64))
-
-
-def _contradiction(x: Mounted, expected: Array, chunk: Chunk) -> str:
-    """Why an IMU cannot be right, or nothing."""
-    share = float(x.seen.mean()) * chunk.views[0].stride
-    if share < LEAST_SEEN:
-        return f"it reads in {100 * share:.0f} % of the samples"
-    width = max(3, int(COMPARE_S / (chunk.dt * chunk.every)))
-    weight = np.maximum(uniform_filter1d(x.seen.astype(float), width), 1e-9)[:, None]
-    seen, told = (
-        (uniform_filter1d(v * x.seen[:, None], width, axis=0) / weight)[x.seen]
-        for v in (x.y, expected)
+def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> Mounted:
+    count = len(imu.axes)
+    rates = 3 if gyro else 0
+    place = Mounting(
+        link=imu.after_joint,
+        positions=imu.positions,
+        axes=_axes(known.accelerometer_axes, known.accelerometer_scale, imu.axes),
+        R=np.array(known.rotation),
+        lever=_known(known.lever, 3, 0.0),
+        gyro=_axes(known.gyro_axes, known.gyro_scale, np.eye(3)) if gyro else None,
     )
-    off = np.abs((seen - told).mean(axis=0)).max()
-    if not off < LARGEST_OFFSET:
-        return f"its mean reading is off by {off:.3g} (limit {LARGEST_OFFSET:g})"
-    error, size = (float(np.sqrt(np.mean(np.var(v, axis=0)))) for v in (seen - told, told))
-    limit = DISAGREEMENT * size + 3 * float(np.sqrt(np.mean(x.noise**2)))
-    if not error < limit:
-        return f"it differs from the encoders by {error:.3g} (limit {limit:.3g})"
-    return ""
+    bias = [_known(known.accelerometer_bias, count, 0.0), _known(known.gyro_bias, rates, 0.0)]
+    density = [_known(known.accelerometer_noise, count, 0.0), _known(known.gyro_noise, rates, 0.0)]
+    prior = _prior(known, count, rates)
+    nothing = np.zeros((0, count + rates))
+    return Mounted(
+        name=imu.name,
+        place=place,
+        raw=nothing,
+        live=nothing > 0,
+        noise=np.maximum(np.concatenate(density) * np.sqrt(rate_hz / 2), LEAST_NOISE),
+        bias=np.concatenate(bias),
+        delay=known.time_offset_s if known.time_offset_std_error_s is not None else 0.0,
+        away=np.zeros(len(prior)),
+        precision=np.diag(prior**-2.0),
+        y=nothing,
+        seen=nothing > 0,
+    )
+
+
+def _prior(known: ImuCalibration, count: int, rates: int) -> Array:
+    """Standard deviations (g,) of biases, place, turn, clock offset and axes."""
+    turns = known.std_errors_deg or [known.std_error_deg]
+    bias, gyro_bias, lever, gain, gyro_gain = (
+        np.hypot(_known(values, size, default), drift)
+        for values, size, default, drift in (
+            (known.accelerometer_bias_std_errors, count, BIAS, BIAS_DRIFT),
+            (known.gyro_bias_std_errors, rates, GYRO_BIAS, GYRO_BIAS_DRIFT),
+            (known.lever_std_errors, 3, LEVER, LEVER_DRIFT),
+            (known.accelerometer_scale_std_errors, count, GAIN, GAIN_DRIFT),
+            (known.gyro_scale_std_errors, rates, GAIN, GAIN_DRIFT),
+        )
+    )
+    tilts = [
+        np.radians(_known(values, size, np.degrees(GAIN)))
+        for values, size in (
+            (known.accelerometer_tilt_std_errors_deg, count),
+            (known.gyro_tilt_std_errors_deg, rates),
+        )
+    ]
+    axes = np.maximum(np.concatenate([gain, gyro_gain]), np.concatenate(tilts))
+    offset = known.time_offset_std_error_s
+    late = DELAY_S if offset is None else float(np.hypot(offset, DELAY_DRIFT_S))
+    turn = np.full(3, np.radians(np.clip(np.max(turns), *TURN_DEG)))
+    return np.concatenate([bias, gyro_bias, lever, turn, [late], np.repeat(axes, 3)])
+
+
+def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
+    """Give an IMU its readings of one stretch of the log."""
+    parts = [recording.accelerometers[x.name][own]]
+    if x.place.gyro is not None:
+        parts.append(recording.gyros[x.name][own])
+    raw = np.hstack(parts)
+    live: Mask = np.isfinite(raw) & recording.valid[own, None]
+    raw = np.where(live, raw, 0.0)
+    live &= ~_silent(raw, recording.rate_hz)
+    noise = np.maximum(white_noise(raw, np.asarray(live.all(axis=1))), 0.5 * x.noise)
+    live &= ~_clipped(raw, live, noise)
+    return replace(x, raw=raw, live=live, noise=np.maximum(noise, LEAST_NOISE))
+
+
+def _silent(raw: Array, rate_hz: float) -> Mask:
+    """Where a sensor repeats its last reading in all channels, or one while the others move."""
+    same = np.vstack([np.zeros((1, raw.shape[1]), dtype=bool), np.diff(raw, axis=0) == 0])
+    silent = uniform_filter1d(same.all(axis=1).astype(float), SILENT) > 0.9
+    # The window's whole width is as silent as its middle.
+    silent = uniform_filter1d(silent.astype(float), SILENT + 2) > 0
+    width = max(SILENT, int(STUCK_S * rate_hz))
+    stuck = np.zeros_like(same)
+    often = same.mean(axis=0)
+    for k in np.flatnonzero(often > min(width, len(raw)) / (2 * len(raw))):
+        others = np.delete(same, k, axis=1).mean(axis=1)
+        alone = uniform_filter1d(same[:, k] & (others < 0.5), width, output=float) > 0.9
+        stuck[:, k] = uniform_filter1d(alone.astype(float), width) > 0
+    return stuck | silent[:, None]
+
+
+def _clipped(raw: Array, live: Mask, noise: Array) -> Mask:
+    """Where a channel stays at its own limit for several samples, with those beside them."""
+    clipped = np.zeros_like(live)
+    for k in np.flatnonzero(live.any(axis=0)):
+        values = raw[live[:, k], k]
+        middle = float(np.median(values))
+        for limit in (values.min(), values.max()):
+            if abs(limit - middle) < CLIPPED_NOISE * noise[k]:
+                continue
+            at = (raw[:, k] == limit).astype(float)
+            run = np.convolve(at, np.ones(CLIPPED), "same") > CLIPPED - 0.5
+            clipped[:, k] |= np.convolve(run, np.ones(CLIPPED + 2), "same") > 0.5
+    return clipped
 
 
 def moved(x: Mounted, change: Array) -> Mounted:
-    """Renew an IMU's constants."""
-    channels = len(x.noise)
-    turn = change[channels + 3 :]
+    """Renew an IMU's constants by `change` (g,)."""
+    channels = x.place.channels
+    ends = channels + np.array([0, 3, 6, 7])
+    bias, lever, turn, late, axes = np.split(change, ends)
+    by_channel = axes.reshape(-1, 3)
+    count, gyro = len(x.place.axes), x.place.gyro
+    place = replace(
+        x.place,
+        lever=x.place.lever + lever,
+        R=x.place.R @ Rotation.from_rotvec(turn).as_matrix(),
+        axes=x.place.axes + by_channel[:count],
+        gyro=None if gyro is None else gyro + by_channel[count:],
+    )
     return replace(
         x,
-        bias=x.bias + change[:channels],
-        lever=x.lever + change[channels : channels + 3],
-        turn=x.turn + turn,
-        R=x.R @ Rotation.from_rotvec(turn).as_matrix(),
+        place=place,
+        bias=x.bias + bias,
+        delay=x.delay + float(late[0]),
+        away=x.away + change,
     )
+
+
+def handed_on(x: Mounted, covariance: Array) -> Mounted:
+    """What the next stretch of the log is to assume: where this one left the constants.
+
+    Parameters
+    ----------
+    x : Mounted
+    covariance : (g, g) array
+        Of its constants, by this stretch.
+    """
+    channels = x.place.channels
+    rates = channels - len(x.place.axes)
+    drift = np.zeros(len(covariance))
+    drift[:channels] = np.repeat([BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates])
+    drift[channels + 6] = 0.1 * DELAY_DRIFT_S
+    precision = np.linalg.inv(FORGET * covariance + np.diag(0.1 * drift**2))
+    return replace(x, away=np.zeros(len(x.away)), precision=0.5 * (precision + precision.T))

@@ -9,15 +9,18 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.ndimage import uniform_filter1d
 
+from seqid_cli.motion.smoother_chunk import Chunk, jerk_of
 from seqid_cli.motion.smoother_imus import moved
 from seqid_cli.motion.smoother_system import (
-    Chunk,
+    Constants,
     Linear,
     Normal,
+    chosen,
     encoder_information,
-    jerk_of,
     linearised,
+    misfit,
     normal_equations,
+    predicted,
 )
 from seqid_cli.motion.smoother_terms import JERK, Jerk
 
@@ -27,8 +30,16 @@ LEAST_JERK = 30.0  # rad/s^3 between knots
 LARGEST_CHANGE, LEAST_KNOWN = 10.0, 0.01  # of the jerk's size in one round; of its intervals
 NOISE_TOLERANCE, MOST_QUIETER, LEAST_FREE = 0.1, 2.0, 0.1
 FIRST_MEAN_S = 0.05
-PROBE_S, PROBE_COLUMNS, LEAST_SHARE = 0.5, 24, 0.2
+PROBE_S, PROBE_COLUMNS, LEAST_SHARE = 0.125, 24, 0.2
+DENSE_S = 0.01  # between places at which the covariance is kept
+FOLLOWS = (0.0, 2.0)  # power of the jerk's relative size that variances may follow
 ENCODER_ROUNDS = 4
+FINE_ROUNDS: tuple[Constants, ...] = ("none",)
+KNOWN_AXES = 2e-3  # standard error of a channel's axis that needs no more work
+FREEDOM, NEARBY, LEAST_NEARBY = 4.0, 2.0, 5  # in known intervals; intervals
+DARK = 4.0  # most that jerk's mean square may be above the usual where nothing tells it
+OPEN_S = 0.25  # over which the share left open is averaged
+RELATIVE = (0.1, 30.0)  # limits of a jerk's size over the usual one
 SHRINK = 0.02  # of the jerks' correlations
 
 
@@ -42,84 +53,115 @@ class Solution:
     factor: Array  # Cholesky factor of the band
     reach: Array  # (Kn, g): inverse of the band times the border
     schur: Array  # (g, g): information about the constants
+    constants: Constants = "none"
 
     def inverse(self, right: Array) -> Array:
         """Covariance of the coefficients times `right` (Kn, m)."""
         x: Array = cho_solve_banded((self.factor, True), right, check_finite=False)
+        if not len(self.schur):
+            return x
         return x + self.reach @ np.linalg.solve(self.schur, self.reach.T @ right)
 
 
-def encoder_motion(chunk: Chunk, jerk: Array) -> tuple[Array, Array]:
-    """Coefficients (K, n) and the jerk's size from the encoders alone, which couple no joints."""
+def encoder_motion(chunk: Chunk, size: Array) -> tuple[Array, Jerk]:
+    """Coefficients (K, n) and the jerk from the encoders alone, which couple no joints."""
     c, rng = _first_coefficients(chunk), np.random.default_rng(0)
+    jerk = Jerk(size, np.eye(len(size)), np.ones((chunk.intervals, len(size))))
     for _ in range(ENCODER_ROUNDS):
-        band = encoder_information(chunk, c, jerk)
+        band = encoder_information(chunk, c, jerk.size * jerk.relative)
         factor = cholesky_banded(band.by_joint(), lower=True, check_finite=False)
-        probe = _jerk_probe(chunk, jerk, rng)
+        signs = rng.choice([-1.0, 1.0], jerk.relative.shape)
+        probe = _jerk_probe(chunk, jerk, signs)
         right = np.column_stack([band.gradient.T.ravel(), probe.T.ravel()])
         step, seen = cho_solve_banded((factor, True), right, check_finite=False).T
         c = c + step.reshape(c.T.shape).T
-        jerk = _renewed_jerk(chunk, c, jerk, np.sum(probe * seen.reshape(c.T.shape).T, axis=0))
+        left_open = _jerks(chunk, seen.reshape(c.T.shape).T, jerk) * signs
+        jerk = _renewed_jerk(chunk, c, jerk, left_open)
     return c, jerk
 
 
-def _jerk_probe(
-    chunk: Chunk, jerk: Array, rng: np.random.Generator, *, together: bool = False
-) -> Array:
-    """Random signs on every jerk, as they fall on the coefficients (K, n), over their size.
-
-    `together` the joints have the same signs, as their covariance asks for.
-    """
-    spacing = chunk.every * chunk.dt
-    signs = rng.choice([-1.0, 1.0], (chunk.intervals, 1 if together else chunk.joints))
+def _jerk_probe(chunk: Chunk, jerk: Jerk, signs: Array) -> Array:
+    """Random signs (M, n) on every jerk, as they fall on the coefficients (K, n), over its size."""
+    signs = signs / (chunk.spacing**3 * jerk.size * jerk.relative)
     probe = np.zeros((chunk.intervals + 3, chunk.joints))
     for a in range(4):
         probe[a : a + chunk.intervals] += JERK[a] * signs
-    return probe / (spacing**3 * jerk)
+    return probe
 
 
-def all_together(chunk: Chunk, c: Array, size: Array) -> Solution:
-    """Gauss-Newton over all joints: motion, then constants and noise too, then motion once more."""
+def _jerks(chunk: Chunk, c: Array, jerk: Jerk) -> Array:
+    """Jerk (M, n) over its size."""
+    return jerk_of(c, chunk.spacing) / (jerk.size * jerk.relative)
+
+
+def settled(coarse: Chunk, c: Array, jerk: Jerk) -> Solution:
+    """Find the IMUs' constants, together with the motion on coarse knots.
+
+    Gauss-Newton over all joints; the channels' axes are left alone once they are known.
+    """
     rng = np.random.default_rng(0)
-    jerk = Jerk(size, np.eye(len(size)))
-    if not chunk.imus:
-        return solved(chunk, c, jerk, normal_equations(chunk, c, jerk))
-    linear = linearised(chunk, c)
-    for bordered in (False, True):
-        normal = normal_equations(chunk, c, jerk, linear, bordered=bordered)
-        solution = _stepped(solved(chunk, c, jerk, normal), normal)
-        chunk, c = solution.chunk, solution.c
+    rounds: tuple[Constants, ...] = ("place", "place" if _axes_known(coarse) else "all")
+    solution = None
+    for constants in rounds if coarse.imus else ("none",):
+        linear = linearised(coarse, c, gains=constants == "all")
+        solution = _renewed(coarse, c, jerk, linear, constants)
         jerk = _probed_jerk(solution, rng)
-        if not bordered:
-            linear = linearised(chunk, c, linear.blocks)
-    return _finished(solution, linear, jerk)
+        coarse, c = solution.chunk.gathered(), solution.c
+    assert solution is not None
+    return replace(solution, chunk=coarse, jerk=jerk)
 
 
-def _finished(solution: Solution, linear: Linear, jerk: Jerk) -> Solution:
-    """Motion once more, with constants and their share of the covariance as they are."""
-    chunk = solution.chunk
-    normal = normal_equations(chunk, solution.c, jerk, linear)
-    factors = _noise_factors(solution, jerk, normal.misfit)
-    if np.any(np.abs(factors - 1.0) > NOISE_TOLERANCE):
-        pairs = zip(chunk.imus, factors, strict=True)
-        chunk = replace(chunk, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
-        normal = normal_equations(chunk, solution.c, jerk, linearised(chunk, solution.c))
-    last = _stepped(solved(chunk, solution.c, jerk, normal), normal)
-    return replace(last, reach=solution.reach, schur=solution.schur)
+def _axes_known(chunk: Chunk) -> bool:
+    """Whether earlier stretches have told the channels' axes."""
+    known = [np.diag(x.precision)[x.place.channels + 7 :].min() for x in chunk.imus]
+    return bool(known) and min(known) > KNOWN_AXES**-2.0
 
 
-def _noise_factors(solution: Solution, jerk: Jerk, misfit: tuple[float, ...]) -> Array:
-    """Noise of each IMU over what its readings were weighted with, most likely.
+def detailed(fine: Chunk, c: Array, jerk: Jerk) -> Solution:
+    """Motion on fine knots about `c` (K, n), with the IMUs' clocks, other constants as they are."""
+    rng = np.random.default_rng(0)
+    linear = linearised(fine, c)
+    first = _renewed(fine, c, jerk, linear, "clock")
+    fine, c, jerk = first.chunk.gathered(), first.c, _probed_jerk(first, rng)
+    for constants in FINE_ROUNDS:
+        told = tuple(predicted(fine, c, x) for x in fine.imus)
+        misfits = [misfit(x, y) for x, y in zip(fine.imus, told, strict=True)]
+        factors = _noise_factors(first, jerk, misfits)
+        if any(np.any(np.abs(f - 1.0) > NOISE_TOLERANCE) for f in factors):
+            pairs = zip(fine.imus, factors, strict=True)
+            fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
+            linear = linearised(fine, c)
+        first = _renewed(fine, c, jerk, linear, constants, told)
+        fine, c = first.chunk.gathered() if constants != "none" else first.chunk, first.c
+        if constants != FINE_ROUNDS[-1]:
+            jerk = _probed_jerk(first, rng)
+    return first
+
+
+def _renewed(
+    chunk: Chunk,
+    c: Array,
+    jerk: Jerk,
+    linear: Linear,
+    constants: Constants,
+    told: tuple[Array, ...] | None = None,
+) -> Solution:
+    """One step of Gauss-Newton about the coefficients `c` (K, n)."""
+    normal = normal_equations(chunk, c, jerk, linear, constants=constants, told=told)
+    return stepped(replace(solved(chunk, c, jerk, normal), constants=constants), normal)
+
+
+def _noise_factors(solution: Solution, jerk: Jerk, misfits: list[Array]) -> list[Array]:
+    """Noise of each IMU's channels over what they were weighted with, most likely.
 
     The motion has followed the noise in as many directions as the readings determine.
     """
     chunk = solution.chunk
-    spacing = chunk.every * chunk.dt
-    found = jerk_of(solution.c, spacing)
+    found = jerk_of(solution.c, chunk.spacing) / jerk.relative
     determined = np.sum((found @ jerk.precision) * found)
-    readings = sum(x.seen.sum() * len(x.noise) for x in chunk.imus)
+    readings = sum(x.seen.sum() for x in chunk.imus)
     free = max(1.0 - determined / max(readings, 1), LEAST_FREE)
-    return np.asarray(np.maximum(np.array(misfit) / np.sqrt(free), 1.0 / MOST_QUIETER))
+    return [np.maximum(each / np.sqrt(free), 1.0 / MOST_QUIETER) for each in misfits]
 
 
 def _first_coefficients(chunk: Chunk) -> Array:
@@ -139,7 +181,7 @@ def solved(chunk: Chunk, c: Array, jerk: Jerk, normal: Normal) -> Solution:
     return Solution(chunk, c, jerk, factor, reach, normal.corner - normal.border.T @ reach)
 
 
-def _stepped(solution: Solution, normal: Normal) -> Solution:
+def stepped(solution: Solution, normal: Normal) -> Solution:
     """Coefficients, and constants where they take part, after one step of Gauss-Newton."""
     free = cho_solve_banded((solution.factor, True), normal.gradient, check_finite=False)
     chunk = solution.chunk
@@ -149,61 +191,121 @@ def _stepped(solution: Solution, normal: Normal) -> Solution:
         free = free - solution.reach @ constants
         imus, start = [], 0
         for x in chunk.imus:
-            imus.append(moved(x, constants[start : start + len(x.prior)]))
-            start += len(x.prior)
+            taken = chosen(x, solution.constants)
+            change = np.zeros(len(x.away))
+            change[taken] = constants[start : start + len(taken)]
+            start += len(taken)
+            imus.append(moved(x, change))
         chunk = replace(chunk, imus=tuple(imus))
     return replace(solution, chunk=chunk, c=solution.c + free.reshape(-1, chunk.joints))
 
 
 def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     """Jerk renewed by what the solution shows of it and by what it leaves open."""
-    chunk, size = solution.chunk, solution.jerk.size
-    probe = _jerk_probe(chunk, size, rng, together=True)
-    right = (probe[:, :, None] * np.eye(len(size))).reshape(probe.size, -1)
-    left_open = right.T @ solution.inverse(right)
-    found = jerk_of(solution.c, chunk.every * chunk.dt) / size
+    chunk, jerk, n = solution.chunk, solution.jerk, solution.chunk.joints
+    # The joints have the same signs, as their covariance asks for.
+    signs = rng.choice([-1.0, 1.0], (chunk.intervals, 1))
+    probe = _jerk_probe(chunk, jerk, np.repeat(signs, n, axis=1))
+    right = (probe[:, :, None] * np.eye(n)).reshape(probe.size, -1)
+    seen = solution.inverse(right)
+    left_open = right.T @ seen
+    seen = seen.reshape(-1, n, n)[:, np.arange(n), np.arange(n)]
+    found = _jerks(chunk, solution.c, jerk)
     # Expectation and maximisation for the correlations, the faster fixed point for the sizes.
     second = found.T @ found + 0.5 * (left_open + left_open.T)
     deviation = np.sqrt(np.diag(second))
-    correlation = (1.0 - SHRINK) * second / np.outer(deviation, deviation) + SHRINK * np.eye(
-        len(size)
-    )
-    return Jerk(_renewed_jerk(chunk, solution.c, size, np.diag(left_open)), correlation)
+    correlation = (1.0 - SHRINK) * second / np.outer(deviation, deviation)
+    correlation += SHRINK * np.eye(n)
+    renewed = _renewed_jerk(chunk, solution.c, jerk, _jerks(chunk, seen, jerk) * signs)
+    return replace(renewed, correlation=correlation)
 
 
-def _renewed_jerk(chunk: Chunk, c: Array, jerk: Array, open_share: Array) -> Array:
-    """One step towards the most likely standard deviation (n,) of each joint's jerk.
+def _renewed_jerk(chunk: Chunk, c: Array, jerk: Jerk, left_open: Array) -> Jerk:
+    """One step towards the most likely jerk of each joint, and towards its changes over time.
 
-    `open_share` (n,) estimates in how many intervals the data leave the jerk to its prior.
+    `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the data
+    leave to its prior. The rest tells its size: all intervals together, those nearby how it
+    compares there. Where they tell nothing it is taken to be as large as on the average.
     """
-    known = np.maximum(chunk.intervals - open_share, LEAST_KNOWN * chunk.intervals)
-    size = np.sqrt(np.sum(jerk_of(c, chunk.every * chunk.dt) ** 2, axis=0) / known)
-    size = np.clip(size, jerk / LARGEST_CHANGE, jerk * LARGEST_CHANGE)
-    return np.asarray(np.maximum(size, LEAST_JERK))
+    m = chunk.intervals
+    known = np.maximum(m - left_open.sum(axis=0), LEAST_KNOWN * m)
+    found = jerk_of(c, chunk.spacing)
+    size = np.sqrt(np.sum((found / jerk.relative) ** 2, axis=0) / known)
+    size = np.clip(size, jerk.size / LARGEST_CHANGE, jerk.size * LARGEST_CHANGE)
+    size = np.maximum(size, LEAST_JERK)
+    around = max(3, int(OPEN_S / chunk.spacing))
+    relative = np.empty_like(found)
+    for j, share in enumerate(known / m):
+        told = np.clip(1.0 - uniform_filter1d(left_open[:, j], around), 0.0, 1.0)
+        width = int(np.clip(NEARBY / share, LEAST_NEARBY, m))
+        near = uniform_filter1d(uniform_filter1d((found[:, j] / size[j]) ** 2, width), width)
+        average = float(np.mean(jerk.relative[:, j] ** 2 * told) / np.mean(told + 1e-9))
+        average = float(np.clip(average, 1.0, DARK))
+        dark = 1.0 / (1.0 + (width * told) ** 2)
+        usual = FREEDOM * (1.0 - dark + dark * average)
+        relative[:, j] = np.sqrt((usual + width * near) / (FREEDOM + width * told))
+    return Jerk(size, jerk.correlation, np.clip(relative, *RELATIVE))
 
 
-def probed_covariance(solution: Solution) -> Array:
-    """Covariance (N, n, 3, 3) of q, dq, ddq: probes at knots far apart, in between interpolated."""
+def probed_covariance(solution: Solution, shared: Solution) -> tuple[NDArray[np.intp], Array]:
+    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), from probes at knots far apart.
+
+    Parameters
+    ----------
+    solution : Solution
+        Whose motion it is.
+    shared : Solution
+        Of the same stretch, perhaps on other knots: says how well the constants are known.
+    """
     chunk, n = solution.chunk, solution.chunk.joints
-    every = max(1, int(PROBE_S / (chunk.dt * chunk.every)))
+    every = max(1, int(PROBE_S / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)
-    places = np.flatnonzero(chunk.sampled)
-    knots = np.unique(places[np.minimum(np.searchsorted(places, knots), len(places) - 1)])
+    knots = np.unique(np.minimum(-(-knots // chunk.stride) * chunk.stride, chunk.intervals - 1))
     found = np.zeros((len(knots), n, 3, 3))
     rng = np.random.default_rng(1)
     sets = min(max(1, PROBE_COLUMNS // (3 * n)), len(knots))
     for k in range(sets):
         found[k::sets] = _probed(solution, knots[k::sets], rng)
-    W = chunk.knots[0]
-    reach = solution.reach.reshape(len(solution.c), n, len(solution.schur))
-    along = np.stack([reach[knots + a] for a in range(4)])
-    along = np.moveaxis(np.tensordot(W, along, (1, 0)), 0, 2)
-    found += along @ np.linalg.solve(solution.schur, np.swapaxes(along, 2, 3))
+    if len(shared.schur):
+        at = np.round(knots * chunk.spacing / shared.chunk.spacing).astype(int)
+        along = _along(shared, np.minimum(at, shared.chunk.intervals - 1))
+        found += along @ np.linalg.solve(shared.schur, np.swapaxes(along, 2, 3))
     # Chance may leave a variance too small, never less than its neighbours' share.
     d = np.arange(3)
     floor = LEAST_SHARE * np.median(found[:, :, d, d], axis=0)
     found[:, :, d, d] = np.maximum(found[:, :, d, d], floor)
-    return _between(found, knots * chunk.every, chunk.samples)
+    return _everywhere(solution, knots, found)
+
+
+def _everywhere(
+    solution: Solution, knots: NDArray[np.intp], found: Array
+) -> tuple[NDArray[np.intp], Array]:
+    """Covariance at samples closer together, by the power of the jerk that the variance follows."""
+    chunk, relative = solution.chunk, solution.jerk.relative
+    every = max(1, int(DENSE_S / chunk.spacing))
+    places = -(-np.arange(0, chunk.intervals, every) // chunk.stride) * chunk.stride
+    places = np.unique(np.minimum(places, chunk.intervals - 1))
+    out = np.empty((len(places), *found.shape[1:]))
+    for j in range(chunk.joints):
+        size = np.log(relative[:, j])
+        spread = size[knots] - size[knots].mean()
+        follow = spread @ np.log(found[:, j, 2, 2]) / max(spread @ spread, 1e-9)
+        rise = np.exp(np.clip(follow, *FOLLOWS) * size)[:, None, None]
+        usual = found[:, j] / rise[knots]
+        at = np.clip(np.searchsorted(knots, places), 1, max(len(knots) - 1, 1))
+        before, after = usual[at - 1], usual[np.minimum(at, len(knots) - 1)]
+        gap = np.maximum(knots[np.minimum(at, len(knots) - 1)] - knots[at - 1], 1)
+        share = np.clip((places - knots[at - 1]) / gap, 0.0, 1.0)[:, None, None]
+        out[:, j] = (before * (1 - share) + after * share) * rise[places]
+    return places * chunk.every // chunk.stride, out
+
+
+def _along(shared: Solution, knots: NDArray[np.intp]) -> Array:
+    """How the motion (G, n, 3, g) at some knots follows the constants."""
+    n, W = shared.chunk.joints, shared.chunk.knots[0]
+    reach = shared.reach.reshape(len(shared.c), n, len(shared.schur))
+    along = np.stack([reach[knots + a] for a in range(4)])
+    return np.moveaxis(np.tensordot(W, along, (1, 0)), 0, 2)
 
 
 def _probed(solution: Solution, knots: NDArray[np.intp], rng: np.random.Generator) -> Array:
@@ -222,7 +324,7 @@ def _probed(solution: Solution, knots: NDArray[np.intp], rng: np.random.Generato
     return np.asarray(0.5 * (local + np.swapaxes(local, 2, 3)))
 
 
-def _between(values: Array, at: NDArray[np.intp], samples: int) -> Array:
+def between(values: Array, at: NDArray[np.intp], samples: int) -> Array:
     """Interpolate (G, ...) linearly to all samples."""
     k = np.clip(np.searchsorted(at, np.arange(samples)) - 1, 0, max(len(at) - 2, 0))
     after = np.minimum(k + 1, len(at) - 1)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.robot.kinematics import cross, joint_transforms
-from seqid_cli.robot.types import Chain, Imu
+from seqid_cli.robot.types import Chain
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -71,32 +71,37 @@ class Band:
 class Jerk:
     """White jerk of all joints: `size` (n,) rad/s^3 between knots, `correlation` (n, n).
 
-    A jolt of one joint jolts the others through the arm's inertia: jerks come together.
+    A jolt of one joint jolts the others through the arm's inertia: jerks come together. `relative`
+    (M, n) is how much larger than usual they are in each interval: friction jolts a joint that
+    turns back, and an arm that rests has none.
     """
 
     size: Array
     correlation: Array
+    relative: Array
 
     @property
     def precision(self) -> Array:
-        """Inverse covariance (n, n)."""
+        """Inverse covariance (n, n) of the usual jerk."""
         covariance = self.correlation * np.outer(self.size, self.size)
         return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
-def couple_jerks(band: Array, precision: Array, intervals: int) -> None:
+def couple_jerks(band: Array, precision: Array, relative: Array) -> None:
     """Add what the jerks' precision between joints says to a lower band of all coefficients."""
-    n = len(precision)
+    n, m = len(precision), len(relative)
     if not precision.any():
         return
-    for d in range(4):
-        for i in range(n):
-            for j in range(i if d == 0 else n):
-                if i == j:
-                    continue
-                row = band[d * n + i - j, j::n]
+    inverse = np.ascontiguousarray(1.0 / relative.T)
+    for i in range(n):
+        for j in range(i):
+            both = precision[i, j] * inverse[i] * inverse[j]
+            for d in range(4):
                 for b in range(4 - d):
-                    row[b : b + intervals] += JERK[b + d] * JERK[b] * precision[i, j]
+                    share = JERK[b + d] * JERK[b] * both
+                    band[d * n + i - j, j::n][b : b + m] += share
+                    if d:
+                        band[d * n + j - i, i::n][b : b + m] += share
 
 
 @dataclass(frozen=True)
@@ -114,10 +119,16 @@ class ChainState:
     a: Array
 
 
+def _head(chain: Chain, count: int) -> Chain:
+    """The first joints alone."""
+    own = slice(count)
+    return Chain(chain.rotation[own], chain.position[own], chain.axis[own], chain.prismatic[own])
+
+
 def chain_state(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> ChainState:
-    """Move along the chain in the base frame; q, dq, ddq are (n, N)."""
-    turns, offsets = joint_transforms(chain, q)
+    """Move along the first m joints of a chain in the base frame; q, dq, ddq are (m, N)."""
     n, count = q.shape
+    turns, offsets = joint_transforms(_head(chain, n), q)
     parts = {
         name: np.empty((3, n, count)) for name in ("p", "z", "wb", "dwb", "ab", "w", "dw", "a")
     }
@@ -146,73 +157,105 @@ def chain_state(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -
 
 
 @dataclass(frozen=True)
-class Rows:
-    """Jacobians of an IMU's readings: (N, K, 3, n) in q, dq, ddq, (N, K, 6) in its mounting.
+class Mounting:
+    """An IMU on its link, as it is believed to be.
 
-    The mounting is the IMU's place on the link (3) m and a small turn (3) rad about its own axes.
-    Biases add to the readings one by one.
+    `axes` (K, 3) are the sensing axes in its frame, as long as the accelerometers' gains;
+    `gyro` (3, 3) turns its angular velocity into the gyro's readings; None without one.
+    """
+
+    link: int
+    positions: Array  # (K, 3) m
+    axes: Array
+    R: Array  # (3, 3), link from IMU
+    lever: Array  # (3,) m, of the IMU's origin in the link's frame
+    gyro: Array | None = None
+
+    @property
+    def channels(self) -> int:
+        """Number of readings."""
+        return len(self.axes) + (0 if self.gyro is None else 3)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Jacobians of an IMU's readings: (N, K, 3, m) in q, dq, ddq of the joints before it.
+
+    `by_mounting` (N, K, 6) is in its place on the link [m] and a small turn [rad] about its own
+    axes, `by_gain` (N, K, 3) in each channel's own axis. Biases add to the readings one by one.
     """
 
     by_motion: Array
     by_mounting: Array
+    by_gain: Array
 
-    @property
-    def by_constants(self) -> Array:
-        """In biases, place and turn, (N, K, K + 6)."""
+    def by_constants(self, rate: Array, gains: bool) -> Array:
+        """In biases, place, turn, clock offset and, if asked, gains: (N, K, g).
+
+        `rate` (N, 3, m) are the time derivatives of q, dq, ddq.
+        """
         count, channels, _ = self.by_mounting.shape
         ones = np.broadcast_to(np.eye(channels), (count, channels, channels))
-        return np.concatenate([ones, self.by_mounting], axis=2)
+        late = -np.einsum("nkdm,ndm->nk", self.by_motion, rate)
+        parts = [ones, self.by_mounting, late[:, :, None]]
+        if gains:
+            own = np.zeros((count, channels, channels, 3))
+            own[:, np.arange(channels), np.arange(channels)] = self.by_gain
+            parts.append(own.reshape(count, channels, -1))
+        return np.concatenate(parts, axis=2)
 
 
-def felt(state: ChainState, link: int, R_imu: Array, lever: Array) -> Array:
+def felt(state: ChainState, x: Mounting) -> Array:
     """Specific force, angular acceleration and velocity (3, 3, N) at an IMU, along its own axes."""
-    R = np.einsum("abn,bc->can", state.R[link], R_imu)
-    reach = np.einsum("abn,b->an", state.R[link], lever)
-    w, dw = state.w[:, link], state.dw[:, link]
-    f = state.a[:, link] + cross(dw, reach) + cross(w, cross(w, reach))
+    R = np.einsum("abn,bc->can", state.R[x.link], x.R)
+    reach = np.einsum("abn,b->an", state.R[x.link], x.lever)
+    w, dw = state.w[:, x.link], state.dw[:, x.link]
+    f = state.a[:, x.link] + cross(dw, reach) + cross(w, cross(w, reach))
     return np.stack([np.einsum("can,an->cn", R, v) for v in (f, dw, w)])
 
 
-def readings(imu: Imu, own: Array, *, gyro: bool) -> Array:
+def readings(x: Mounting, own: Array) -> Array:
     """Accelerometers (N, K) of an array that feels `own` (3, 3, N), then its gyro."""
     f, dw, w = own
-    s, r = imu.axes, imu.positions
+    s, r = x.axes, x.positions
     value = s @ f + np.cross(r, s) @ dw + (s @ w) * (r @ w)
     value -= np.sum(s * r, axis=1)[:, None] * np.sum(w * w, axis=0)
-    return np.vstack([value, w]).T if gyro else value.T
+    return value.T if x.gyro is None else np.vstack([value, x.gyro @ w]).T
 
 
-def imu_rows(
-    chain: Chain, state: ChainState, dq: Array, imu: Imu, R_imu: Array, lever: Array, *, gyro: bool
-) -> Rows:
+def imu_rows(chain: Chain, state: ChainState, dq: Array, x: Mounting) -> Rows:
     """Derivatives of an IMU's accelerometers, and of its gyro.
 
     Parameters
     ----------
     chain : Chain
     state : ChainState
-    dq : (n, N) array [rad/s]
-    imu : Imu
-    R_imu : (3, 3) array, link from IMU
-    lever : (3,) array [m], of the IMU's origin in the link's frame
-    gyro : bool
-        Whether its three rows follow.
+    dq : (m, N) array [rad/s], of the joints that move the IMU
+    x : Mounting
     """
-    link, n = imu.after_joint, len(dq)
-    own = felt(state, link, R_imu, lever).transpose(2, 0, 1)
-    R = state.R[link].transpose(2, 0, 1) @ R_imu
-    point = state.p[:, link] + np.einsum("abn,b->an", state.R[link], lever)
+    link = x.link
+    own = felt(state, x).transpose(2, 0, 1)
+    R = state.R[link].transpose(2, 0, 1) @ x.R
+    point = state.p[:, link] + np.einsum("abn,b->an", state.R[link], x.lever)
     columns = np.moveaxis(_columns(chain, state, dq, link, point), 3, 0)
     turned = (R.transpose(0, 2, 1)[:, None] @ columns).reshape(len(R), 9, -1)
-    rows = _reading_matrix(imu, own[:, 2], gyro=gyro).reshape(len(R), -1, 9)
-    by_motion = np.zeros((len(R), rows.shape[1], 3, n))
-    by_motion[..., : link + 1] = (rows @ turned).reshape(*by_motion.shape[:3], link + 1)
+    rows = _reading_matrix(x, own[:, 2]).reshape(len(R), -1, 9)
+    by_motion = (rows @ turned).reshape(*rows.shape[:2], 3, link + 1)
     mounting = np.zeros((len(R), 3, 3, 6))
     for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         mounting[:, :, a, 3 + b], mounting[:, :, a, 3 + c] = -own[:, :, c], own[:, :, b]
     H = _point_matrix(state.w[:, link], state.dw[:, link]).transpose(2, 0, 1)
-    mounting[:, 0, :, :3] = R.transpose(0, 2, 1) @ H @ (R @ R_imu.T)
-    return Rows(by_motion, rows @ mounting.reshape(len(R), 9, 6))
+    mounting[:, 0, :, :3] = R.transpose(0, 2, 1) @ H @ (R @ x.R.T)
+    return Rows(by_motion, rows @ mounting.reshape(len(R), 9, 6), _sensed(x, own))
+
+
+def _sensed(x: Mounting, own: Array) -> Array:
+    """What each channel's axis is multiplied with, (N, K, 3): force at its place, or w."""
+    f, dw, w = (own[:, i, None] for i in range(3))
+    force = f + np.cross(dw, x.positions) + np.cross(w, np.cross(w, x.positions))
+    if x.gyro is None:
+        return np.asarray(force)
+    return np.concatenate([force, np.repeat(w, 3, axis=1)], axis=1)
 
 
 def _point_matrix(w: Array, dw: Array) -> Array:
@@ -223,18 +266,18 @@ def _point_matrix(w: Array, dw: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _reading_matrix(imu: Imu, w: Array, *, gyro: bool) -> Array:
+def _reading_matrix(x: Mounting, w: Array) -> Array:
     """Gradient (N, K, 3, 3) of readings in f, dw and w, in the IMU's frame; w is (N, 3)."""
-    s, r = imu.axes, imu.positions
+    s, r = x.axes, x.positions
     outer = s[:, :, None] * r[:, None, :]
     Q = outer + outer.transpose(0, 2, 1)
     Q -= 2 * np.einsum("kaa->k", outer)[:, None, None] * np.eye(3)
-    rows = np.zeros((len(w), len(s) + (3 if gyro else 0), 3, 3))
+    rows = np.zeros((len(w), x.channels, 3, 3))
     rows[:, : len(s), 0] = s
     rows[:, : len(s), 1] = np.cross(r, s)
     rows[:, : len(s), 2] = np.einsum("kab,nb->nka", Q, w)
-    if gyro:
-        rows[:, len(s) :, 2] = np.eye(3)
+    if x.gyro is not None:
+        rows[:, len(s) :, 2] = x.gyro
     return rows
 
 

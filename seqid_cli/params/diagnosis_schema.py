@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from seqid_cli.params.prediction_schema import FileId
-from seqid_cli.params.schema import InputLog, RobotId, Struct, Tool
+from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Struct, Tool
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
 
@@ -115,4 +115,5 @@ class DiagnosisFile(Struct, kw_only=True):
     joints: dict[str, ResidualEntry]
     events: list[EventEntry] = []
     hidden: list[HiddenEntry] = []
+    motion: list[MotionUse] = []
     notes: list[str] = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.schema import InputLog, RobotId, Struct, Tool, Verdict
+from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Struct, Tool, Verdict
 
 PREDICTION_SCHEMA = "seqid/prediction@1"
 
@@ -40,6 +40,7 @@ class LogPredictionError(Struct, kw_only=True):
     cutoff_hz: float
     joints: dict[str, JointError]
     notes: list[str] = []
+    motion: MotionUse | None = None
 
 
 class PredictionFile(Struct, kw_only=True):

@@ -123,12 +123,30 @@ class FrictionStage(Struct, kw_only=True):
     notes: list[str] = []
 
 
+class MotionUse(Struct, kw_only=True):
+    """Where the motion of one log came from: "encoder", "imu" (Eq. 30-42) or "fused".
+
+    Errors are standard deviations of the acceleration, rad/s^2 (m/s^2 where prismatic), of the
+    joints that move: of what was used, and of what the encoders alone would have given at the
+    cut-off that suits them. `imus` took part; `warnings` say which did not, and why.
+    """
+
+    log: str
+    source: str
+    imus: list[str] = []
+    cutoff_hz: float
+    acceleration_error: dict[str, float] = {}
+    encoder_error: dict[str, float] = {}
+    warnings: list[str] = []
+
+
 class RigidStage(Struct, kw_only=True):
     """Base parameters of gravity (Sec. 2.2.3) or inertia (Sec. 2.2.4).
 
     `representative` are standard parameters (most of them zero) that give the torque of this
     stage's model; for inertia, of the whole rigid body, gravity included. They are not physical by
-    themselves.
+    themselves. `encoder_std_errors` are what the parameters' standard errors would be, had the same
+    logs been used with encoders alone (empty: they were, or it was not asked).
     """
 
     parameters: list[Parameter]
@@ -142,6 +160,8 @@ class RigidStage(Struct, kw_only=True):
     method: str = "sequential"
     rotor_coupling: str = "diagonal"
     motion: dict[str, str] = {}
+    motion_use: list[MotionUse] = []
+    encoder_std_errors: dict[str, float] = {}
     missing_pairs: list[list[str]] = []
     cutoff_hz: float | None = None
     verdicts: list[Verdict] = []
@@ -161,7 +181,17 @@ class AxisReference(Struct, kw_only=True):
 
 
 class ImuCalibration(Struct, kw_only=True):
-    """Eq. 29-38: `rotation` turns IMU coordinates into those of the link that carries it."""
+    """Eq. 29-38: `rotation` turns IMU coordinates into those of the link that carries it.
+
+    Accelerometer k at r_k of the robot file, on a link with the specific force f at its origin,
+    angular velocity w and acceleration dw, all in the link's frame, reads at the stamp t
+
+        y_k(t) = scale_k axis_k' R' [f + dw x p + w x (w x p)](t - time_offset_s) + bias_k,
+
+    R the rotation, p = lever + R r_k; a gyro reads gyro_scale_k gyro_axis_k' R' w + gyro_bias_k.
+    An empty list was not calibrated; an entry that the logs do not determine is null, and
+    `not_determined` says so in words. Axes are units in the IMU's frame.
+    """
 
     rotation: Matrix
     std_error_deg: float
@@ -172,7 +202,27 @@ class ImuCalibration(Struct, kw_only=True):
     not_determined: list[str] = []
     axis_rmse_deg: float | None = None
     noise_density: float | None = None  # rad/s^2/sqrt(Hz), of the angular acceleration
-    time_offset_s: float = 0.0
+    time_offset_s: float = 0.0  # the IMU's stamp minus the encoder's of the same instant
+    time_offset_std_error_s: float | None = None  # null: not determined, the offset is taken as 0
+    lever: list[float | None] = []  # m, the IMU's origin in the link's frame
+    lever_std_errors: list[float | None] = []
+    accelerometer_bias: list[float | None] = []  # m/s^2
+    accelerometer_bias_std_errors: list[float | None] = []
+    accelerometer_scale: list[float | None] = []  # reading per true m/s^2
+    accelerometer_scale_std_errors: list[float | None] = []
+    accelerometer_axes: Matrix = []  # of the robot file where `tilt` says null
+    accelerometer_tilt_std_errors_deg: list[float | None] = []
+    accelerometer_noise: list[float] = []  # m/s^2/sqrt(Hz), one-sided: per sample x sqrt(rate / 2)
+    gyro_bias: list[float | None] = []  # rad/s
+    gyro_bias_std_errors: list[float | None] = []
+    gyro_scale: list[float | None] = []
+    gyro_scale_std_errors: list[float | None] = []
+    gyro_axes: Matrix = []
+    gyro_tilt_std_errors_deg: list[float | None] = []
+    gyro_noise: list[float] = []  # rad/s/sqrt(Hz), one-sided
+    samples: int = 0  # readings that the fit used
+    outliers: int = 0  # readings that it set aside
+    holdout: float | None = None  # RMS of a left-out trial's residual over the noise
 
 
 class ImuStage(Struct, kw_only=True):
@@ -250,6 +300,7 @@ class ClosedLoop(Struct, kw_only=True):
     gain_interval: dict[str, list[float]] = {}
     evaluated_on: list[str] = []
     held_out: list[InputLog] = []
+    motion: list[MotionUse] = []
     notes: list[str] = []
 
 

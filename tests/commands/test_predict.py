@@ -121,6 +121,8 @@ def test_the_torques_themselves(rig: Rig, reader: Reader, model: Model) -> None:
         "t",
         "log",
         *(f"{name}.{kind}" for name in ("shoulder", "elbow") for kind in kinds),
+        "used",
+        *(f"{name}.{kind}" for name in ("shoulder", "elbow") for kind in ("position", "velocity")),
     ]
     assert table["log"].to_pylist() == ["a.parquet"] * SAMPLES + ["b.parquet"] * SAMPLES
     columns = {name: table[name].to_numpy() for name in table.column_names if name != "log"}

@@ -140,10 +140,7 @@ def test_six_joint_inertia_has_full_rank_and_says_where_motion_came_from(six_joi
     assert not stage.not_excited
     assert not stage.missing_pairs
     assert len(stage.motion) == 15
-    # While only wrists move, the IMU on the upper arm has nothing to say.
-    for path, source in stage.motion.items():
-        wrists_only = "shoulder" not in path and "elbow" not in path
-        assert source == ("encoder+imu_b" if wrists_only else "encoder+imu_a+imu_b")
+    assert set(stage.motion.values()) == {"fused: imu_a, imu_b"}
     assert stage.rotor_coupling == "diagonal"
     names = {p.name for p in stage.parameters} | {p.name for p in six_joint.gravity.parameters}
     assert len(names) == 36
@@ -168,16 +165,19 @@ def test_imu_mountings_are_found_within_a_third_of_a_degree(six_joint: Rig) -> N
 
 
 def test_a_mounting_about_parallel_axes_is_called_undetermined(two_joint: Rig) -> None:
-    """All axes of the planar arm, and gravity, are parallel: one angle stays open."""
+    """All axes of the planar arm, and gravity, are parallel: the first link's angle stays open."""
+    first, second = (two_joint.imu.imus[name] for name in ("imu_a", "imu_b"))
+    assert first.not_determined[0].startswith("the angle about the link's axis")
+    assert first.lever == [None, None, None]
+    # The distance between the axes shows the second link's.
+    assert second.not_determined == ["the lever along the link's z is not determined"]
     for name, found in two_joint.imu.imus.items():
-        assert len(found.not_determined) == 1
         true = np.array(two_joint.truth["imus"][name]["R_link_from_imu"])
         axis = np.array(found.rotation).T @ [0.0, 0.0, 1.0]
         assert np.degrees(np.arccos(axis @ true.T @ [0.0, 0.0, 1.0])) < 0.5
     # No joint before either IMU turns about another axis, so that it does no harm.
-    for verdict in two_joint.imu.verdicts:
-        assert verdict.good
-        assert "does not matter" in verdict.reason
+    assert all(verdict.good for verdict in two_joint.imu.verdicts)
+    assert "does not matter" in two_joint.imu.verdicts[0].reason
 
 
 def test_one_step_is_worse_than_step_by_step_on_new_motions(six_joint: Rig) -> None:
@@ -260,8 +260,8 @@ def test_logs_without_what_a_stage_needs_are_refused(six_joint: Rig) -> None:
     robot, validation = six_joint.robot, six_joint.logs("validation")[:1]
     with pytest.raises(QualityError, match="moves by itself at constant velocity"):
         identify_friction(validation, robot, options=FrictionOptions())
-    with pytest.raises(QualityError, match="no log rotates one single joint"):
-        calibrate_imus(validation, robot, None, options=MotionOptions())
+    with pytest.raises(QualityError, match="no log moves a joint before an IMU"):
+        calibrate_imus(six_joint.logs("friction")[:1], robot, None, options=MotionOptions())
 
 
 def test_too_high_a_velocity_order_is_refused(one_joint: Rig) -> None:

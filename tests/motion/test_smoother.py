@@ -17,12 +17,14 @@ from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother import Smoothed, smoothed_motion
+from seqid_cli.motion.smoother_chunk import Chunk
 from seqid_cli.motion.smoother_encoder import encoder_view
-from seqid_cli.motion.smoother_imus import mounted_imus
+from seqid_cli.motion.smoother_imus import mounted_imus, read
 from seqid_cli.motion.smoother_solve import probed_covariance, solved
-from seqid_cli.motion.smoother_system import Chunk, linearised, normal_equations
+from seqid_cli.motion.smoother_system import linearised, normal_equations
 from seqid_cli.motion.smoother_terms import (
     Jerk,
+    Mounting,
     chain_state,
     felt,
     imu_rows,
@@ -140,38 +142,39 @@ def test_both_sources_together_beat_each(name: str) -> None:
 def true_chunk(s: Scene) -> tuple[Chunk, Array, Jerk]:
     """The smoother's own model about the truth, with the true noise, mounting and jerk."""
     views = [encoder_view(s.recording.q[:, j], s.plant.encoder_step[j]) for j in range(s.robot.n)]
-    imus, _ = mounted_imus(s.recording, s.robot, s.stage, 1)
+    imus, _ = mounted_imus(s.recording, s.robot, s.stage)
     placed = [
         replace(
-            x,
-            lever=a.lever,
-            R=a.rotation,
+            read(x, s.recording, slice(None)),
+            place=replace(x.place, lever=a.lever, R=a.rotation),
             noise=np.full(len(x.noise), np.hypot(a.noise, a.resolution / np.sqrt(12))),
         )
         for x, a in zip(imus, s.plant.imus, strict=True)
     ]
     dt = 1.0 / s.recording.rate_hz
-    chunk = Chunk(s.robot, tuple(views), s.recording.valid, dt, 1, tuple(placed))
+    chunk = Chunk(s.robot, tuple(views), dt, 1, tuple(placed)).gathered()
     truth = s.log.truth
     c = truth.q - chunk.dt**2 * truth.ddq / 6
     found = np.diff(truth.ddq, axis=0) / chunk.dt
     second = found.T @ found / len(found)
     size = np.sqrt(np.diag(second))
-    jerk = Jerk(size, second / np.outer(size, size))
+    jerk = Jerk(size, second / np.outer(size, size), np.ones_like(truth.q))
     return chunk, np.vstack([c[:1], c, c[-1:], c[-1:]]), jerk
 
 
 @pytest.mark.parametrize("name", RIGS)
 def test_errors_stay_near_the_cramer_rao_bound(name: str) -> None:
-    """The bound knows the noise, the mounting, and how large and alike the joints' jerks are."""
+    """The bound knows noise, mounting, and how large and alike the joints' jerks are as a whole.
+
+    Where jerks are larger for a while, as when friction turns over, the smoother comes below it.
+    """
     chunk, c, jerk = true_chunk(scene(name))
-    linear = linearised(chunk, c, linearised(chunk, c).blocks)
-    normal = normal_equations(chunk, c, jerk, linear, bordered=True)
-    covariance = probed_covariance(solved(chunk, c, jerk, normal))
+    normal = normal_equations(chunk, c, jerk, linearised(chunk, c), constants="place")
+    solution = replace(solved(chunk, c, jerk, normal), constants="place")
+    covariance = probed_covariance(solution, solution)[1]
     bound = np.sqrt(np.mean(covariance[:, :, 2, 2], axis=0))
     error = scene(name).error(smoothed(name))[:, 2]
     assert (error < 1.3 * bound).all()
-    assert (error > 0.8 * bound).all()
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -343,12 +346,14 @@ def test_readings_and_their_derivatives() -> None:
     chain = random_model(rng, [False, True, False, False])[1]
     x = rng.normal(size=(3, 4, 5))
     gravity, lever, link = np.array([0.3, -1.0, -9.7]), rng.normal(size=3), 2
-    imu = Imu("imu", link, rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), gyro=True)
     turn = Rotation.random(random_state=1)
+    imu = Mounting(
+        link, rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), turn.as_matrix(), lever, np.eye(3)
+    )
 
     def value(x: Array, lever: Array, turn: Rotation) -> Array:
-        own = felt(chain_state(chain, gravity, *x), link, turn.as_matrix(), lever)
-        return readings(imu, own, gyro=True)
+        place = replace(imu, lever=lever, R=turn.as_matrix())
+        return readings(place, felt(chain_state(chain, gravity, *x), place))
 
     motion = link_motion(chain, gravity, *x)
     R = turn.as_matrix()
@@ -359,10 +364,10 @@ def test_readings_and_their_derivatives() -> None:
     np.testing.assert_allclose(got[:, :5], expected, atol=1e-10)
     np.testing.assert_allclose(got[:, 5:], motion.w[link].T @ R, atol=1e-10)
 
-    rows = imu_rows(chain, chain_state(chain, gravity, *x), x[1], imu, R, lever, gyro=True)
+    rows = imu_rows(chain, chain_state(chain, gravity, *x[:, :3]), x[1, :3], imu)
     step = 1e-6
     for d in range(3):
-        for j in range(4):
+        for j in range(3):
             change = np.zeros_like(x)
             change[d, j] = step
             slope = (value(x + change, lever, turn) - value(x - change, lever, turn)) / 2 / step

@@ -151,7 +151,7 @@ def test_the_general_solution_contains_eq_30_and_42(scene: Scene) -> None:
         for link, motion in ((M, scene.at_m), (L, scene.at_l))
     ]
     moving = np.array([M, L])
-    got = _solve(scene.robot, motion_of(scene), moving, found, trust_encoder=False)
+    got, _ = _solve(scene.robot, motion_of(scene), moving, found)
     velocity = second_joint_velocity(scene.R_lm, scene.at_m.w, scene.at_l.w, scene.axis_l)
     eq_42 = second_joint_acceleration(
         scene.R_lm, scene.at_m.w, scene.at_m.dw, scene.at_l.dw, velocity, scene.axis_l
@@ -166,7 +166,7 @@ def test_the_general_solution_contains_eq_30_and_42(scene: Scene) -> None:
 def test_one_imu_behind_both_joints_is_enough(scene: Scene) -> None:
     imu = Imu("imu_b", L, np.zeros((12, 3)), np.zeros((12, 3)))
     found = [LinkReading(imu, scene.at_l.dw, 1e-6)]
-    got = _solve(scene.robot, motion_of(scene), np.array([M, L]), found, trust_encoder=False)
+    got, _ = _solve(scene.robot, motion_of(scene), np.array([M, L]), found)
     np.testing.assert_allclose(got[:, [M, L]], scene.ddq[:, [M, L]], atol=1e-3)
 
 
@@ -174,25 +174,21 @@ def test_a_joint_that_no_imu_sees_keeps_the_encoder(scene: Scene) -> None:
     imu = Imu("imu_a", M, np.zeros((12, 3)), np.zeros((12, 3)))
     motion = motion_of(scene)
     found = [LinkReading(imu, scene.at_m.dw, 1e-6)]
-    got = _solve(scene.robot, motion, np.array([M, L]), found, trust_encoder=True)
+    got, error = _solve(scene.robot, motion, np.array([M, L]), found)
     np.testing.assert_allclose(got[:, L], motion.ddq[:, L], atol=1e-9)
+    assert error[L] == motion.cutoff.acceleration_noise[L]
+    assert error[M] == pytest.approx(1e-6, rel=1e-3)
     np.testing.assert_allclose(got[:, M], scene.ddq[:, M], atol=1e-6)
 
 
 def test_the_weights_are_those_of_the_noises(scene: Scene) -> None:
-    """With one joint, the answer is the inverse-variance mean of encoder and IMU."""
+    """Two IMUs on one link that disagree: the answer is their inverse-variance mean."""
     imu = Imu("imu_a", M, np.zeros((12, 3)), np.zeros((12, 3)))
-    motion = motion_of(scene)
-    noise = 2.0
-    off = replace(motion, dq=np.where(np.arange(5) == M, scene.dq, 0.0))
-    got = _solve(
-        scene.robot,
-        off,
-        np.array([M]),
-        [LinkReading(imu, scene.at_m.dw, noise)],
-        trust_encoder=True,
-    )
-    encoder = float(motion.cutoff.acceleration_noise[M])
-    share = encoder**2 / (encoder**2 + noise**2)
-    expected = share * scene.ddq[:, M] + (1 - share) * motion.ddq[:, M]
-    np.testing.assert_allclose(got[:, M], expected, atol=1e-9)
+    noises, factors = (2.0, 0.5), (1.0, 1.2)
+    alone = replace(motion_of(scene), dq=np.where(np.arange(5) == M, scene.dq, 0.0))
+    found = [LinkReading(imu, f * scene.at_m.dw, n) for f, n in zip(factors, noises, strict=True)]
+    got, error = _solve(scene.robot, alone, np.array([M]), found)
+    weight = np.array(noises) ** -2.0
+    expected = weight @ np.array(factors) / weight.sum() * scene.ddq[:, M]
+    np.testing.assert_allclose(got[:, M], expected, atol=1e-5 * np.abs(expected).max())
+    assert error[M] == pytest.approx(weight.sum() ** -0.5, rel=1e-4)

@@ -10,10 +10,13 @@ from pathlib import Path
 
 from tests.study import (
     formats,
+    fused_motion,
+    imu_mounting,
     one_joint,
     recorded,
     recorded_effects,
     six_joint,
+    table_two,
     two_joint,
     undeclared,
 )
@@ -27,14 +30,26 @@ STUDIES: Mapping[str, Study] = {
     "two_joint": lambda chosen: two_joint.study(1 if chosen.quick else 6),
     "six_joint": lambda chosen: "" if chosen.quick else six_joint.study(3),
     "recorded": lambda chosen: recorded.study(),
+    "table_two": table_two.study,
     "formats": lambda chosen: formats.study(6 if chosen.quick else 12),
+    "imu_mounting": lambda chosen: imu_mounting.study(2 if chosen.quick else 100),
+    "fused_motion": lambda chosen: fused_motion.study(quick=chosen.quick, tell=sys.stderr.write),
     "undeclared": undeclared.study,
     "recorded_effects": lambda chosen: "" if chosen.quick else recorded_effects.study(),
 }
-LONG = ("undeclared", "recorded_effects")  # only where asked for by name
+LONG = (
+    "fused_motion",
+    "table_two",
+    "undeclared",
+    "recorded_effects",
+    "imu_mounting",
+)  # only where asked for by name
 DOCUMENTS: Mapping[str, Path] = {  # the others: README
+    "table_two": table_two.DOCUMENT,
+    "fused_motion": fused_motion.DOCUMENT,
     "undeclared": undeclared.DOCUMENT,
     "recorded_effects": recorded_effects.DOCUMENT,
+    "imu_mounting": imu_mounting.DOCUMENT,
 }
 
 
@@ -45,6 +60,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--quick", action="store_true", help="one rig each; documents stay")
     parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=usual)
     undeclared.add_arguments(parser)
+    table_two.add_arguments(parser)
     chosen = parser.parse_args(arguments)
     kept = [name for name in chosen.only if not written(name, chosen)]
     for name in set(chosen.only) - set(kept):  # a missing marker shows before the work is done

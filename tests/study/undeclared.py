@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import get_args
 
-from tests.study.undeclared_cases import RIG_NAMES, Condition, Group, matrix, quick
+from tests.study.undeclared_cases import ARM, RIG_NAMES, Condition, Group, matrix, quick
 from tests.study.undeclared_evidence import write_evidence
 from tests.study.undeclared_refine import refined_table, refinements
 from tests.study.undeclared_run import Choice, package_sources, run
@@ -37,7 +37,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     own.add_argument("--cache", type=Path, default=folder, help="logs and results (%(default)s)")
     own.add_argument("--processes", type=int, default=1, help="cases at a time (%(default)s)")
     own.add_argument("--only-kind", nargs="+", metavar="NAME", help="with one of these effects")
-    own.add_argument("--rig", choices=list(RIG_NAMES), help="one robot alone")
+    own.add_argument("--rig", choices=[*RIG_NAMES, ARM], help="one robot, or drawn arms, alone")
     own.add_argument("--seeds", metavar="A-B", help="these seeds alone")
     own.add_argument("--size", type=float, help="effects of this size alone")
     own.add_argument("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
@@ -69,7 +69,7 @@ def _chosen(condition: Condition, arguments: Namespace) -> bool:
     sizes = {size for _, _, size in condition.effects}
     first, _, last = (arguments.seeds or "").partition("-")
     return (
-        (arguments.rig is None or condition.rig == arguments.rig)
+        (arguments.rig is None or condition.rig.startswith(arguments.rig))
         and (arguments.groups is None or condition.group in arguments.groups)
         and (arguments.only_kind is None or bool(names & set(arguments.only_kind)))
         and (arguments.size is None or arguments.size in sizes)

@@ -9,16 +9,21 @@ from typing import Literal
 import numpy as np
 
 from tests.plants.cases import RIGS
+from tests.plants.drawn import drawn_arm
 from tests.plants.friction import SurfaceFriction
 from tests.plants.injections_arm import other
 from tests.plants.simulate import Plant
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY, inject
 
-Group = Literal["catalogue", "clean", "pairs", "outside", "other_laws", "starts"]
+Group = Literal["catalogue", "clean", "pairs", "outside", "other_laws", "starts", "other_arms"]
 Start = Literal["simultaneous", "sequential", "sequential_with", "before"]
 Effects = tuple[tuple[str, int, float], ...]  # name, joint, size
 
 RIG_NAMES: Mapping[str, str] = {"two": "vertical_two_joint", "six": "six_joint"}
+ARM = "arm_"  # and a number: an arm drawn at random
+ARMS = 24
+ARM_KINDS = 3  # of effects on each of them
+ARM_SEED = 3000
 SEEDS = range(5)
 SIZES = (1.0, 0.4)
 WEAR = "friction_change"
@@ -135,9 +140,16 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
 }
 
 
+def plant_of(rig: str, *, simple_friction: bool = False) -> Plant:
+    """A rig by its name here, or an arm drawn at random."""
+    if rig.startswith(ARM):
+        return drawn_arm(int(rig.removeprefix(ARM)), simple_friction=simple_friction)
+    return RIGS[RIG_NAMES[rig]](simple_friction=simple_friction)
+
+
 def declared(condition: Condition) -> Plant:
     """The plant that the robot file describes, with the condition's instruments."""
-    plant = RIGS[RIG_NAMES[condition.rig]](simple_friction=condition.simple_friction)
+    plant = plant_of(condition.rig, simple_friction=condition.simple_friction)
     sensors = SENSORS[condition.sensors]
     return replace(
         plant,
@@ -187,7 +199,7 @@ def joint_for(name: str, seed: int, joints: int) -> int:
 
 
 def _joints(rig: str) -> int:
-    return RIGS[RIG_NAMES[rig]]().arm.n
+    return plant_of(rig).arm.n
 
 
 def _single(
@@ -270,9 +282,19 @@ def starts() -> Iterator[Condition]:
         yield _single("starts", "two", name, 0, 1.0, "sequential_with")
 
 
+def other_arms() -> Iterator[Condition]:
+    """Arms that nothing was ever set on: each clean, and with some kinds in turn."""
+    for number in range(ARMS):
+        rig, seed = f"{ARM}{number}", ARM_SEED + number
+        yield Condition("other_arms", rig, seed + SEEDS_APART)
+        for k in range(ARM_KINDS):
+            name = CATALOGUE[(ARM_KINDS * number + k) % len(CATALOGUE)]
+            yield _single("other_arms", rig, name, seed, 1.0)
+
+
 def matrix() -> tuple[Condition, ...]:
     """All cases of the study, seed by seed."""
-    return (*clean(), *catalogue(), *pairs(), *outside(), *other_laws(), *starts())
+    return (*clean(), *catalogue(), *pairs(), *outside(), *other_laws(), *starts(), *other_arms())
 
 
 def quick() -> tuple[Condition, ...]:

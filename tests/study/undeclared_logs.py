@@ -29,7 +29,6 @@ from tests.plants.trials import SEED_STRIDE, Drill, drills
 from tests.study.identified import simultaneous
 from tests.study.lab import recording_of, robot_of
 from tests.study.undeclared_cases import (
-    RIG_NAMES,
     SENSORS,
     Condition,
     built,
@@ -83,7 +82,7 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
 
 def robot_for(condition: Condition) -> Robot:
     """The robot file of a case."""
-    return robot_of(RIG_NAMES[condition.rig], declared(condition))
+    return robot_of(condition.rig, declared(condition))
 
 
 def _kept(drill: Drill, keep: str) -> bool:

@@ -10,9 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from seqid_cli.discover.results import Diagnosis
+from tests.plants.drawn import JOINTS
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE
 from tests.study.tables import number, table
-from tests.study.undeclared_cases import CHANGES, SENSORS, SIZES, Condition, Truth, built
+from tests.study.undeclared_cases import CHANGES, SENSORS, SIZES, Condition, Truth, built, declared
 from tests.study.undeclared_run import Record
 from tests.study.undeclared_score import (
     INVISIBLE,
@@ -96,6 +97,7 @@ def tables(records: Sequence[Record], wanted: int) -> str:
         _section("Outside the catalogue", outside(cases)),
         _section("Other laws", other_laws(cases)),
         _section("Other files to start from", starts(cases)),
+        _section("Arms that nothing was set on", other_arms(cases)),
         _section("What the stated confidence is worth", reliability(cases)),
         "\n".join(f"- failed: {r.key}: {r.error}" for r in failed),
     ]
@@ -312,6 +314,31 @@ def other_laws(cases: Sequence[Judged]) -> str:
     header = ["another law", "family, or unexplained with a right quantity", "family and joint"]
     header += ["unexplained so", f"wrong and above {SURE:g}", "if not right"]
     return table(header, rows) if rows else ""
+
+
+def other_arms(cases: Sequence[Judged]) -> str:
+    """Arms drawn at random, by the number of their joints."""
+    alone = [c for c in cases if c.condition.group == "other_arms"]
+    counts = {c.record.key: declared(c.condition).arm.n for c in alone}
+    groups = {f"{n} joints": [c for c in alone if counts[c.record.key] == n] for n in JOINTS}
+    groups["all"] = alone
+    rows = [[name, *_arm_cells(group)] for name, group in groups.items() if group]
+    header = ["arms drawn at random", "clean: finding", "clean: verdict not nothing_missing"]
+    header += ["one effect: right", "found at all", f"wrong and above {SURE:g}", "if not right"]
+    return table(header, rows) if rows else ""
+
+
+def _arm_cells(group: Sequence[Judged]) -> list[str]:
+    quiet = [c for c in group if not c.condition.effects]
+    seen = [c for c in group if c.condition.effects and c.seen]
+    return [
+        share(quiet, _alarm),
+        share(quiet, lambda c: not c.score.quiet),
+        share(seen, _right),
+        share(seen, lambda c: c.score.anywhere),
+        share(seen, _sure_and_wrong),
+        _mistaken(seen, _right),
+    ]
 
 
 def _family_or_quantity(case: Judged) -> bool:

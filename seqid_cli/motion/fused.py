@@ -1,0 +1,241 @@
+"""Motion from encoders and IMUs together: what the smoother says, filtered like everything else.
+
+The smoother's error is uncorrelated with its estimate, as that of every posterior mean is: it adds
+to the noise of the torque, but does not shrink a least-squares inertia as noise of a differentiated
+encoder does (Berkson's errors, not the classical ones). What it leaves out of the acceleration
+above its own bandwidth the low-pass takes from torque and motion alike.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.cutoff import choose_smoothed_cutoff, smoothed_error
+from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.motion import Motion, filtered_torque
+from seqid_cli.motion.smoother import smoothed_motion
+from seqid_cli.params.schema import ImuStage
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+ABSENT = "not calibrated or not recorded"  # the smoother's words, put more exactly here
+CONTRADICTION = 5.0  # times the encoder's noise, whose quantisation is not white in slow moves
+LARGEST_KEPT = 100_000  # positions of a log whose smoothed motion is kept to be used again
+WORTHWHILE = 3.0  # times that acceleration must be better known
+ALLOWED = 0.05  # of the acceleration's size: what shakes faster than IMUs sample shows up below
+
+
+def fused_motion(
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    encoder: Motion,
+    *,
+    insist: bool = False,
+) -> Motion:
+    """Smooth a log with all its IMUs that can be believed, and filter it once.
+
+    Parameters
+    ----------
+    recording : Recording
+        One log.
+    robot : Robot
+    stage : ImuStage, optional
+        Calibrations.
+    encoder : Motion
+        From the encoders alone, at the log's own rate; its cut-off is kept where a user gave it.
+    insist : bool
+        Whether to keep the result where it contradicts an encoder (see `disagreement`).
+
+    Returns
+    -------
+    Motion
+        Of source "fused" at the log's own rate; the encoder's own, with warnings, where no IMU is
+        calibrated, recorded and believed.
+
+    Raises
+    ------
+    InputError
+        If no stretch of the log is long enough to filter.
+    """
+    missing = tuple(absent_imus(recording, robot, stage))
+    if not present_imus(recording, robot, stage):
+        return replace(encoder, warnings=(*encoder.warnings, *missing))
+    smoothed = _smoothed(_Task.of(recording, robot, stage))
+    doubts = [note for note in smoothed.notes if not note.endswith(ABSENT)]
+    warnings = (*encoder.warnings, *missing, *doubts)
+    if not smoothed.imus:
+        return replace(encoder, warnings=warnings)
+    apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, recording.valid))
+    if not apart.any():
+        return replace(_filtered(recording, encoder, smoothed), warnings=warnings)
+    doubt = f"{', '.join(smoothed.imus)} and the encoder of {_names(robot, apart)} disagree"
+    if insist:
+        return replace(_filtered(recording, encoder, smoothed), warnings=(*warnings, doubt))
+    return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
+
+
+def needed(motion: Motion) -> bool:
+    """Whether acceleration is so much better known than by the encoders that it pays.
+
+    What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
+    believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
+    too coarse to show anything.
+    """
+    if motion.encoder_error is None:
+        return False
+    moving = motion.moving.any(axis=0)
+    gain = motion.encoder_error[moving] / np.maximum(motion.acceleration_error[moving], 1e-300)
+    return bool(len(gain)) and float(np.median(gain)) > WORTHWHILE
+
+
+def disagreement(encoder: Motion, ddq: Array) -> NDArray[np.bool_]:
+    """Joints (n,) whose encoder contradicts accelerations that were filtered like its own.
+
+    A wrong calibration, clocks apart, or a link that does not follow its encoder: elastic, loose,
+    or behind an encoder that is mounted off its axis. The smoother knows nothing of any of them.
+
+    Parameters
+    ----------
+    encoder : Motion
+        From the encoders alone.
+    ddq : (N, n) array
+        Accelerations [rad/s^2], low-passed at the encoders' cut-off.
+    """
+    seen = encoder.moving.any(axis=0)
+    used = encoder.usable
+    apart = np.sqrt(np.mean((ddq - encoder.ddq)[used] ** 2, axis=0))
+    size = np.sqrt(np.mean(encoder.ddq[used] ** 2, axis=0))
+    limit = CONTRADICTION * encoder.cutoff.acceleration_noise + ALLOWED * size
+    return np.asarray(seen & ~(apart <= limit))
+
+
+def _names(robot: Robot, chosen: NDArray[np.bool_]) -> str:
+    return ", ".join(name for name, is_it in zip(robot.joint_names, chosen, strict=True) if is_it)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What a smoothed motion follows from; the same positions and readings are the same task.
+
+    Torque has no part in it: who takes effects out of the torque, log by log and round by round,
+    smooths once.
+    """
+
+    recording: Recording
+    robot: Robot
+    stage: ImuStage | None
+    digest: bytes
+
+    @classmethod
+    def of(cls, recording: Recording, robot: Robot, stage: ImuStage | None) -> _Task:
+        found = hashlib.sha256(
+            f"{robot.sha256} {robot.joints!r} {robot.imus!r} {recording.rate_hz!r}".encode()
+        )
+        found.update(b"" if stage is None else msgspec.json.encode(stage))
+        readings = {**recording.accelerometers, **{f"{k} w": v for k, v in recording.gyros.items()}}
+        for name, values in (("q", recording.q), ("valid", recording.valid), *readings.items()):
+            found.update(f"{name} {values.shape}".encode())
+            found.update(np.ascontiguousarray(values).tobytes())
+        return cls(replace(recording, tau=None), robot, stage, found.digest())
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Task) and self.digest == other.digest
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is used of a smoothed motion: q, dq, ddq (N, n), their median variances (n, 3)."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    variance: Array
+    imus: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def _smoothed(task: _Task) -> _Found:
+    return _kept(task) if task.recording.q.size <= LARGEST_KEPT else _made(task)
+
+
+def _made(task: _Task) -> _Found:
+    s = smoothed_motion(task.recording, task.robot, task.stage)
+    order = np.arange(3)
+    variance = np.median(s.covariance[task.recording.valid][:, :, order, order], axis=0)
+    return _Found(s.q, s.dq, s.ddq, np.asarray(variance), s.imus, s.notes)
+
+
+@lru_cache(maxsize=32)
+def _kept(task: _Task) -> _Found:
+    return _made(task)
+
+
+def present_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> tuple[str, ...]:
+    """Names of the IMUs that are calibrated and in the log."""
+    calibrated = stage.imus if stage else {}
+    names = [imu.name for imu in robot.imus]
+    return tuple(x for x in names if x in calibrated and x in recording.accelerometers)
+
+
+def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> Iterator[str]:
+    """Say which calibrated IMUs are not in the log, and which in the log are not calibrated."""
+    if stage is None:
+        return
+    for imu in robot.imus:
+        recorded = imu.name in recording.accelerometers
+        if imu.name in stage.imus and not recorded:
+            yield f"{imu.name} is not recorded"
+        if imu.name not in stage.imus and recorded:
+            yield f"{imu.name} is not calibrated"
+
+
+def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion:
+    cutoff, moves = encoder.cutoff, np.any(encoder.moving, axis=0)
+    if cutoff.chosen:
+        cutoff = choose_smoothed_cutoff(
+            cutoff,
+            smoothed.dq,
+            smoothed.ddq,
+            smoothed.variance,
+            encoder.rate_hz,
+            moving=moves,
+        )
+    lowpass = Lowpass(cutoff.hz, recording.rate_hz)
+    # What noise makes of locked joints must not pass for excitation.
+    q, dq, ddq = (
+        lowpass(np.where(moves, values, still), recording.valid)
+        for values, still in (
+            (smoothed.q, recording.q),
+            (smoothed.dq, 0.0),
+            (smoothed.ddq, 0.0),
+        )
+    )
+    tau, usable = filtered_torque(recording, lowpass)
+    error = np.sqrt(smoothed_error(smoothed.variance, cutoff.noise_density, cutoff.hz))
+    return replace(
+        encoder,
+        q=q,
+        dq=dq,
+        ddq=ddq,
+        tau=tau,
+        usable=usable,
+        lowpass=lowpass,
+        cutoff=cutoff,
+        source="fused",
+        imus=smoothed.imus,
+        error=error,
+        encoder_error=encoder.acceleration_error,
+    )

@@ -1,0 +1,179 @@
+"""Placing IMUs on the encoders' motion, clocks included, and whether to believe them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from seqid_cli.motion.smoother_chunk import Chunk, Mounted
+from seqid_cli.motion.smoother_imus import moved
+from seqid_cli.motion.smoother_system import jacobians, misfit, predicted
+
+Array = NDArray[np.float64]
+
+DISAGREEMENT = 0.5  # share of the expected reading's changes, beyond which an IMU is not believed
+LARGEST_OFFSET = 2.0  # m/s^2 or rad/s, of a mean reading
+LEAST_SEEN = 0.3  # share of the samples
+COMPARE_S = 0.1
+SEARCH_S = 0.06  # of a clock's offset, to both sides of what is expected
+SURE_S, SURE_M = 2e-3, 5e-3  # standard errors of clock offset and place that need no search
+BEYOND_NOISE, UNEXPLAINED = 2.3, 0.36  # limits of what joint motion leaves of an IMU's readings
+INDEPENDENT_S = 0.05  # between errors of the encoders' motion that have nothing to do with another
+
+
+def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
+    """Place the IMUs on the encoders' motion `c`; those that contradict it are left out."""
+    kept, notes = [], []
+    for x in chunk.imus:
+        placed = located(chunk, c, x)
+        reason = _contradiction(placed, predicted(chunk, c, placed), chunk)
+        if reason:
+            notes.append(f"{x.name} is left out: {reason}")
+        else:
+            kept.append(placed)
+    return replace(chunk, imus=tuple(kept)), notes
+
+
+def contradiction(chunk: Chunk, alone: Array, together: Array) -> tuple[str, list[str]]:
+    """The IMU to be left out, if any, and what is to be said of those that fit badly.
+
+    A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
+    from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
+
+    Parameters
+    ----------
+    chunk : Chunk
+    alone, together : (K, n) arrays
+        Coefficients by the encoders, and by everything.
+    """
+    notes, worst, name = [], UNEXPLAINED, ""
+    for x in chunk.imus:
+        left, before = (_beyond_drift(x, predicted(chunk, c, x)) for c in (together, alone))
+        beyond = float(np.sqrt(np.mean(left**2)))
+        if beyond < BEYOND_NOISE:
+            continue
+        share = beyond / max(float(np.sqrt(np.mean(before**2))), 1e-9)
+        size = float(np.sqrt(np.mean((left * x.noise) ** 2)))
+        text = (
+            f"it differs from the motion by {size:.3g}, {beyond:.1f} times its noise and "
+            f"{100 * share:.0f} % of what it differs from the encoders'"
+        )
+        notes.append(f"{x.name} fits badly: {text}; check geometry, mounting and gravity")
+        if share > worst:
+            worst, name = share, x.name
+            said = f"{x.name} is left out: {text} (limit {100 * UNEXPLAINED:.0f} %)"
+    return (name, [said]) if name else ("", notes)
+
+
+def _beyond_drift(x: Mounted, told: Array) -> Array:
+    """Residual of each channel over its noise, (K,), without what a drifting bias explains."""
+    t = np.linspace(-1.0, 1.0, len(told))[:, None] * x.seen
+    off = (x.y - told) * x.seen
+    slope = np.sum(t * off, axis=0) / np.maximum(np.sum(t * t, axis=0), 1e-9)
+    return misfit(x, told + slope * t)
+
+
+def located(chunk: Chunk, c: Array, x: Mounted) -> Mounted:
+    """Fit an IMU's place, biases and clock offset to a motion that is taken as given."""
+    if not x.seen.any():
+        return x
+    late = x.place.channels + 6
+    known = np.diag(x.precision) ** -0.5
+    if known[late] < SURE_S and known[late - 6 : late - 3].max() < SURE_M:
+        return x
+    if known[late] > SURE_S:
+        x = _searched(chunk, c, x)
+    return _fitted(chunk, c, _fitted(chunk, c, x, late), late + 1)
+
+
+def _fitted(chunk: Chunk, c: Array, x: Mounted, count: int) -> Mounted:
+    """One step of least squares for the first `count` constants."""
+    r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
+    G, info = _design(chunk, c, x, r, count)
+    right = np.tensordot(r / _noise(x, r), G, 2) - (x.precision @ x.away)[:count]
+    change = np.zeros(len(x.away))
+    change[:count] = np.linalg.solve(info, right)
+    x = moved(x, change)
+    return replace(chunk, imus=(x,)).gathered().imus[0]
+
+
+def _searched(chunk: Chunk, c: Array, x: Mounted) -> Mounted:
+    """The clock offset on a grid of knots that leaves the least of the readings, all else fitted.
+
+    The encoders' motion errs over long stretches; few of the residuals are independent.
+    """
+    h, late = chunk.spacing, x.place.channels + 6
+    told = predicted(chunk, c, x)
+    r = _cell_means(chunk, x, x.y - told)
+    noise = _noise(x, r)
+    G, info = _design(chunk, c, x, r, late)
+    lags = range(-int(SEARCH_S / h), int(SEARCH_S / h) + 1)
+    left = np.empty(len(lags))
+    for i, lag in enumerate(lags):
+        seen = _later(np.asarray(x.seen, dtype=np.float64), lag) > 0
+        later = replace(x, y=_later(x.y, lag), seen=seen)
+        r = _cell_means(chunk, later, later.y - told) / noise
+        g = np.tensordot(r, G, 2)
+        left[i] = np.sum(r**2) - g @ np.linalg.solve(info, g)
+    independent = chunk.samples * chunk.dt / INDEPENDENT_S
+    away = np.array(lags) * h + x.away[late]
+    cost = 0.5 * independent * np.log(np.maximum(left, 1e-12))
+    lag = lags[int(np.argmin(cost + 0.5 * x.precision[late, late] * away**2))]
+    change = np.zeros(len(x.away))
+    change[late] = lag * h
+    return replace(chunk, imus=(moved(x, change),)).gathered().imus[0]
+
+
+def _later(values: Array, lag: int) -> Array:
+    """Rows `lag` further on, zero where there are none."""
+    out = np.zeros_like(values)
+    m = len(values)
+    out[max(-lag, 0) : m - max(lag, 0)] = values[max(lag, 0) : m + min(lag, 0)]
+    return out
+
+
+def _cell_means(chunk: Chunk, x: Mounted, off: Array) -> Array:
+    """Mean (C, K) over the readings of each cell; zero where there are none."""
+    count = np.add.reduceat(x.seen.astype(float), chunk.cells)
+    return np.asarray(np.add.reduceat(off * x.seen, chunk.cells) / np.maximum(count, 1.0))
+
+
+def _noise(x: Mounted, r: Array) -> Array:
+    """What to weigh cells of residuals `r` (C, K) with, (K,)."""
+    return np.asarray(np.maximum(x.spread, 1.4826 * np.median(np.abs(r), axis=0)))
+
+
+def _design(chunk: Chunk, c: Array, x: Mounted, r: Array, count: int) -> tuple[Array, Array]:
+    """Whitened Jacobians (C, K, g) of an IMU's first constants, and their information (g, g)."""
+    G = jacobians(chunk, c, x, gains=False).by_constants[:, :, :count]
+    there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
+    G = G * there[:, :, None] / _noise(x, r)[:, None]
+    return G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
+
+
+def _contradiction(x: Mounted, expected: Array, chunk: Chunk) -> str:
+    """Why an IMU cannot be right, or nothing."""
+    share = float(x.seen.mean()) * chunk.stride
+    if share < LEAST_SEEN:
+        return f"it reads in {100 * share:.0f} % of the samples"
+    width = max(3, int(COMPARE_S / chunk.spacing))
+    weight = np.maximum(uniform_filter1d(x.seen.astype(float), width, axis=0), 1e-9)
+    seen, told = (uniform_filter1d(v * x.seen, width, axis=0) / weight for v in (x.y, expected))
+    alive = x.seen.any(axis=1)
+    off = np.abs(np.mean((seen - told)[alive], axis=0, where=x.seen[alive]))
+    if not np.nanmax(off) < LARGEST_OFFSET:
+        return f"its mean reading is off by {np.nanmax(off):.3g} (limit {LARGEST_OFFSET:g})"
+    error, size = (_changes(v, x) for v in (seen - told, told))
+    limit = DISAGREEMENT * size + 3 * float(np.sqrt(np.mean(x.spread**2)))
+    if not error < limit:
+        return f"it differs from the encoders by {error:.3g} (limit {limit:.3g})"
+    return ""
+
+
+def _changes(values: Array, x: Mounted) -> float:
+    """RMS of the changes about each channel's mean, where it was seen."""
+    alive = x.seen.any(axis=0)
+    return float(np.sqrt(np.mean(np.var(values[:, alive], axis=0, where=x.seen[:, alive]))))

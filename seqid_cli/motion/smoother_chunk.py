@@ -1,0 +1,168 @@
+"""What one stretch of a log holds, and its motion as cubic splines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.motion.smoother_encoder import EncoderView
+from seqid_cli.motion.smoother_terms import Mounting, spline_weights
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+CELL_S = 0.016  # within which an arm hardly turns
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """An IMU in one stretch: its readings as they came, as the knots gather them, its constants.
+
+    A reading stamped t was taken at t - `delay` s on the encoders' clock. The constants are the
+    channels' biases (K), the place on the link (3) m, a small turn (3) rad, the clock's offset (1)
+    s and the channels' axes (3 K); `away` (g,) is how far they are from where the prior, of
+    `precision` (g, g), had them.
+    """
+
+    name: str
+    place: Mounting
+    raw: Array  # (N, K) at the samples
+    live: Mask  # (N, K)
+    noise: Array  # (K,) of single readings
+    bias: Array  # (K,)
+    delay: float
+    away: Array
+    precision: Array
+    y: Array  # (M, K) averaged over knot intervals
+    seen: Mask  # (M, K)
+    fraction: float = 0.0  # of a sample, by which the gathered readings came later
+    every: int = 1
+
+    @property
+    def joints(self) -> int:
+        """Number of joints that move it."""
+        return self.place.link + 1
+
+    @property
+    def there(self) -> Mask:
+        """Whether (M,) any channel was seen."""
+        return np.asarray(self.seen.any(axis=1))
+
+    @property
+    def spread(self) -> Array:
+        """Noise (K,) of the gathered readings."""
+        return np.asarray(self.noise / np.sqrt(self.every))
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """What one stretch of a log holds; `every` samples per knot."""
+
+    robot: Robot
+    views: tuple[EncoderView, ...]
+    dt: float
+    every: int
+    imus: tuple[Mounted, ...]
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.views)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.views[0].q)
+
+    @property
+    def stride(self) -> int:
+        """One of how many places was sampled."""
+        return self.views[0].stride
+
+    @property
+    def intervals(self) -> int:
+        """Number of knot intervals that hold them."""
+        return -(-self.samples // self.every)
+
+    @property
+    def spacing(self) -> float:
+        """Time between knots, s."""
+        return self.every * self.dt
+
+    @property
+    def knots(self) -> Array:
+        """Weights (every, 3, 4) of the coefficients at an interval's samples."""
+        return spline_weights(np.arange(self.every) / self.every, self.spacing)
+
+    def mean_knots(self, fraction: float) -> Array:
+        """Weights (3, 4) of an interval's mean motion, `fraction` of a sample later."""
+        u = (np.arange(self.every) + fraction) / self.every
+        return np.asarray(spline_weights(u, self.spacing).mean(axis=0))
+
+    @property
+    def cell(self) -> int:
+        """Intervals that share their Jacobians: those change slowly."""
+        return max(1, int(CELL_S / self.spacing))
+
+    @property
+    def cells(self) -> NDArray[np.intp]:
+        """First interval of each cell."""
+        return np.arange(0, self.intervals, self.cell)
+
+    def gathered(self) -> Chunk:
+        """The same with all readings where their clocks' offsets have them."""
+        return replace(self, imus=tuple(_gathered(x, self) for x in self.imus))
+
+
+def _gathered(x: Mounted, chunk: Chunk) -> Mounted:
+    """Lay readings on the intervals in which they were taken."""
+    shift = int(np.ceil(x.delay / chunk.dt - 1e-9))
+    at = np.arange(len(x.raw)) * chunk.stride - shift
+    inside = (at >= 0) & (at < chunk.samples)
+    length = chunk.intervals * chunk.every
+    y, seen = np.zeros((length, x.raw.shape[1])), np.zeros((length, x.raw.shape[1]), dtype=bool)
+    y[at[inside]], seen[at[inside]] = x.raw[inside], x.live[inside]
+    if chunk.every > 1:
+        y = y.reshape(-1, chunk.every, y.shape[1]).mean(axis=1)
+        seen = np.asarray(seen.reshape(-1, chunk.every, y.shape[1]).all(axis=1))
+    fraction = shift - x.delay / chunk.dt
+    return replace(x, y=y, seen=seen, fraction=fraction, every=chunk.every)
+
+
+def windows(c: Array) -> Array:
+    """Four coefficients (M, 4, n) of every interval."""
+    return np.stack([c[k : len(c) - 3 + k] for k in range(4)], axis=1)
+
+
+def motion_at(chunk: Chunk, c: Array) -> Array:
+    """q, dq, ddq (N, 3, n) at the samples."""
+    x = np.tensordot(windows(c), chunk.knots, (1, 2)).transpose(0, 2, 3, 1)
+    return x.reshape(-1, *x.shape[2:])[: chunk.samples]
+
+
+def mean_motion(chunk: Chunk, c: Array, fraction: float = 0.0) -> Array:
+    """q, dq, ddq (3, n, M) averaged over every interval's samples."""
+    weights, m = chunk.mean_knots(fraction), len(c) - 3
+    flat = np.ascontiguousarray(c.T)
+    x = weights[:, 0, None, None] * flat[:, :m]
+    for a in range(1, 4):
+        x += weights[:, a, None, None] * flat[:, a : a + m]
+    return np.asarray(x)
+
+
+def jerk_of(c: Array, spacing: float) -> Array:
+    """Jerk (M, n) rad/s^3 in every interval."""
+    return np.diff(c, 3, axis=0) / spacing**3
+
+
+def resampled(chunk: Chunk, c: Array, other: Chunk) -> Array:
+    """Coefficients of the same cubics on another chunk's knots."""
+    h = other.spacing
+    t = (np.arange(other.intervals + 3) - 1) * h / chunk.spacing
+    k = np.clip(t.astype(int), 0, chunk.intervals - 1)
+    weights = spline_weights(t - k, chunk.spacing)
+    at = weights[:, 0] - h**2 / 6 * weights[:, 2]
+    return np.asarray(np.einsum("ka,kan->kn", at, windows(c)[k]))

@@ -1,0 +1,197 @@
+"""`--motion` on the commands that take it: what they pass on, what they say, what cannot be."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
+
+import jsonschema
+import numpy as np
+import pytest
+
+from seqid_cli.commands.render import Screen
+from seqid_cli.commands.show_motion import announced, motion_line, show_motion
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.params.generate import json_schema
+from seqid_cli.params.io import read_parameters, write_json_atomic
+from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
+from seqid_cli.params.schema import SCHEMA, ImuStage, MotionUse
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.commands.conftest import Reader, Rig
+from tests.motion.test_smoother import scene
+from tests.params.documents import (
+    friction_stage,
+    full_file,
+    gravity_file,
+    rigid_stage,
+)
+from tests.plants.robotfile import robot_toml
+
+Replace = Callable[[str, str, object], list[object]]
+LOGS = ["a.parquet", "-r", "robot.toml"]
+
+
+@pytest.mark.parametrize("source", ["imu", "fused"])
+@pytest.mark.parametrize("command", ["inertia", "predict", "diagnose", "simultaneous"])
+def test_imus_need_their_calibration(rig: Rig, reader: Reader, command: str, source: str) -> None:
+    file = full_file()
+    file.stages.imu = None
+    before = rig.params("p.json", file)
+    given = [] if command == "simultaneous" else ["-p", before]
+    done = rig.run(command, *LOGS, *given, "--motion", source)
+    assert done.code == 2
+    assert "there is no imu stage" in done.err
+    assert "seqid imu-calib" in done.err
+
+
+def test_an_unknown_source_is_a_usage_error(rig: Rig, reader: Reader) -> None:
+    done = rig.run("inertia", *LOGS, "-p", rig.params("p.json", gravity_file()), "--motion", "gps")
+    assert done.code == 2
+    assert "gps" in done.err
+
+
+@pytest.mark.parametrize(("given", "passed"), [([], "auto"), (["--motion", "fused"], "fused")])
+def test_inertia_passes_it_on(
+    rig: Rig, reader: Reader, identified: Replace, given: list[str], passed: str
+) -> None:
+    before = rig.params("p.json", full_file())
+    calls = identified("inertia", "identify_inertia", rigid_stage("kg m^2"))
+    assert rig.run("inertia", *LOGS, "-p", before, *given).code == 0
+    assert calls[3] == InertiaOptions(MotionOptions(), passed)
+
+
+def test_simultaneous_takes_calibrations_and_keeps_them(
+    rig: Rig, reader: Reader, identified: Replace
+) -> None:
+    before = rig.params("p.json", full_file())
+    calls = identified("simultaneous", "identify_simultaneous", (friction_stage(), rigid_stage()))
+    done = rig.run("simultaneous", *LOGS, "-p", before, "--motion", "fused", "-o", "out.json")
+    assert done.code == 0
+    assert isinstance(calls[3], ImuStage)
+    assert calls[4] == "fused"
+    stages = read_parameters(rig.folder / "out.json").stages
+    assert stages.imu is not None
+    assert stages.gravity is None
+
+
+@dataclass
+class Bench:
+    """Two simulated logs of the planar rig, a parameter file that holds its calibrations."""
+
+    run: Callable[..., tuple[int, str, str]]
+    recordings: list[Recording] = field(default_factory=list)
+
+
+@pytest.fixture
+def bench(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """The commands' folder with the planar rig in it; what its logs hold may be changed."""
+    s = scene("two")
+    (rig.folder / "robot.toml").write_text(robot_toml("two", s.plant), encoding="ascii")
+    robot = load_robot(rig.folder / "robot.toml")
+    write_json_atomic(rig.folder / "p.json", with_stage(None, robot_id(robot), [], imu=s.stage))
+    logs = [replace(s.recording, path=Path(f"{name}.parquet")) for name in "ab"]
+    made = Bench(lambda *a: (lambda d: (d.code, d.out, d.err))(rig.run(*a)), logs)
+
+    def read(paths: Iterable[Path], robot: Robot, *, time_source: str) -> Iterator[Recording]:
+        yield from made.recordings
+
+    module = ModuleType("seqid_cli.logs.read")
+    module.read_recordings = read  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "seqid_cli.logs.read", module)
+    return made
+
+
+PREDICT = ("predict", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json")
+
+
+def without(recording: Recording, *names: str) -> Recording:
+    kept = {k: v for k, v in recording.accelerometers.items() if k not in names}
+    return replace(recording, accelerometers=kept)
+
+
+def test_a_prediction_says_what_motion_it_rests_on(bench: Bench) -> None:
+    code, out, err = bench.run(*PREDICT, "--json")
+    assert code == 0
+    file = json.loads(out)
+    jsonschema.validate(file, json_schema(PREDICTION_SCHEMA))
+    for log in file["logs"]:
+        used = log["motion"]
+        assert (used["source"], used["imus"]) == ("fused", ["imu_a", "imu_b"])
+        assert used["cutoff_hz"] == log["cutoff_hz"]
+        for joint in ("joint_1", "joint_2"):
+            assert used["acceleration_error"][joint] < 0.2 * used["encoder_error"][joint]
+    assert "motion: fused (imu_a, imu_b) in 2 of 2 logs; acceleration known to 0.0" in err
+
+
+def test_encoders_when_asked(bench: Bench) -> None:
+    code, out, err = bench.run(*PREDICT, "--json", "--motion", "encoder")
+    assert code == 0
+    assert [log["motion"]["source"] for log in json.loads(out)["logs"]] == ["encoder", "encoder"]
+    assert "motion:" not in err
+
+
+def test_a_log_without_imus_falls_back_and_names_them(bench: Bench) -> None:
+    bench.recordings[1] = without(bench.recordings[1], "imu_a", "imu_b")
+    code, out, err = bench.run(*PREDICT, "--json")
+    assert code == 0
+    assert [log["motion"]["source"] for log in json.loads(out)["logs"]] == ["fused", "encoder"]
+    assert "warning: b.parquet: imu_a is not recorded" in err
+    assert "warning: b.parquet: imu_b is not recorded" in err
+    assert "fused (imu_a, imu_b) in 1 of 2 logs, encoder in 1 of 2 logs" in err
+
+
+@pytest.mark.parametrize("source", ["imu", "fused"])
+def test_insisting_on_imus_that_are_not_there_cannot_be(bench: Bench, source: str) -> None:
+    bench.recordings[1] = without(bench.recordings[1], "imu_a", "imu_b")
+    code, _, err = bench.run(*PREDICT, "--motion", source)
+    assert code == 2
+    assert f"b.parquet: no calibrated, healthy IMU for --motion {source}" in err
+    assert "imu_a is not recorded" in err
+    assert "use --motion encoder" in err
+
+
+def test_the_same_warning_of_many_logs_is_one_line(bench: Bench) -> None:
+    bench.recordings[:] = [without(log, "imu_b") for log in bench.recordings]
+    _, _, err = bench.run(*PREDICT)
+    assert err.count("imu_b is not recorded") == 1
+    assert "imu_b is not recorded (2 of 2 logs)" in err
+
+
+def test_a_simultaneous_fit_says_its_motion(bench: Bench) -> None:
+    command = ("simultaneous", *PREDICT[1:], "--json", "-o", "out.json")
+    code, out, err = bench.run(*command)
+    assert code == 0
+    file = json.loads(out)
+    jsonschema.validate(file, json_schema(SCHEMA))
+    used = file["stages"]["inertia"]["motion_use"]
+    assert [use["source"] for use in used] == ["fused", "fused"]
+    assert file["stages"]["inertia"]["motion"]["a.parquet"] == "fused: imu_a, imu_b"
+    assert "motion: fused" in err
+
+
+def test_long_logs_are_announced(capsys: pytest.CaptureFixture[str]) -> None:
+    s = scene("two")
+    times = np.arange(0.0, 700.0, 1.0 / s.recording.rate_hz)
+    long = replace(s.recording, t=times)
+    screen = Screen("inertia")
+    for imu, source, told in ((s.stage, "auto", 1), (None, "auto", 0), (s.stage, "encoder", 0)):
+        assert list(announced([long], screen, imu, source)) == [long]
+        assert capsys.readouterr().err.count("smoothing 12 min") == told
+    list(announced([s.recording], screen, s.stage, "auto"))
+    assert capsys.readouterr().err == ""
+
+
+def test_nothing_is_said_of_arms_without_imus(capsys: pytest.CaptureFixture[str]) -> None:
+    uses = [MotionUse(log="a", source="encoder", cutoff_hz=5.0)]
+    assert motion_line(uses) == motion_line([]) == ""
+    show_motion(Screen("inertia"), uses)
+    captured = capsys.readouterr()
+    assert captured.out == captured.err == ""

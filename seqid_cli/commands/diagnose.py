@@ -155,6 +155,7 @@ def _finding(finding: Finding) -> FindingEntry:
         effect=finding.effect,
         joint=finding.joint,
         confidence=finding.confidence,
+        name_confidence=finding.name_confidence,
         explains=finding.explains,
         confusable_with=list(finding.confusable_with),
         separate_by=finding.separate_by,

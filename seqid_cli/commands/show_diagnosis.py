@@ -64,11 +64,20 @@ def _findings(screen: Screen, findings: Sequence[FindingEntry]) -> None:
     for item in findings:
         name = effect_at(item.effect, item.joint)
         if item.confusable_with:
-            screen.result(f"{name}: could also be {' or '.join(item.confusable_with)}")
+            screen.result(f"{name}{_name_alone(item)}: could also be {_choice(item)}")
             if item.separate_by:
                 screen.result(f"  to tell them apart, record: {item.separate_by}")
         if item.note:
             screen.note(f"note: {name}: {item.note}")
+
+
+def _name_alone(item: FindingEntry) -> str:
+    sure = item.name_confidence
+    return "" if sure is None else f" ({percent(sure)} by this name)"
+
+
+def _choice(item: FindingEntry) -> str:
+    return " or ".join(item.confusable_with)
 
 
 def _parameters(item: FindingEntry) -> str:

@@ -2,7 +2,8 @@
 
 Two candidates are compared by their gains on the same folds: the difference has a mean and a
 scatter over the folds. A rival whose shortfall is not clear, while it has a good part of the gain,
-is reported as confusable; how clear it is gives the probability of the name.
+is reported as confusable. How clear the others are gives the probability that it is the leader or
+one of those; how clear all are, that it is the leader itself.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def behind(leader: Trial, other: Trial) -> float:
 
 
 def certainty(rivals: Sequence[Rivalry]) -> float:
-    """Probability of the leader's name, from how clearly the others fall behind."""
+    """Probability that it is none of `rivals`, from how clearly they fall behind."""
     odds = sum(
         np.exp(-0.5 * max(r.clear, 0.0) ** 2) * min(max(r.share, 0.0), 1.0) ** 2
         for r in rivals

@@ -102,7 +102,10 @@ def _ordered(findings: Sequence[Finding]) -> list[Finding]:
     ordered = sorted(findings, key=lambda f: -f.explains * f.confidence)
     ordered = [_of_company(f, ordered[:k], ordered[k + 1 :]) for k, f in enumerate(ordered)]
     certainties = np.minimum.accumulate([f.confidence for f in ordered])
-    return [replace(f, confidence=float(c)) for f, c in zip(ordered, certainties, strict=True)]
+    return [
+        replace(f, confidence=float(c), name_confidence=min(f.name_confidence, float(c)))
+        for f, c in zip(ordered, certainties, strict=True)
+    ]
 
 
 def _of_company(finding: Finding, before: Sequence[Finding], after: Sequence[Finding]) -> Finding:
@@ -110,7 +113,12 @@ def _of_company(finding: Finding, before: Sequence[Finding], after: Sequence[Fin
     weightier, lesser = (_alike(finding, others) for others in (before, after))
     names = dict.fromkeys((*finding.confusable_with, *weightier, *lesser))
     share = REST if weightier else 1.0
-    return replace(finding, confidence=share * finding.confidence, confusable_with=tuple(names))
+    return replace(
+        finding,
+        confidence=share * finding.confidence,
+        name_confidence=share * finding.name_confidence,
+        confusable_with=tuple(names),
+    )
 
 
 def _alike(finding: Finding, others: Sequence[Finding]) -> list[str]:
@@ -136,10 +144,12 @@ def _contact(found: Investigation) -> Finding:
     effect = CATALOGUE["external_contact"]
     inside, gained = _event_energy(found), sum(max(t.trial.total, 0) for t in found.search.accepted)
     score = max(event.score for event in found.events)
+    confidence = event_confidence(score / found.gates.event)
     return Finding(
         effect=effect.name,
         joint=None,
-        confidence=event_confidence(score / found.gates.event),
+        confidence=confidence,
+        name_confidence=confidence,
         explains=float(inside / max(inside + gained, 1e-300)),
         confusable_with=(),
         separate_by=effect.separate_by,
@@ -193,11 +203,13 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
     values = effect.values(
         robot, candidate.joint, candidate.settings, trial.coefficients, trial.covariance
     )
-    least = found.gates.least_of(again)
+    clear_of_gate = 1.0 - float(np.exp(-trial.relative / found.gates.least_of(again)))
+    others_than_these = [r for r in rivals if not r.confusable]
     return Finding(
         effect=effect.name,
         joint=joint,
-        confidence=float(certainty(rivals) * (1 - np.exp(-trial.relative / least))),
+        confidence=certainty(others_than_these) * clear_of_gate,
+        name_confidence=certainty(rivals) * clear_of_gate,
         explains=_explains(found, tried),
         confusable_with=tuple(
             dict.fromkeys(

@@ -15,7 +15,8 @@ Verdict = Literal["effect_found", "nothing_missing", "unexplained"]
 class Finding:
     """One effect that the model lacks.
 
-    `joint` is None for an effect of the whole arm. `explains` is the share of the held-out residual
+    `joint` is None for an effect of the whole arm. `confidence` is the probability that it is this
+    effect or one of `confusable_with`, `name_confidence` that it is this one. `explains` is the share of the held-out residual
     variance above the noise floor that it takes away; `gain` the share of the residual's variance
     itself, `clean_gain` the largest such share seen on clean data of this kind. `parameters` is
     empty where these logs do not determine them.
@@ -29,6 +30,7 @@ class Finding:
     separate_by: str
     gain: float
     clean_gain: float
+    name_confidence: float
     parameters: tuple[Value, ...] = ()
     settings: Mapping[str, float] = field(default_factory=dict)
     note: str = ""

@@ -1,9 +1,10 @@
 """What lies above the cut-off: rows for ripples and lines in time.
 
-There the rigid body and friction have next to nothing to say, so the measured torque itself, less
-its low-passed part, is what a ripple or a line has to explain. These rows are further channels of
-the normal equations, one per joint, that no base column touches; together they count as much as
-the joint's rows below the cut-off.
+There the rigid body and friction have next to nothing to say but for the steps at reversals, which
+the model as it stands takes away; what is left, less its low-passed part, is what a ripple or a
+line has to explain. A burst, as a stop from full speed leaves it, is left out. These rows are
+further channels of the normal equations, one per joint, that no base column touches; together they
+count as much as the joint's rows below the cut-off.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.rows import Rows
 from seqid_cli.model.effects.scene import Scene
@@ -20,6 +22,9 @@ from seqid_cli.model.effects.scene import Scene
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
+
+PASSING = 0.05  # share of the power above the cut-off, under which that below says nothing
+BURST = 4.0  # times the usual RMS, over a period of the cut-off
 
 
 @dataclass(frozen=True)
@@ -62,9 +67,10 @@ def high_band(rows: Rows) -> HighBand:
         )
         stride = int(np.min(np.diff(picked), initial=scene.samples)) * every
         kept = np.abs(picked[nearest] * every - np.arange(full.samples)) < stride
-        used.append(full.slides & kept[:, None] & counts.any(axis=0))
-        folds.append(rows.fold[block[nearest]])
+        counting = full.slides & kept[:, None] & counts.any(axis=0)
         high.append(_above(full))
+        used.append(counting & ~_bursts(high[-1], counting, full))
+        folds.append(rows.fold[block[nearest]])
     masks = tuple(used)
     joints = range(rows.n)
     fold = [np.concatenate([f[u[:, j]] for f, u in zip(folds, masks, strict=True)]) for j in joints]
@@ -78,7 +84,9 @@ def both_bands(
 ) -> dict[int, Array]:
     """Split columns at the logs' own rates into rows below and above the cut-off.
 
-    Rows above it belong to channel n + joint.
+    Rows above it belong to channel n + joint. What lies above nearly all the time comes below only
+    where a joint reverses, and that is where its law is known least: then it is held against the
+    rows above alone.
     """
     below: dict[int, list[Array]] = {}
     above: dict[int, list[Array]] = {}
@@ -89,16 +97,31 @@ def both_bands(
             low = full.motion.filtered(X, times=2)
             below.setdefault(joint, []).append(low[::every])
             above.setdefault(joint, []).append(X - low)
-    result = {joint: rows.of(joint, values) for joint, values in below.items()}
-    return result | {rows.n + joint: high.of(joint, values) for joint, values in above.items()}
+    result = {}
+    for joint in below:
+        slow, fast = rows.of(joint, below[joint]), high.of(joint, above[joint])
+        passing = len(fast) > 0 and np.mean(slow**2) < PASSING * np.mean(fast**2)
+        result[joint] = np.zeros_like(slow) if passing else slow
+        result[rows.n + joint] = fast
+    return result
 
 
 def _above(full: Scene) -> Array:
-    """Measured torque (N, n) above the cut-off; the motion holds the low-passed one."""
+    """Measured torque (N, n) above the cut-off, that of the model taken away."""
     assert full.measured is not None
-    assert full.motion.tau is not None
-    above: Array = full.measured - full.motion.tau
+    left = full.measured - full.modelled
+    above: Array = left - full.motion.filtered(left, times=2)
     return above
+
+
+def _bursts(above: Array, counting: Mask, full: Scene) -> Mask:
+    """Samples (N, n) about which there is far more above the cut-off than is usual in the log."""
+    size = max(round(full.motion.rate_hz / full.motion.lowpass.cutoff_hz), 3)
+    local = uniform_filter1d(above**2, size, axis=0)
+    usual = [
+        np.median(x[c]) if c.any() else np.inf for x, c in zip(local.T, counting.T, strict=True)
+    ]
+    return np.asarray(local > BURST**2 * np.array(usual))
 
 
 def _full(scene: Scene) -> Scene:

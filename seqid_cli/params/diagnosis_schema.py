@@ -22,7 +22,8 @@ class EffectParameter(Struct, kw_only=True):
 class FindingEntry(Struct, kw_only=True):
     """One effect that the model lacks; `joint` is null for an effect of the whole arm.
 
-    `confidence` is a probability. `explains` is the share of the held-out residual variance above
+    `confidence` is the probability that it is this effect or one of `confusable_with`,
+    `name_confidence` that it is this one. `explains` is the share of the held-out residual variance above
     the noise floor that the effect takes away, `gain` the share of the residual variance itself,
     `clean_gain` the largest such share on clean data of this kind. `confusable_with` names the
     effects that these logs do not tell from it, `separate_by` what to record to tell. `parameters`
@@ -38,6 +39,7 @@ class FindingEntry(Struct, kw_only=True):
     separate_by: str
     gain: float
     clean_gain: float
+    name_confidence: float | None = None  # null: written before it was known
     parameters: list[EffectParameter] = []
     settings: dict[str, float] = {}
     note: str = ""

@@ -40,6 +40,7 @@ STRIBECK = Finding(
     effect="stribeck",
     joint="elbow",
     confidence=0.97,
+    name_confidence=0.9,
     explains=0.81,
     confusable_with=("presliding_hysteresis", "quadratic_drag"),
     separate_by="slow reversals at two accelerations",
@@ -53,6 +54,7 @@ PAYLOAD = Finding(
     effect="payload",
     joint=None,
     confidence=0.6,
+    name_confidence=0.6,
     explains=0.1,
     confusable_with=(),
     separate_by="",
@@ -164,7 +166,10 @@ def test_what_the_user_sees(rig: Rig, library: Library) -> None:
     assert "stribeck_torque 1.5 +- 0.05 N m, stribeck_speed 0.05 rad/s, exponent 2" in lines[2]
     assert lines[3].split()[:3] == ["payload", "whole", "arm"]
     assert lines[3].endswith("not determined by these logs")
-    assert lines[4] == "stribeck at elbow: could also be presliding_hysteresis or quadratic_drag"
+    assert lines[4] == (
+        "stribeck at elbow (90.0 % by this name): could also be"
+        " presliding_hysteresis or quadratic_drag"
+    )
     assert lines[5] == "  to tell them apart, record: slow reversals at two accelerations"
     assert "payload: could also be" not in done.out
     assert "unexplained torque of shoulder N m" in done.out

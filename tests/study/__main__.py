@@ -32,7 +32,9 @@ STUDIES: Mapping[str, Study] = {
     "recorded": lambda chosen: recorded.study(),
     "table_two": table_two.study,
     "formats": lambda chosen: formats.study(6 if chosen.quick else 12),
-    "imu_mounting": lambda chosen: imu_mounting.study(2 if chosen.quick else 100),
+    "imu_mounting": lambda chosen: imu_mounting.study(
+        2 if chosen.quick else 100, folder=None if chosen.quick else chosen.cache / "imu_mounting"
+    ),
     "fused_motion": lambda chosen: fused_motion.study(quick=chosen.quick, tell=sys.stderr.write),
     "undeclared": undeclared.study,
     "recorded_effects": lambda chosen: "" if chosen.quick else recorded_effects.study(),

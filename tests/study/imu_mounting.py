@@ -1,13 +1,16 @@
 """How well `imu-calib` finds IMUs whose sensors have faults, and whether its intervals hold.
 
 The arm's motion is simulated once per case; encoders (their codes' phase), instruments (gains,
-axes, biases) and noise are drawn anew for every seed.
+axes, biases) and noise are drawn anew for every seed. Results are kept seed by seed, so that a
+study that was cut short goes on where it stopped.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +22,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
-from tests.plants.experiments import imu_trials
+from tests.plants.experiments import swing
 from tests.plants.rigid import link_motion
 from tests.plants.rigs import one_joint, six_joint, two_joint
 from tests.plants.sensors import AccelerometerArray, Faults, quantise
@@ -33,7 +36,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "imu.md"
 
 EVERY = 4  # control periods of 1 ms per row
 TURNS: Mapping[str, int] = {"one": 4, "two": 3, "six": 1}
-SHARE: Mapping[str, float] = {"one": 1.0, "two": 0.5, "six": 0.2}  # of the seeds
+SHARE: Mapping[str, float] = {"one": 1.0, "two": 1.0, "six": 0.3}  # of the seeds
 FAULTS = Faults(bias=0.15, drift=0.002, turn_on=0.01, scale=0.01, tilt=np.deg2rad(0.5), spikes=2e-4)
 GYRO_FAULTS = Faults(
     bias=0.01, drift=1e-4, turn_on=1e-3, scale=0.005, tilt=np.deg2rad(0.3), spikes=2e-4
@@ -59,6 +62,9 @@ class Case:
     step: float
     gyro: bool = False
     delay: float = 0.002
+    span: float = 0.4  # share of the joints' ranges that a swing takes
+    turns: int | None = None  # swings, where it is not as many as usual
+    share: float = 1.0  # of the seeds
 
 
 CASES = (
@@ -69,6 +75,8 @@ CASES = (
     Case("six joints, 400 counts", "six", 2 * np.pi / 400),
     Case("six joints, 17 bits", "six", 2 * np.pi / 2**17, delay=-0.02),
     Case("six joints, 17 bits, gyro", "six", 2 * np.pi / 2**17, gyro=True),
+    Case("two joints, 400 counts, long", "two", 2 * np.pi / 400, span=0.8, turns=4, share=0.3),
+    Case("six joints, 17 bits, long", "six", 2 * np.pi / 2**17, span=0.8, turns=2, share=0.5),
 )
 
 
@@ -87,6 +95,7 @@ class Score:
     """One calibration of one IMU: errors over standard errors, and the errors themselves."""
 
     turn_deg: float
+    stated_deg: float
     z_turn: Array
     z_delay: float
     z_lever: Array
@@ -102,10 +111,18 @@ def scene_of(case: Case) -> Scene:
     plant = _plant(case.robot)
     plant = replace(plant, imus=tuple(_instrument(imu, case) for imu in plant.imus))
     postures = [np.array(posture) for posture in POSTURES[case.robot]]
-    trials = imu_trials(plant, postures, turns=TURNS[case.robot])
+    moves = [(posture, 0) for posture in postures]
+    moves += [(postures[0], joint) for joint in range(1, plant.arm.n)]
+    turns = case.turns or TURNS[case.robot]
     logs = [
-        simulate(plant, trial.reference, number, every=EVERY, imus=False)
-        for number, trial in enumerate(trials)
+        simulate(
+            plant,
+            swing(plant, posture, joint, turns, share=case.span, rate_hz=1000.0),
+            number,
+            every=EVERY,
+            imus=False,
+        )
+        for number, (posture, joint) in enumerate(moves)
     ]
     robot = robot_of(case.robot, replace(plant, encoder_step=np.full(plant.arm.n, case.step)))
     return Scene(case, plant, robot, logs)
@@ -184,6 +201,7 @@ def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
     late = found.time_offset_s - imu.faults.delay
     return Score(
         turn_deg=float(np.linalg.norm(off[known])),
+        stated_deg=float(np.linalg.norm(sigma[known])),
         z_turn=off[known] / sigma[known],
         z_delay=late / (found.time_offset_std_error_s or np.nan),
         z_lever=lever,
@@ -216,13 +234,37 @@ def _z(found: list[float | None], errors: list[float | None], truth: Array) -> A
     return np.array(pairs)
 
 
-def scores(scene: Scene, seeds: Sequence[int]) -> list[Score]:
-    """All IMUs of all seeds."""
-    found = []
-    for seed in seeds:
-        stage = calibrated(scene, seed)
-        found += [scored(imu, stage.imus[imu.name]) for imu in instruments(scene, seed)]
-    return found
+def scores(scene: Scene, seed: int) -> list[Score]:
+    """All IMUs of one seed."""
+    stage = calibrated(scene, seed)
+    return [scored(imu, stage.imus[imu.name]) for imu in instruments(scene, seed)]
+
+
+class Kept:
+    """Scores of a case, one line per seed in a file where a folder is given."""
+
+    def __init__(self, case: Case, folder: Path | None) -> None:
+        name = "".join(c if c.isalnum() else "_" for c in case.label)
+        self.path = folder / f"{name}.jsonl" if folder else None
+        self.found: dict[int, list[Score]] = {}
+        if self.path and self.path.exists():
+            for line in self.path.read_text(encoding="utf-8").splitlines():
+                row = json.loads(line)
+                self.found[row["seed"]] = [_score(each) for each in row["scores"]]
+
+    def add(self, seed: int, found: list[Score]) -> None:
+        """Keep the scores of a seed."""
+        self.found[seed] = found
+        if self.path:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            each = [{k: np.asarray(v).tolist() for k, v in asdict(s).items()} for s in found]
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"seed": seed, "scores": each}) + "\n")
+
+
+def _score(kept: Mapping[str, object]) -> Score:
+    arrays = {k: np.asarray(v, dtype=np.float64) for k, v in kept.items()}
+    return Score(**{k: v if v.ndim else v.item() for k, v in arrays.items()})  # type: ignore[arg-type]
 
 
 def coverage(z: Array) -> float:
@@ -243,6 +285,7 @@ def row(case: Case, found: Sequence[Score]) -> list[str]:
         case.label,
         str(len(found)),
         f"{np.median(turn):.3f}",
+        f"{np.median([s.stated_deg for s in found]):.3f}",
         f"{turn.max():.3f}",
         *(held(f"z_{name}") for name in ("turn", "delay", "lever", "gain", "bias")),
         f"{1e3 * case.delay:.0f}",
@@ -255,6 +298,7 @@ HEADER = [
     "case",
     "IMUs",
     "median error, deg",
+    "stated",
     "largest",
     "mounting held",
     "offset",
@@ -267,10 +311,34 @@ HEADER = [
 ]
 
 
-def study(count: int, *, cases: Sequence[Case] = CASES) -> str:
-    """Table over the cases, `count` seeds for one joint and fewer for more."""
-    rows = []
-    for case in cases:
-        seeds = range(max(1, round(count * SHARE[case.robot])))
-        rows.append(row(case, scores(scene_of(case), seeds)))
+def study(count: int, *, cases: Sequence[Case] = CASES, folder: Path | None = None) -> str:
+    """Table over the cases, `count` seeds for one joint and fewer for more.
+
+    The cases take turns, so that a table of what is there says something of all of them.
+    """
+    kept = [Kept(case, folder) for case in cases]
+    scenes: dict[str, Scene] = {}
+    missing = [
+        [(case, seed, own) for seed in range(_seeds(case, count)) if seed not in own.found]
+        for case, own in zip(cases, kept, strict=True)
+    ]
+    for turn in zip_longest(*missing):
+        for case, seed, own in filter(None, turn):
+            if case.label not in scenes:
+                scenes[case.label] = scene_of(case)
+            own.add(seed, scores(scenes[case.label], seed))
+    return tabulated(cases, kept)
+
+
+def _seeds(case: Case, count: int) -> int:
+    return max(1, round(count * SHARE[case.robot] * case.share))
+
+
+def tabulated(cases: Sequence[Case], kept: Sequence[Kept]) -> str:
+    """Table of the scores that are there."""
+    rows = [
+        row(case, [score for seed in own.found.values() for score in seed])
+        for case, own in zip(cases, kept, strict=True)
+        if own.found
+    ]
     return table(HEADER, rows)

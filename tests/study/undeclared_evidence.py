@@ -36,7 +36,9 @@ class Evidence:
     joint: str | None
     right: bool
     kind_right: bool
+    name_right: bool
     confidence: float
+    name_confidence: float
     explains: float
     gain: float
     clean_gain: float
@@ -76,7 +78,11 @@ def _of(case: Judged, rank: int, finding: Finding) -> Evidence:
         joint=finding.joint,
         right=any(right(finding, t) for t in case.truths),
         kind_right=any(named(finding, t) for t in case.truths),
+        name_right=any(
+            finding.effect == t.kind and finding.joint in t.joints for t in case.truths
+        ),
         confidence=finding.confidence,
+        name_confidence=finding.name_confidence,
         explains=finding.explains,
         gain=finding.gain,
         clean_gain=finding.clean_gain,

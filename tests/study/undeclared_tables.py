@@ -375,7 +375,18 @@ def starts(cases: Sequence[Judged]) -> str:
 
 def reliability(cases: Sequence[Judged]) -> str:
     """Stated confidence of the first finding against how often it is right."""
-    stated = [(c.diagnosis.findings[0].confidence, c.first_right) for c in cases if _alarm(c)]
+    alarms = [c for c in cases if _alarm(c)]
+    firsts = [(c, c.diagnosis.findings[0]) for c in alarms]
+    of_class = [(f.confidence, c.first_right) for c, f in firsts]
+    of_name = [(f.name_confidence, c.score.own_name) for c, f in firsts if len(c.truths) == 1]
+    parts = [
+        _reliability("confidence of the first finding", "right", of_class),
+        _reliability("confidence in its name", "name right", of_name),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _reliability(title: str, right: str, stated: Sequence[tuple[float, bool]]) -> str:
     rows = []
     for low, high in pairwise(BINS):
         last = high == BINS[-1]
@@ -384,5 +395,4 @@ def reliability(cases: Sequence[Judged]) -> str:
             p, ok = np.array(inside, dtype=np.float64).T
             cells = [str(len(p)), f"{100 * p.mean():.0f} %", f"{100 * ok.mean():.0f} %"]
             rows.append([f"{low:g} to {high:g}", *cells])
-    header = ["confidence of the first finding", "cases", "stated, mean", "right"]
-    return table(header, rows) if rows else ""
+    return table([title, "cases", "stated, mean", right], rows) if rows else ""

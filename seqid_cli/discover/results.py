@@ -16,10 +16,10 @@ class Finding:
     """One effect that the model lacks.
 
     `joint` is None for an effect of the whole arm. `confidence` is the probability that it is this
-    effect or one of `confusable_with`, `name_confidence` that it is this one. `explains` is the share of the held-out residual
-    variance above the noise floor that it takes away; `gain` the share of the residual's variance
-    itself, `clean_gain` the largest such share seen on clean data of this kind. `parameters` is
-    empty where these logs do not determine them.
+    effect or one of `confusable_with`, `name_confidence` that it is this one. `explains` is the
+    share of the held-out residual variance above the noise floor that it takes away; `gain` the
+    share of the residual's variance itself, `clean_gain` the largest such share seen on clean data
+    of this kind. `parameters` is empty where these logs do not determine them.
     """
 
     effect: str

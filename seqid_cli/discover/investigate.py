@@ -226,22 +226,29 @@ def _beside(
 ) -> Searched:
     """Search anew with smooth functions in place of those joints' effects.
 
-    What touches those joints is left out, and constant changes: with part of a joint's torque free,
-    nothing tells them any more. What the whole arm has shown beside them stays.
+    What touches those joints below the cut-off is left out, and constant changes: with part of a
+    joint's torque free, nothing tells them any more. What the whole arm has shown beside them
+    stays, and so does what shows above the cut-off alone.
     """
     taken = {dependence.joint for dependence in outside}
 
     def gate(tried: Tried) -> bool:
-        return gates.passes(tried) and not taken & set(tried.columns)
+        return gates.passes(tried) and not taken & _below(tried, search.stage.rows.n)
 
     smooth = [rival for dependence in outside for rival in dependence.rivals]
     fresh = Search.begin(search.stage, search.base, kept=search.kept, smooth=smooth)
     for tried in search.accepted:
-        if tried.candidate.joint is None and gates.passes(fresh.marginal(tried)):
+        apart = tried.candidate.joint is None or not _below(tried, search.stage.rows.n)
+        if apart and gates.passes(fresh.marginal(tried)):
             fresh.add(tried)
     effects = [effect for effect in CATALOGUE.values() if not effect.change]
     ranked = searched(fresh, effects, gate, options.max_effects)
     return Searched(fresh, tuple(ranked))
+
+
+def _below(tried: Tried, n: int) -> set[int]:
+    """Joints whose torque below the cut-off a candidate explains."""
+    return {j for j, X in tried.columns.items() if j < n and X.any()}
 
 
 def _dependences(

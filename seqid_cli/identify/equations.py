@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.motion.block_filter import REACH, BlockLowpass
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -42,7 +43,8 @@ def torque_motion(
     """
     torque_of(recording)
     encoder = estimate_motion(recording, robot, options)
-    return decimated(best_motion(recording, robot, imu, encoder, source=source))
+    motion = best_motion(recording, robot, imu, encoder, source=source)
+    return decimated(motion, options.samples_per_cutoff)
 
 
 def cutoff_note(cutoffs: Sequence[float], options: MotionOptions) -> str:
@@ -74,7 +76,7 @@ def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[R
     Rows
         Chunks in time order.
     """
-    overlap = 6 * motion.lowpass.settling
+    overlap = BlockLowpass(motion.lowpass.cutoff_hz, motion.rate_hz).memory + REACH
     for start in range(0, motion.samples, CHUNK):
         stop = min(start + CHUNK, motion.samples)
         low, high = max(0, start - overlap), min(motion.samples, stop + overlap)

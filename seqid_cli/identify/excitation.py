@@ -8,44 +8,56 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.least_squares import RANK_TOLERANCE, Accumulator
 from seqid_cli.robot.base import Basis, base_regressor
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
 STATES = 120
+STRUCTURAL = 1e-6  # singular value of scaled rows, over the largest, that is not rounding
 
 
-def missing_pairs(robot: Robot, basis: Basis, joints: Sequence[Accumulator]) -> list[list[str]]:
-    """Choose pairs greedily until every base parameter is seen.
+def missing_pairs(robot: Robot, basis: Basis, left_open: Array) -> list[list[str]]:
+    """Choose pairs greedily until every base parameter is seen, and none that the others make idle.
 
     Parameters
     ----------
     robot : Robot
     basis : Basis
-    joints : sequence of Accumulator
-        What the logs hold already.
+    left_open : (b, k) array
+        Directions of the base parameters that are not determined yet.
 
     Returns
     -------
     list of pairs of joint names
-        Empty where no pair of joints would add anything.
+        Empty where no pair would add anything; each pair once. An arm of one joint has that alone.
     """
-    data = np.vstack([joint.total[:-1, :-1] for joint in joints])
-    open_directions = _null_space(data)
     candidates = list(combinations(range(robot.n), 2)) or [(0, 0)]
     seen = {pair: _pair_regressor(robot, basis, pair) for pair in candidates}
-    chosen: list[list[str]] = []
-    while open_directions.shape[1]:
-        ranks = {p: _rank(H @ open_directions) for p, H in seen.items()}
-        best = max(ranks, key=lambda pair: ranks[pair])
-        if ranks[best] == 0:
+    scale = np.max([np.linalg.norm(H, axis=0) for H in seen.values()], axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    seen = {pair: H / scale for pair, H in seen.items()}
+    first = left = _orthonormal(scale[:, None] * left_open)
+    chosen: list[tuple[int, int]] = []
+    while left.shape[1]:
+        after = {pair: _still_open(H, left) for pair, H in seen.items()}
+        best = min(after, key=lambda pair: after[pair].shape[1])
+        if after[best].shape[1] == left.shape[1]:
             break
-        chosen.append([robot.joint_names[j] for j in best])
-        left = _null_space(seen[best] @ open_directions)
-        open_directions = open_directions @ left
-    return chosen
+        chosen.append(best)
+        left = after[best]
+    needed = _without_idle([seen[pair] for pair in chosen], first, left.shape[1])
+    return [[robot.joint_names[j] for j in dict.fromkeys(chosen[k])] for k in needed]
+
+
+def _without_idle(seen: Sequence[Array], left: Array, most: int) -> list[int]:
+    """Which of the regressors, together, leave no more than `most` of the directions open."""
+    kept = list(range(len(seen)))
+    for k in range(len(seen)):
+        others = [seen[i] for i in kept if i != k]
+        if others and _still_open(np.vstack(others), left).shape[1] <= most:
+            kept.remove(k)
+    return kept
 
 
 def _pair_regressor(robot: Robot, basis: Basis, pair: tuple[int, int]) -> Array:
@@ -60,15 +72,13 @@ def _pair_regressor(robot: Robot, basis: Basis, pair: tuple[int, int]) -> Array:
     return H.reshape(-1, basis.size)
 
 
-def _null_space(rows: Array) -> Array:
-    scale = np.linalg.norm(rows, axis=0)
-    scale[scale < 1e-9 * max(scale.max(initial=0.0), 1e-300)] = 1.0
-    _, s, Vt = np.linalg.svd(rows / scale, full_matrices=True)
-    count = int(np.sum(s > RANK_TOLERANCE * max(s[0], 1e-300))) if len(s) else 0
-    space: Array = Vt[count:].T / scale[:, None]
-    return space
+def _orthonormal(directions: Array) -> Array:
+    """Columns that span the same."""
+    return np.asarray(np.linalg.qr(directions)[0])
 
 
-def _rank(rows: Array) -> int:
-    s = np.linalg.svd(rows, compute_uv=False)
-    return int(np.sum(s > 1e-6 * max(float(s.max(initial=0.0)), 1e-9)))
+def _still_open(H: Array, left: Array) -> Array:
+    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
+    _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
+    largest = float(np.linalg.norm(H, 2))
+    return np.asarray(left @ Vt[int(np.sum(s > STRUCTURAL * largest)) :].T)

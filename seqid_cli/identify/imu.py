@@ -23,6 +23,7 @@ from seqid_cli.identify.imu_pairs import Pair, axis_trials, fit_rotation
 from seqid_cli.identify.imu_result import calibration_of, verdict_of
 from seqid_cli.identify.imu_segments import Segment, calibration_cutoff, segments_of, thinned
 from seqid_cli.identify.imu_start import starting_constants
+from seqid_cli.identify.parts import reduced
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu_array import layout
 from seqid_cli.motion.motion import estimate_motion
@@ -40,6 +41,14 @@ class Gathered:
     segments: list[Segment] = field(default_factory=list)
     pairs: list[Pair] = field(default_factory=list)
     densities: list[float] = field(default_factory=list)
+
+    def __add__(self, other: Gathered) -> Gathered:
+        """Put what other logs hold behind."""
+        return Gathered(
+            self.segments + other.segments,
+            self.pairs + other.pairs,
+            self.densities + other.densities,
+        )
 
 
 def calibrate_imus(
@@ -76,10 +85,9 @@ def calibrate_imus(
         raise UsageError(
             "the robot file has no [[imu]]", hint="describe the IMU in it", where=str(robot.source)
         )
-    found = {imu.name: Gathered() for imu in robot.imus}
-    cutoffs = []
-    for number, recording in enumerate(recordings):
-        cutoffs.append(_gather(recording, robot, found, number, options))
+    whole = reduced(recordings, GatheredOf(robot, options), GatheredLogs.__add__)
+    found = whole.found if whole else {imu.name: Gathered() for imu in robot.imus}
+    cutoffs = whole.cutoffs_hz if whole else []
     if not any(s.moving for gathered in found.values() for s in gathered.segments):
         raise QualityError(
             "no log moves a joint before an IMU with its readings recorded",
@@ -98,6 +106,33 @@ def calibrate_imus(
         verdicts.append(verdict_of(robot, imu, calibration, converged=converged))
     cutoff = float(np.median(cutoffs))
     return ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
+
+
+@dataclass(frozen=True)
+class GatheredLogs:
+    """What some logs hold of every IMU, by its name, and the cut-off [Hz] of each log."""
+
+    found: dict[str, Gathered]
+    cutoffs_hz: list[float]
+
+    def __add__(self, other: GatheredLogs) -> GatheredLogs:
+        """Put two together."""
+        found = {name: own + other.found[name] for name, own in self.found.items()}
+        return GatheredLogs(found, self.cutoffs_hz + other.cutoffs_hz)
+
+
+@dataclass(frozen=True)
+class GatheredOf:
+    """What one log holds of every IMU."""
+
+    robot: Robot
+    options: MotionOptions
+
+    def __call__(self, recording: Recording, number: int) -> GatheredLogs:
+        """Find it."""
+        found = {imu.name: Gathered() for imu in self.robot.imus}
+        cutoff_hz = _gather(recording, self.robot, found, number, self.options)
+        return GatheredLogs(found, [cutoff_hz])
 
 
 def _gather(

@@ -44,6 +44,7 @@ Mask = NDArray[np.bool_]
 ROUNDS, PLAIN_ROUNDS, FREEZE = 15, 2, 5
 SETTLED = 0.1  # of a standard error, of the last step
 LARGEST_TURN = 0.3
+LEAST_OTHERS = 0.1  # share of the information that the other logs must have
 BLOCK_S, BLOCK_PERIODS = 0.25, 4.0
 
 
@@ -312,7 +313,8 @@ def _left_out(reductions: list[Reduced], inner: list[_Inner], information: Array
     """RMS of what each log reads beyond the prediction by all the others, over the fit's own.
 
     Both are whitened residuals after each log's own trajectory; one means that the constants carry
-    over to a log that they have not seen.
+    over to a log that they have not seen. What only one log shows cannot be predicted by the others
+    and does not count.
     """
     logs = sorted({r.linear.segment.log for r in reductions})
     if len(logs) < 2:
@@ -326,7 +328,7 @@ def _left_out(reductions: list[Reduced], inner: list[_Inner], information: Array
             r, i = reductions[k], inner[k]
             S += r.S[:p, :p] - r.S[:p, p:] @ i.follow
             g += r.g[:p] - i.follow.T @ r.g[p:]
-        step = -np.linalg.solve(information - S + 1e-9 * np.diag(np.diag(information)), g)
+        step = -without(information, S, g)
         for k in members:
             linear, i = reductions[k].linear, inner[k]
             columns = effective(reductions[k])[0]
@@ -336,6 +338,17 @@ def _left_out(reductions: list[Reduced], inner: list[_Inner], information: Array
             total += float(np.sum((settled - columns @ step) ** 2))
             before += float(np.sum(settled**2))
     return float(np.sqrt(total / max(before, 1e-12)))
+
+
+def without(information: Array, own: Array, gradient: Array) -> Array:
+    """Step (p,) from one log's gradient by what the others tell, where they tell enough."""
+    factor = np.linalg.cholesky(information)
+    inner = np.linalg.solve(factor, np.linalg.solve(factor, own).T)
+    share, directions = np.linalg.eigh(0.5 * (inner + inner.T))
+    others = 1.0 - share
+    along = directions.T @ np.linalg.solve(factor, gradient)
+    along = np.where(others > LEAST_OTHERS, along / np.maximum(others, LEAST_OTHERS), 0.0)
+    return np.asarray(np.linalg.solve(factor.T, directions @ along), dtype=np.float64)
 
 
 def _followed(reduction: Reduced) -> Array:

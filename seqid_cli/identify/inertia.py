@@ -12,7 +12,10 @@ the rotor is there too is asked of the data, as one more parameter that is eithe
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -29,15 +32,19 @@ from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve, whitened
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.parts import reduced
 from seqid_cli.identify.rigid_stage import (
     not_excited,
     parameters_of,
     representative_of,
 )
+from seqid_cli.identify.streaming import open_if_long, pass_over, streams
+from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.torque import friction_surfaces, friction_torque, known_rotors, sliding
+from seqid_cli.model.torque import averaged_friction, friction_surfaces, known_rotors, sliding
 from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
 from seqid_cli.robot.base import Basis, free_basis, gear_ratios, standard_names
 from seqid_cli.robot.regressor import rotor_regressor
@@ -50,7 +57,7 @@ POOR_SHARE = 0.15  # residual over torque RMS beyond which a joint's verdict is 
 
 
 def identify_inertia(
-    recordings: Iterable[Recording],
+    recordings: Iterable[Recording | SurveyedLog],
     robot: Robot,
     stages: Stages,
     *,
@@ -61,8 +68,8 @@ def identify_inertia(
 
     Parameters
     ----------
-    recordings : iterable of Recording
-        Logs with torque in which one, two or more joints move.
+    recordings : iterable of Recording or SurveyedLog
+        Logs with torque in which one, two or more joints move, held or to be passed over.
     robot : Robot
         Chain, gravity, gear ratios, known rotor inertias.
     stages : Stages
@@ -88,16 +95,16 @@ def identify_inertia(
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
     basis = free_basis(robot)
     equations = InertiaEquations(robot, basis, stages, options)
-    others = InertiaEquations(robot, basis, stages, replace(options, source="encoder"))
-    for recording in recordings:
-        equations.add(recording)
-        if compare:
-            others.add(recording)
-    if not any(joint.samples for joint in equations.joints):
+    compare = compare and stages.imu is not None and options.source != "encoder"
+    by_encoder = replace(options, source="encoder")
+    others = InertiaEquations(robot, basis, stages, by_encoder) if compare else None
+    logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
+    whole = reduced(logs, InertiaRowsOf(equations, others), _both)
+    if whole is None or not any(joint.samples for joint in whole[0].joints):
         raise QualityError("no joint with known friction moves in these logs")
-    stage = equations.stage()
-    if compare and any(use.source != "encoder" for use in stage.motion_use):
-        stage = _compared(stage, others.stage())
+    stage = equations.with_rows(whole[0]).stage()
+    if others and whole[1] and any(use.source != "encoder" for use in stage.motion_use):
+        stage = _compared(stage, others.with_rows(whole[1]).stage())
     return stage
 
 
@@ -115,6 +122,61 @@ def _compared(stage: RigidStage, encoders: RigidStage) -> RigidStage:
     )
 
 
+@dataclass(frozen=True)
+class InertiaRows:
+    """The equations of some logs, reduced: factors, sums and crossed sums per joint."""
+
+    joints: list[Accumulator]
+    torque_squares: Array
+    cross: dict[int, Array]
+    cutoffs: list[float]
+    uses: list[MotionUse]
+
+    def __add__(self, other: InertiaRows) -> InertiaRows:
+        """The equations of both, those of `other` behind."""
+        cross = dict(self.cross)
+        for j, crossed in other.cross.items():
+            cross[j] = cross[j] + crossed if j in cross else crossed
+        return InertiaRows(
+            [a + b for a, b in zip(self.joints, other.joints, strict=True)],
+            self.torque_squares + other.torque_squares,
+            cross,
+            self.cutoffs + other.cutoffs,
+            self.uses + other.uses,
+        )
+
+
+Pair = tuple[InertiaRows, InertiaRows | None]
+
+
+@dataclass(frozen=True)
+class InertiaRowsOf:
+    """The reduced equations of one log, and those by its encoders alone where they are asked for.
+
+    Both equations must be without rows; they carry what was worked out once for all logs.
+    """
+
+    equations: InertiaEquations
+    others: InertiaEquations | None
+
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over than read; None for others."""
+        if self.others is not None or not streams(self.equations.stages, self.equations.options):
+            return None
+        return open_if_long(path, robot, time_source=time_source)
+
+    def __call__(self, recording: Recording | SurveyedLog, number: int) -> Pair:
+        """Reduce them."""
+        del number
+        own = self.equations.rows_of(recording)
+        return own, self.others.rows_of(recording) if self.others else None
+
+
+def _both(first: Pair, second: Pair) -> Pair:
+    others = first[1] + second[1] if first[1] and second[1] else None
+    return first[0] + second[0], others
+
+
 class InertiaEquations:
     """Accumulates the rows of all logs; the last column is the share of gyroscopic coupling."""
 
@@ -123,14 +185,39 @@ class InertiaEquations:
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
-        self.joints = [Accumulator(basis.size + 1) for _ in range(robot.n)]
-        self.torque_squares = np.zeros(robot.n)
+        self._start()
+
+    def _start(self) -> None:
+        """Forget all rows."""
+        self.joints = [Accumulator(self.basis.size + 1) for _ in range(self.robot.n)]
+        self.torque_squares = np.zeros(self.robot.n)
         self.cutoffs: list[float] = []
         self.uses: list[MotionUse] = []
         self._cross: dict[int, Array] = {}
 
-    def add(self, recording: Recording) -> None:
-        """Add the rows of one log."""
+    def rows_of(self, recording: Recording | SurveyedLog) -> InertiaRows:
+        """The rows of one log alone; these equations stay as they are."""
+        fresh = copy(self)
+        fresh._start()
+        fresh.add(recording)
+        return InertiaRows(
+            fresh.joints, fresh.torque_squares, fresh._cross, fresh.cutoffs, fresh.uses
+        )
+
+    def with_rows(self, rows: InertiaRows) -> InertiaEquations:
+        """The same equations with rows."""
+        full = copy(self)
+        full.joints, full.torque_squares, full._cross = rows.joints, rows.torque_squares, rows.cross
+        full.cutoffs, full.uses = rows.cutoffs, rows.uses
+        return full
+
+    def add(self, recording: Recording | SurveyedLog) -> None:
+        """Add the rows of one log; a long one is passed over."""
+        if isinstance(recording, SurveyedLog):
+            seen = pass_over(recording, self)
+            self.cutoffs.append(seen.cutoff.hz)
+            self.uses.append(motion_use(recording.path, self.robot, seen))
+            return
         motion = torque_motion(
             recording,
             self.robot,
@@ -141,20 +228,20 @@ class InertiaEquations:
         self.cutoffs.append(motion.cutoff.hz)
         self.uses.append(motion_use(recording.path, self.robot, motion))
         usable = sliding(motion, self.slowest)
-        y = self._right_side(motion)
-        kappa = self._coupling_column(motion)
+        y = self.right_side(motion)
+        kappa = self.coupling_column(motion)
         for rows in filtered_regressor(motion, self.robot, self.basis):
             H = np.concatenate([rows.H, kappa[rows.where][:, :, None]], axis=2)
-            self._add_chunk(rows.motion, H, y[rows.where], usable[rows.where])
+            self.add_chunk(rows.motion, H, y[rows.where], usable[rows.where])
 
-    def _right_side(self, motion: Motion) -> Array:
+    def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""
         assert motion.tau is not None
-        friction = friction_torque(self.surfaces, motion.q, motion.dq)
+        friction = averaged_friction(self.surfaces, motion)
         known = gear_ratios(self.robot) ** 2 * self.rotors * motion.ddq
         return motion.tau - motion.filtered(friction, times=2) - motion.filtered(known)
 
-    def _coupling_column(self, motion: Motion) -> Array:
+    def coupling_column(self, motion: Motion) -> Array:
         """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
         if not self.rotors.any():
             return np.zeros_like(motion.q)
@@ -163,7 +250,8 @@ class InertiaEquations:
         coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
         return motion.filtered(coupled @ self.rotors)
 
-    def _add_chunk(self, motion: Motion, H: Array, y: Array, usable: NDArray[np.bool_]) -> None:
+    def add_chunk(self, motion: Motion, H: Array, y: Array, usable: NDArray[np.bool_]) -> None:
+        """Add rows H (N, n, b + 1), y (N, n) of consecutive samples, where they are usable."""
         for block in blocks(motion.samples, motion.rate_hz):
             for j, joint in enumerate(self.joints):
                 rows = usable[block, j] & (self.surfaces[j] is not None)
@@ -210,7 +298,7 @@ class InertiaEquations:
         own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
         determined = own[solution.determined[own]]
         missing = not_excited(basis, solution, own)
-        pairs = missing_pairs(robot, basis, joints) if missing else []
+        pairs = missing_pairs(robot, basis, solution.left_open) if missing else []
         rmse = {
             robot.joint_names[j]: float(solution.sigma[j])
             for j, joint in enumerate(joints)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from seqid_cli.identify.inertia import slowest_speeds
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.parts import mapped
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
@@ -90,8 +91,24 @@ def predict(
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = fitted_effects(stages, robot, unexplained=unexplained)
-    for recording in recordings:
-        yield _predict_log(recording, robot, stages, model, effects, options)
+    yield from mapped(recordings, _PredictionOf(robot, stages, model, effects, options))
+
+
+@dataclass(frozen=True)
+class _PredictionOf:
+    """The prediction of one log."""
+
+    robot: Robot
+    stages: Stages
+    model: TorqueModel
+    effects: list[Fitted]
+    options: InertiaOptions
+
+    def __call__(self, recording: Recording, number: int) -> LogPrediction:
+        """Predict it."""
+        del number
+        known = (self.robot, self.stages, self.model, self.effects, self.options)
+        return _predict_log(recording, *known)
 
 
 def _predict_log(

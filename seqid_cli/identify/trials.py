@@ -7,6 +7,7 @@ configuration, give the gravity torque by Eq. 15; p_xi (Eq. 12-14) is fitted to 
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from seqid_cli.identify.parts import reduced
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segments import Stretch, constant_velocity, noise_step
@@ -75,15 +77,24 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
     InputError
         If a log carries neither torque nor current.
     """
-    trials: list[Trial] = []
-    for recording in recordings:
+    return reduced(recordings, TrialsOf(robot), operator.add) or []
+
+
+@dataclass(frozen=True)
+class TrialsOf:
+    """The constant-velocity trials of one log."""
+
+    robot: Robot
+
+    def __call__(self, recording: Recording, number: int) -> list[Trial]:
+        """Find them."""
+        del number
         torque_of(recording)
-        step = noise_step(recording.q, encoder_resolution(robot))
+        step = noise_step(recording.q, encoder_resolution(self.robot))
         stretches = constant_velocity(
             recording.q, recording.rate_hz, step=step, valid=recording.valid
         )
-        trials += [_trial(recording, stretch) for stretch in stretches]
-    return trials
+        return [_trial(recording, stretch) for stretch in stretches]
 
 
 def _trial(recording: Recording, stretch: Stretch) -> Trial:

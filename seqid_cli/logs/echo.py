@@ -20,7 +20,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.base import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -101,6 +101,7 @@ def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[in
     v = np.gradient(Q, step, axis=0)
     a = np.gradient(v, step, axis=0)
     memory = MEMORY_S / step
+    basis = base_parameters(robot, rotor=[])
     result: dict[int, Shares] = {}
     for j in range(robot.n):
         top = float(np.quantile(np.abs(v[:, j]), 0.99))
@@ -110,15 +111,15 @@ def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[in
         at = np.flatnonzero(slides)
         at = at[:: max(1, len(at) // MOST_WINDOWS)]
         friction = np.stack([np.tanh(v[at, j] / (SLOW * top)), v[at, j]], axis=1)
-        result[j] = _split(T[at, j], _law(robot, Q[at], j), friction, a[at], memory)
+        result[j] = _split(T[at, j], _law(robot, basis, Q[at], j), friction, a[at], memory)
     return result
 
 
-def _law(robot: Robot, q: Array, j: int) -> Array:
+def _law(robot: Robot, basis: Basis, q: Array, j: int) -> Array:
     """Gravity's columns and smooth functions of the joint's own position."""
     low, span = float(q[:, j].min()), float(np.ptp(q[:, j]))
     smooth = chebvander(2 * (q[:, j] - low) / span - 1, SMOOTH_TERMS - 1)
-    return np.hstack([_gravity(robot, q)[:, j], smooth])
+    return np.hstack([_gravity(robot, basis, q)[:, j], smooth])
 
 
 def _both_ways(v: Array, step: float) -> bool:
@@ -163,8 +164,8 @@ def _averaged(values: Array, width: int) -> Array:
     return mean
 
 
-def _gravity(robot: Robot, q: Array) -> Array:
+def _gravity(robot: Robot, basis: Basis, q: Array) -> Array:
     """Gravity's regressor (N, n, b); without the columns that it does not need."""
     still = np.zeros_like(q)
-    H = base_regressor(robot, base_parameters(robot, rotor=[]), q, still, still)
+    H = base_regressor(robot, basis, q, still, still)
     return np.asarray(H[:, :, np.abs(H).max(axis=(0, 1)) > 1e-9])

@@ -15,6 +15,7 @@ from pathlib import Path
 from seqid_cli.errors import InputError
 from seqid_cli.logs.csv_form import is_text, read_form
 from seqid_cli.logs.presets import looks_like_log
+from seqid_cli.logs.stored import is_url, stored_logs
 
 SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
 CSV_SUFFIXES = (".csv", ".tsv")
@@ -45,7 +46,7 @@ _TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
 Note = Callable[[str], None]
 
 
-def expand(paths: Sequence[str], note: Note | None = None) -> list[Path]:
+def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = False) -> list[Path]:
     """Turn files, folders and globs into log files.
 
     Parameters
@@ -56,6 +57,8 @@ def expand(paths: Sequence[str], note: Note | None = None) -> list[Path]:
         CSV files met in a folder that are no logs are left out.
     note : callable, optional
         Told what was left out, and why.
+    stored : bool
+        Whether URLs of object storage are welcome as well.
 
     Returns
     -------
@@ -71,12 +74,23 @@ def expand(paths: Sequence[str], note: Note | None = None) -> list[Path]:
     found: dict[Path, Path] = {}
     for argument in paths:
         try:
-            matches = _matches(str(argument), note or _silent)
+            matches = (
+                _stored(str(argument), welcome=stored)
+                if is_url(str(argument))
+                else _matches(str(argument), note or _silent)
+            )
         except OSError as error:
             raise InputError(f"cannot be looked up ({error})", where=str(argument)) from error
         for path in matches:
             found.setdefault(path.resolve(), path)
     return list(found.values())
+
+
+def _stored(url: str, *, welcome: bool) -> list[Path]:
+    if not welcome:
+        message = "is on object storage, which this command does not read"
+        raise InputError(message, hint="Copy it here first.", where=url)
+    return natural_order(stored_logs(url, SUFFIXES))
 
 
 def _silent(text: str) -> None:

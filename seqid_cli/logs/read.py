@@ -15,6 +15,7 @@ from seqid_cli.logs.clocks import Tidy, tidy
 from seqid_cli.logs.open import check_log, storage_file
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
 from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.stored import local_copy
 from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
 from seqid_cli.robot.types import Robot
 
@@ -75,7 +76,12 @@ def read_recording(
     UsageError
         `time_source` or `rate_hz` is not usable.
     """
-    path = Path(path)
+    with local_copy(path) as file:
+        recording = _read(Path(file), robot, time_source, rate_hz)
+    return replace(recording, path=path) if file is not path else recording
+
+
+def _read(path: Path, robot: Robot, time_source: TimeSource, rate_hz: float | None) -> Recording:
     kind = check_log(path)
     path = storage_file(path)
     if time_source not in ("header", "log"):

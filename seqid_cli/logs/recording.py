@@ -67,8 +67,8 @@ def torque_of(recording: Recording) -> Array:
     """
     if recording.tau is None:
         raise InputError(
-            "the log has neither joint torque nor motor current",
-            hint="record current (with torque_constant in the robot file) or torque",
+            "the log has neither joint torque nor motor current that can be turned into torque",
+            hint="record either; current needs torque_constant and gear_ratio in the robot file",
             where=str(recording.path),
         )
     return recording.tau

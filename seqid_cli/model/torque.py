@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.motion import Motion
@@ -16,6 +18,9 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+PARTS = 8  # of a sample's period, over which the step of friction at a reversal is averaged
+FINE = 80.0  # samples per period of the cut-off that tell when a joint is slow
 
 
 def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | None]:
@@ -143,17 +148,54 @@ def known_rotors(robot: Robot) -> Array:
     return np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
 
 
+def averaged_friction(surfaces: list[FrictionSurface | None], motion: Motion) -> Array:
+    """Friction torque (N, n) N m, where a joint reverses its mean over the sample's period.
+
+    Friction steps there, at a time that a thinned motion knows to half a sample only; the mean puts
+    the step where the velocity, taken as straight between samples, is zero.
+    """
+    torque = friction_torque(surfaces, motion.q, motion.dq)
+    turns = (motion.dq[1:] * motion.dq[:-1] <= 0) & motion.moving[1:] & motion.moving[:-1]
+    within = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+    for j, surface in enumerate(surfaces):
+        near = np.flatnonzero(turns[1:, j] | turns[:-1, j]) + 1
+        if surface is None or not near.size:
+            continue
+        q, dq = (_between(x[:, j], near, within) for x in (motion.q, motion.dq))
+        parts = surface.torque(q.ravel(), dq.ravel()).reshape(len(near), PARTS)
+        torque[near, j] = parts.mean(axis=1)
+    return torque
+
+
+def _between(x: Array, at: NDArray[np.intp], within: Array) -> Array:
+    """Values of x (N,) at fractions `within` (P,) of a sample about samples `at` (M,), (M, P)."""
+    middle, before, after = x[at, None], x[at - 1, None], x[at + 1, None]
+    slope = np.where(within > 0, after - middle, middle - before)
+    between: Array = middle + slope * within
+    return between
+
+
 def sliding(motion: Motion, slowest: Array) -> Mask:
     """Samples (N, n) at which a joint certainly slides, so that friction opposes its motion.
 
     At rest friction takes any value up to stiction; such samples, and those that the filter mixes
     with them, say nothing about the model.
     """
-    still = ~motion.moving | (np.abs(motion.dq) < slowest)
-    reach = max(1, int(0.25 * motion.rate_hz / motion.lowpass.cutoff_hz))
-    near = still.copy()
-    for shift in range(1, reach + 1):
-        near[shift:] |= still[:-shift]
-        near[:-shift] |= still[shift:]
-    mask: Mask = ~near & motion.usable[:, None]
+    mask: Mask = (_slowest_near(motion) >= slowest) & motion.usable[:, None]
     return mask
+
+
+def _slowest_near(motion: Motion) -> Array:
+    """Least speed (N, n) within a quarter of a period of the cut-off, 0 beside rests.
+
+    Taken as straight between samples, so that thinning does not hide a reversal between two.
+    """
+    cutoff = motion.lowpass.cutoff_hz
+    parts = max(1, math.ceil(FINE * cutoff / motion.rate_hz))
+    velocity = np.where(motion.moving, motion.dq, 0.0)
+    share = (np.arange(parts) / parts)[:, None]
+    ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
+    fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
+    reach = max(1, int(0.25 * motion.rate_hz * parts / cutoff))
+    least: Array = minimum_filter1d(fine, 2 * reach + 1, axis=0, mode="nearest")[::parts]
+    return least

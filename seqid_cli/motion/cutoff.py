@@ -77,7 +77,7 @@ def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
     Parameters
     ----------
     variance : (n, 3) array
-        Typical variance of the smoother's q, dq, ddq.
+        Typical variance of the smoother's q, dq, ddq; infinite where the encoder is used instead.
     density : (n,) array
         Noise of the encoders [rad^2/Hz].
     hz : float
@@ -88,9 +88,11 @@ def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
     (n,) array
         [(rad/s^2)^2].
     """
-    position, velocity, acceleration = np.maximum(variance, 1e-300).T
+    known = np.asarray(np.isfinite(variance).all(axis=1))
+    used = np.where(known[:, None], np.maximum(variance, 1e-300), 1.0)
+    position, velocity, acceleration = used.T
     white = 0.75 * 2 * np.pi * velocity * np.sqrt(velocity / position)
-    error: Array = np.minimum(acceleration, white * hz)
+    error: Array = np.where(known, np.minimum(acceleration, white * hz), np.inf)
     return np.minimum(error, differentiated_error(density, hz))
 
 
@@ -176,7 +178,7 @@ def choose_smoothed_cutoff(
     dq, ddq : (N, n) arrays
         Smoothed motion [rad/s, rad/s^2].
     variance : (n, 3) array
-        Typical variance of the smoother's q, dq, ddq.
+        As of `smoothed_error`.
     rate_hz : float
         Samples per second.
     moving : (n,) bool array

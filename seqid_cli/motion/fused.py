@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.cutoff import choose_smoothed_cutoff, smoothed_error
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filtering import Lowpass, differentiate
 from seqid_cli.motion.motion import Motion, filtered_torque
 from seqid_cli.motion.smoother import smoothed_motion
+from seqid_cli.motion.smoother_imus import mounted_imus, read
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 ABSENT = "not calibrated or not recorded"  # the smoother's words, put more exactly here
 CONTRADICTION = 5.0  # times the encoder's noise, whose quantisation is not white in slow moves
 LARGEST_KEPT = 100_000  # positions of a log whose smoothed motion is kept to be used again
+MOSTLY = 0.95  # share of the samples with a reading that calls for no remark
 WORTHWHILE = 3.0  # times that acceleration must be better known
 ALLOWED = 0.05  # of the acceleration's size: what shakes faster than IMUs sample shows up below
 
@@ -157,12 +159,16 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Found:
-    """What is used of a smoothed motion: q, dq, ddq (N, n), their median variances (n, 3)."""
+    """What is used of a smoothed motion: q, dq, ddq (N, n), their median variances (n, 3).
+
+    Joints that are not `seen` (n,) lie beyond all IMUs; nothing is known of their variance.
+    """
 
     q: Array
     dq: Array
     ddq: Array
     variance: Array
+    seen: NDArray[np.bool_]
     imus: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -173,9 +179,26 @@ def _smoothed(task: _Task) -> _Found:
 
 def _made(task: _Task) -> _Found:
     s = smoothed_motion(task.recording, task.robot, task.stage)
-    order = np.arange(3)
-    variance = np.median(s.covariance[task.recording.valid][:, :, order, order], axis=0)
-    return _Found(s.q, s.dq, s.ddq, np.asarray(variance), s.imus, s.notes)
+    known = task.recording.valid[s.places]
+    variance = np.diagonal(s.covariance_at_places, axis1=2, axis2=3)
+    variance = np.median(variance[known] if known.any() else variance, axis=0)
+    last = max((x.after_joint for x in task.robot.imus if x.name in s.imus), default=-1)
+    seen = np.arange(task.robot.n) <= last
+    notes = (*s.notes, *_silent(task, s.imus))
+    variance = np.where(seen[:, None], variance, np.inf)
+    return _Found(s.q, s.dq, s.ddq, variance, seen, s.imus, notes)
+
+
+def _silent(task: _Task, names: tuple[str, ...]) -> Iterator[str]:
+    """Say which of the IMUs that were used read only now and then."""
+    recording = task.recording
+    for imu in mounted_imus(recording, task.robot, task.stage)[0]:
+        if imu.name not in names:
+            continue
+        live = read(imu, recording, slice(None)).live[recording.valid]
+        share = np.count_nonzero(live.any(axis=1)) / max(len(live), 1)
+        if share < MOSTLY:
+            yield f"{imu.name} reads in {100 * share:.0f} % of the samples"
 
 
 @lru_cache(maxsize=32)
@@ -214,17 +237,8 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion
             moving=moves,
         )
     lowpass = Lowpass(cutoff.hz, recording.rate_hz)
-    # What noise makes of locked joints must not pass for excitation.
-    q, dq, ddq = (
-        lowpass(np.where(moves, values, still), recording.valid)
-        for values, still in (
-            (smoothed.q, recording.q),
-            (smoothed.dq, 0.0),
-            (smoothed.ddq, 0.0),
-        )
-    )
+    q, dq, ddq = _low_passed(recording, lowpass, smoothed, moves)
     tau, usable = filtered_torque(recording, lowpass)
-    error = np.sqrt(smoothed_error(smoothed.variance, cutoff.noise_density, cutoff.hz))
     return replace(
         encoder,
         q=q,
@@ -236,6 +250,32 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion
         cutoff=cutoff,
         source="fused",
         imus=smoothed.imus,
-        error=error,
+        error=np.sqrt(smoothed_error(smoothed.variance, cutoff.noise_density, cutoff.hz)),
         encoder_error=encoder.acceleration_error,
     )
+
+
+def _low_passed(
+    recording: Recording,
+    lowpass: Lowpass,
+    smoothed: _Found,
+    moves: NDArray[np.bool_],
+) -> list[Array]:
+    """q, dq, ddq (N, n): smoothed where IMUs see a joint, else differentiated as without them."""
+    valid = recording.valid
+    # What noise makes of locked joints must not pass for excitation.
+    motion = [
+        lowpass(np.where(moves, values, still), valid)
+        for values, still in (
+            (smoothed.q, recording.q),
+            (smoothed.dq, 0.0),
+            (smoothed.ddq, 0.0),
+        )
+    ]
+    hidden = moves & ~smoothed.seen
+    if hidden.any():
+        q = lowpass(recording.q[:, hidden], valid)
+        alone = (q, *differentiate(q, recording.rate_hz, valid))
+        for values, own in zip(motion, alone, strict=True):
+            values[:, hidden] = own
+    return motion

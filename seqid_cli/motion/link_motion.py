@@ -21,7 +21,7 @@ from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filtering import Lowpass
 from seqid_cli.motion.fused import absent_imus, fused_motion, needed
-from seqid_cli.motion.imu_array import layout, read_angular
+from seqid_cli.motion.imu_array import calibrated, layout, read_angular
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import SOURCES
 from seqid_cli.params.schema import ImuCalibration, ImuStage
@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 DISAGREEMENT = 0.5  # share of the encoder's acceleration beyond which an IMU is not believed
 AXIS_ERROR = 0.003  # what calibration leaves of scale and alignment
 UNSEEN = 1e-6  # weight of an encoder beside IMUs
+LEAST_SHIFT = 1e-3  # of a sample, below which clocks agree
 
 
 @dataclass(frozen=True)
@@ -156,16 +157,31 @@ def link_reading(
     recording: Recording,
     motion: Motion,
 ) -> LinkReading:
-    """One IMU's angular acceleration in its link's frame, on the motion's time base."""
+    """One IMU's angular acceleration in its link's frame, on the motion's time base.
+
+    Biases, gains, axes and clock offset of the calibration are taken off the readings first.
+    """
     factor = round(recording.rate_hz / motion.rate_hz)
     lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
-    reading = read_angular(imu, values, gyro, lowpass, recording.valid)
+    mended, values, gyro = calibrated(imu, calibration, values, gyro)
+    offset = calibration.time_offset_s
+    values = _on_encoders_clock(values, recording, offset)
+    gyro = None if gyro is None else _on_encoders_clock(gyro, recording, offset)
+    reading = read_angular(mended, values, gyro, lowpass, recording.valid)
     R = np.array(calibration.rotation)
     dw = (reading.dw @ R.T)[::factor]
     gain = _gain(calibration)
     noise = (calibration.noise_density or 0.0) * np.sqrt(lowpass.cutoff_hz)
     size = float(np.sqrt(np.mean(np.sum(dw**2, axis=1))))
     return LinkReading(imu, gain * dw, float(np.hypot(noise, AXIS_ERROR * size)))
+
+
+def _on_encoders_clock(values: Array, recording: Recording, offset: float) -> Array:
+    """Readings (N, K) when the encoders were read; those stamped t were taken at t - `offset`."""
+    if abs(offset) * recording.rate_hz < LEAST_SHIFT:
+        return values
+    t, valid = recording.t, recording.valid
+    return np.column_stack([np.interp(t + offset, t[valid], v[valid]) for v in values.T])
 
 
 def unbiased(reading: LinkReading, robot: Robot, motion: Motion) -> LinkReading:
@@ -176,9 +192,13 @@ def unbiased(reading: LinkReading, robot: Robot, motion: Motion) -> LinkReading:
 
 
 def _gain(calibration: ImuCalibration) -> float:
-    """Scale of the angular acceleration, where the encoders prove that it is not one."""
+    """Scale of the angular acceleration, where the encoders prove that it is not one.
+
+    Gains of single accelerometers, where they are known, are off the readings already.
+    """
     references = list(calibration.references.values())
-    if not references:
+    single = [*calibration.accelerometer_scale, *calibration.gyro_scale]
+    if not references or any(scale is not None for scale in single):
         return 1.0
     weight = np.array([1 / max(r.gain_std_error, 1e-6) ** 2 for r in references])
     mean = float(np.sum(weight * [r.gain for r in references]) / weight.sum())

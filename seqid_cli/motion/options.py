@@ -10,6 +10,12 @@ SOURCES = ("auto", "needed", "encoder", "imu", "fused")
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """`cutoff_hz` overrides the low-pass cut-off that is otherwise chosen from each log."""
+    """How logs are filtered.
+
+    `cutoff_hz` overrides the low-pass cut-off that is otherwise chosen from each log. After the
+    low-pass `samples_per_cutoff` samples at least stay per period of the cut-off; infinite keeps
+    all.
+    """
 
     cutoff_hz: float | None = None
+    samples_per_cutoff: float = 10.0

@@ -22,13 +22,12 @@ class EffectParameter(Struct, kw_only=True):
 class FindingEntry(Struct, kw_only=True):
     """One effect that the model lacks; `joint` is null for an effect of the whole arm.
 
-    `confidence` is the probability that it is this effect or one of `confusable_with`,
-    `name_confidence` that it is this one. `explains` is the share of the held-out residual variance above
-    the noise floor that the effect takes away, `gain` the share of the residual variance itself,
-    `clean_gain` the largest such share on clean data of this kind. `confusable_with` names the
-    effects that these logs do not tell from it, `separate_by` what to record to tell. `parameters`
-    is empty where the logs do not determine them; `settings` are what the effect's torque is not
-    linear in.
+    `confidence` is the probability that it is this effect or one of `confusable_with`, which these
+    logs do not tell from it; `name_confidence` that it is this one. `separate_by` is what to record
+    to tell. `explains` is the share of the held-out residual variance above the noise floor that
+    the effect takes away, `gain` the share of the residual variance itself, `clean_gain` the
+    largest such share on clean data of this kind. `parameters` is empty where the logs do not
+    determine them; `settings` are what the effect's torque is not linear in.
     """
 
     effect: str

@@ -20,7 +20,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .regressor import PER_LINK, Coupling, gravity_regressor, rotor_regressor, torque_regressor
+from .regressor import (
+    PER_LINK,
+    Coupling,
+    columns_by_link,
+    gravity_regressor,
+    link_blocks,
+    rotor_regressor,
+    torque_regressor,
+)
 from .types import Array, Chain, Robot
 
 STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -140,7 +148,9 @@ def standard_regressor(
     return np.concatenate((Y, rotors), axis=2)
 
 
-def base_regressor(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array) -> Array:
+def base_regressor(
+    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, *, spare: int = 0
+) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
     Parameters
@@ -148,20 +158,26 @@ def base_regressor(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array) 
     robot : Robot
     basis : Basis
     q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    spare : int
+        Columns of zeros to be filled by the caller.
 
     Returns
     -------
-    (N, n, b) array
+    (N, n, b + spare) array
         Each column contiguous in memory.
     """
     P, first_rotor = basis.representative, PER_LINK * robot.n
-    links = [int(c) for c in basis.columns if c < first_rotor]
-    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq, columns=links)
-    H = np.zeros((robot.n, basis.size, len(q)))
-    for stored, c in zip(Y.transpose(2, 1, 0), links, strict=True):
-        loaded = c // PER_LINK + 1  # joints that feel this link
-        for k in np.flatnonzero(P[c]):
-            H[:loaded, k] += stored[:loaded] * P[c, k]
+    kept = columns_by_link(robot.n, sorted(int(c) for c in basis.columns if c < first_rotor))
+    H = np.zeros((robot.n, basis.size + spare, len(q)))
+    alone = np.count_nonzero(P, axis=0) == 1
+    for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
+        for column, c in enumerate(PER_LINK * i + kept[i]):
+            for k in np.flatnonzero(P[c]):
+                target = H[: i + 1, k, rows]
+                if alone[k]:
+                    np.multiply(block[:, column], P[c, k], out=target)
+                else:
+                    target += P[c, k] * block[:, column]
     if P[first_rotor:].any():
         ratio = gear_ratios(robot)
         rotors = rotor_regressor(robot.chain, q, dq, ddq, ratio, basis.coupling).transpose(2, 1, 0)

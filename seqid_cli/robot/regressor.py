@@ -26,8 +26,9 @@ from .placement import skew
 from .types import Array, Chain
 
 PER_LINK = 10
+Kinds = NDArray[np.intp]
 Coupling = Literal["diagonal", "gyroscopic"]
-_BLOCK = 4096  # samples at a time: numpy call overhead against cache
+_BLOCK = 2048  # samples at a time: numpy call overhead against cache
 
 
 def torque_regressor(
@@ -54,19 +55,56 @@ def torque_regressor(
     (N, n, 10 n) array, or (N, n, len(columns))
         Link-major columns in Pinocchio's parameter order, N m (N where prismatic) per unit.
     """
-    kept = _columns_by_link(chain.n, columns)
+    kept = columns_by_link(chain.n, columns)
     Y = np.zeros((chain.n, sum(len(kinds) for kinds in kept), len(q)))
+    for _ in link_blocks(chain, gravity, q, dq, ddq, kept, out=Y):
+        pass
+    return Y.transpose(2, 0, 1)
+
+
+def link_blocks(
+    chain: Chain,
+    gravity: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    kept: Sequence[Kinds],
+    *,
+    out: Array | None = None,
+) -> Iterator[tuple[int, slice, Array]]:
+    """Compute the regressor of `torque_regressor` piece by piece, for whoever regroups it.
+
+    Parameters
+    ----------
+    chain : Chain
+    gravity : (3,) array [m/s^2], base frame
+    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    kept : sequence of arrays
+        Per link the numbers of its columns to compute, ascending (see `columns_by_link`).
+    out : (n, p, N) array, optional
+        Where all columns go, link after link; without it each array is filled anew for the next.
+
+    Yields
+    ------
+    tuple of int, slice, (i + 1, len(kept[i]), M) array
+        Link i, the samples, and the torques of joints 0..i.
+    """
+    largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
+    room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
+    starts = np.cumsum([0, *(len(kinds) for kinds in kept)])
     for start in range(0, len(q), _BLOCK):
-        rows = slice(start, start + _BLOCK)
+        rows = slice(start, min(start + _BLOCK, len(q)))
         motion = link_motion(
             chain, gravity, *(np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
         )
-        column = 0
         for i, screws in enumerate(_carried_screws(chain, motion)):
-            block = Y[: i + 1, column : column + len(kept[i]), rows]
-            _fill_link(block, kept[i], screws, motion, i)
-            column += len(kept[i])
-    return Y.transpose(2, 0, 1)
+            if out is None:
+                shape = (i + 1, len(kept[i]), rows.stop - start)
+                block = room[: int(np.prod(shape))].reshape(shape)
+            else:
+                block = out[: i + 1, starts[i] : starts[i + 1], rows]
+            _fill_link(block, kept[i], screws, motion, chain.axis[i], prismatic=chain.prismatic[i])
+            yield i, rows, block
 
 
 def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
@@ -165,7 +203,8 @@ def _load(phi: Array, w: Array, dw: Array, a: Array) -> tuple[Array, Array]:
     return force, cross(c, a) + inertia @ dw + cross(w, inertia @ w)
 
 
-def _columns_by_link(n: int, columns: Sequence[int] | None) -> list[NDArray[np.intp]]:
+def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
+    """Split columns of the regressor, in ascending order, into those of each link; None is all."""
     every = np.arange(PER_LINK * n) if columns is None else np.asarray(columns, dtype=np.intp)
     return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
 
@@ -190,25 +229,41 @@ def _carried_screws(chain: Chain, motion: LinkMotion) -> Iterator[Array]:
 
 
 def _fill_link(
-    block: Array, kinds: NDArray[np.intp], screws: Array, motion: LinkMotion, i: int
+    block: Array, kinds: Kinds, screws: Array, motion: LinkMotion, axis: Array, *, prismatic: bool
 ) -> None:
-    """Fill the columns `kinds` of link i for all joints before it: block (j, len(kinds), N)."""
+    """Fill the columns `kinds` of a link for its joint and all before: block (j, len(kinds), N)."""
+    i = len(block) - 1
     moments = kinds[(kinds >= 1) & (kinds < 4)] - 1
     inertias = kinds[kinds >= 4] - 4
     first = int(np.count_nonzero(kinds == 0))
     last = first + len(moments)
     if first:
-        np.einsum("kjn,kn->jn", screws[1], motion.a[i], out=block[:, 0])
+        for j in range(i):
+            np.einsum("kn,kn->n", screws[1, :, j], motion.a[i], out=block[j, 0])
+        _along(axis if prismatic else 0.0 * axis, motion.a[i][:, None], block[i, :1])
     if len(moments):
         M = _moment_matrix(motion.a[i], motion.H[i])
         M = M if len(moments) == 3 else M[:, :, moments]
-        for j in range(i + 1):  # joint by joint: what is being summed stays in cache
+        for j in range(i):  # joint by joint: what is being summed stays in cache
             np.einsum("skn,skcn->cn", screws[:, :, j], M, out=block[j, first:last])
+        _along(axis, M[int(prismatic)], block[i, first:last])
     if len(inertias):
         K = _inertia_matrix(motion.w[i], motion.H[i])
         K = K if len(inertias) == 6 else K[:, inertias]
-        for j in range(i + 1):
+        for j in range(i):
             np.einsum("kn,kcn->cn", screws[0, :, j], K, out=block[j, last:])
+        _along(0.0 * axis if prismatic else axis, K, block[i, last:])
+
+
+def _along(axis: Array, rows: Array, out: Array) -> None:
+    """Sum axis (3,) times rows (3, c, N) into out (c, N); most axes have one component."""
+    used = np.flatnonzero(axis)
+    if not len(used):
+        out[:] = 0.0
+        return
+    np.multiply(rows[used[0]], axis[used[0]], out=out)
+    for k in used[1:]:
+        out += axis[k] * rows[k]
 
 
 def _moment_matrix(a: Array, H: Array) -> Array:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from tests.bench import ingestion
+from tests.bench import ingestion, kernels, smoother, start, whole_run
 from tests.study.tables import placed
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "benchmarks.md"
@@ -15,6 +15,10 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "benchmarks.md"
 # Each returns Markdown; `quick` is for a look whether it runs at all.
 BENCHMARKS: Mapping[str, Callable[[bool], str]] = {
     "ingestion": lambda quick: ingestion.study(quick=quick),
+    "kernels": lambda quick: kernels.study(quick=quick),
+    "whole_run": lambda quick: whole_run.study(quick=quick),
+    "start": lambda quick: start.study(quick=quick),
+    "smoother": lambda quick: smoother.study(quick=quick),
 }
 
 

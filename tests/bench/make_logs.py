@@ -84,7 +84,7 @@ def write_cdr(path: Path, messages: int, compression: str = "zstd") -> Path:
             for i in range(count):
                 writer.add_message(joints, int(arrival[i, 0]), rows[i].tobytes(), int(stamps[i]))
                 writer.add_message(hand, int(arrival[i, 1]), others[i].tobytes(), int(stamps[i]))
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -127,7 +127,7 @@ def write_json(path: Path, messages: int) -> Path:
             }
             stamp = T0 + PERIOD_NS * i
             writer.add_message(channel, stamp, json.dumps(content).encode(), stamp)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -152,7 +152,7 @@ def write_protobuf(path: Path, messages: int) -> Path:
             )
             content.timestamp.FromNanoseconds(stamp)
             writer.write_message("/joint_states", content, stamp, stamp)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 

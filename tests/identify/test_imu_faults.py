@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.imu import calibrate_imus
+from seqid_cli.identify.imu_fit import without
 from seqid_cli.identify.imu_readings import cleaned, jolted, white_noise
 from seqid_cli.identify.imu_segments import lagrange
 from seqid_cli.motion.imu_array import calibrated as mended
@@ -49,7 +50,7 @@ def found(case: Case, seed: int) -> dict[str, ImuCalibration]:
 @pytest.mark.parametrize("case", [COARSE, FINE], ids=lambda case: case.label)
 def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
     """Four instruments: mounting, offset, gains and biases, all within their standard errors."""
-    seen = scores(scene(case), range(4))
+    seen = [score for seed in range(4) for score in scores(scene(case), seed)]
     for name in ("z_turn", "z_delay", "z_gain", "z_bias"):
         z = np.concatenate([np.atleast_1d(getattr(score, name)) for score in seen])
         assert np.sqrt(np.mean(z**2)) < 2.0, name
@@ -168,6 +169,12 @@ def test_lagrange_weights_pass_cubics() -> None:
     nodes = np.arange(4.0)
     for power in range(4):
         np.testing.assert_allclose(lagrange(u) @ nodes**power, u**power, atol=1e-12)
+
+
+def test_a_log_is_predicted_only_in_what_the_others_show() -> None:
+    """Whitened by hand: the first direction is the log's alone, of the second it has a half."""
+    total, own = np.diag([4.0, 10.0]), np.diag([4.0 - 1e-9, 5.0])
+    np.testing.assert_allclose(without(total, own, np.array([3.0, 2.0])), [0.0, 2.0 / 5.0])
 
 
 def test_a_late_stamp_shows_the_past() -> None:

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.friction import identify_friction
 from seqid_cli.identify.gravity import identify_gravity
 from seqid_cli.identify.imu import calibrate_imus
@@ -222,30 +223,40 @@ def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) ->
     assert any("not excited" in note for note in stage.notes)
 
 
-def test_the_missing_pairs_would_give_full_rank(six_joint: Rig) -> None:
-    """Stack random states of the pair at hand and of those asked for."""
-    robot = six_joint.robot
+def rank_of_pairs(rig: Rig, pairs: list[list[str]]) -> int:
+    """Rank of random states of pairs of joints, with gravity known before."""
+    robot = rig.robot
     basis = base_parameters(robot, rotor=())
-    stage = one_pair(six_joint, "elbow__wrist_1")
     rng = np.random.default_rng(1)
+    rows = [np.eye(basis.size)[basis.gravity]]
+    for pair in pairs:
+        moving = [robot.joint_names.index(name) for name in pair]
+        q = rng.uniform(-2.5, 2.5, (200, robot.n))
+        dq, ddq = np.zeros_like(q), np.zeros_like(q)
+        dq[:, moving], ddq[:, moving] = rng.normal(size=(2, 200, len(moving)))
+        H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
+        rows.append(H.reshape(-1, basis.size))
+    W = np.vstack(rows)
+    return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6))
 
-    def rank(pairs: list[list[str]]) -> int:
-        rows = []
-        for pair in pairs:
-            moving = [robot.joint_names.index(name) for name in pair]
-            q = rng.uniform(-2.5, 2.5, (200, 6))
-            dq, ddq = np.zeros_like(q), np.zeros_like(q)
-            dq[:, moving], ddq[:, moving] = rng.normal(size=(2, 200, 2))
-            H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
-            rows.append(H.reshape(-1, basis.size))
-        W = np.vstack(rows)
-        return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6))
 
-    assert rank([["elbow", "wrist_1"]]) < basis.size
-    assert rank([["elbow", "wrist_1"], *stage.missing_pairs]) == basis.size
-    for left_out in range(len(stage.missing_pairs)):
-        fewer = stage.missing_pairs[:left_out]
-        assert rank([["elbow", "wrist_1"], *fewer]) < basis.size
+def test_the_missing_pairs_would_give_full_rank_and_none_is_idle(six_joint: Rig) -> None:
+    own = ["elbow", "wrist_1"]
+    missing = one_pair(six_joint, "__".join(own)).missing_pairs
+    assert rank_of_pairs(six_joint, [own]) < 36
+    assert rank_of_pairs(six_joint, [own, *missing]) == 36
+    for pair in missing:
+        assert rank_of_pairs(six_joint, [own, *(p for p in missing if p != pair)]) < 36
+
+
+def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: Rig) -> None:
+    basis = base_parameters(six_joint.robot, rotor=())
+    pairs = missing_pairs(six_joint.robot, basis, np.eye(basis.size))
+    assert rank_of_pairs(six_joint, pairs) == basis.size
+    assert len({tuple(pair) for pair in pairs}) == len(pairs)
+    basis = base_parameters(one_joint.robot, rotor=())
+    assert missing_pairs(one_joint.robot, basis, np.eye(basis.size)) == [["joint_1"]]
+    assert missing_pairs(one_joint.robot, basis, np.zeros((basis.size, 0))) == []
 
 
 def test_stages_in_the_wrong_order_are_refused(one_joint: Rig) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -125,6 +126,25 @@ def test_constant_biases_of_the_accelerometers_do_not_matter(scene: Scene) -> No
     shifted = {name: values + bias for name, values in scene.recording.accelerometers.items()}
     got, plain = scene.best(shifted, source="imu"), scene.best(source="imu")
     np.testing.assert_allclose(got.ddq, plain.ddq, atol=0.03)
+
+
+def test_what_calibration_found_is_taken_off(scene: Scene) -> None:
+    """Biases, gains and a clock 20 ms late; the last alone would make an IMU useless."""
+    rng = np.random.default_rng(3)
+    rate, readings, found = scene.recording.rate_hz, {}, {}
+    for name, values in scene.recording.accelerometers.items():
+        bias, gain = rng.normal(0, 0.3, 12), rng.normal(1, 0.02, 12)
+        readings[name] = np.roll(values, round(0.02 * rate), axis=0) * gain + bias
+        found[name] = msgspec.structs.replace(
+            scene.stage.imus[name],
+            time_offset_s=0.02,
+            accelerometer_bias=bias.tolist(),
+            accelerometer_scale=gain.tolist(),
+        )
+    known = replace(scene, stage=ImuStage(imus=found))
+    plain, mended = scene.best(source="imu"), known.best(readings, source="imu")
+    np.testing.assert_allclose(scene.error(mended), scene.error(plain), rtol=0.02)
+    assert mended.imus == plain.imus
 
 
 def test_an_unknown_source_is_refused(scene: Scene) -> None:

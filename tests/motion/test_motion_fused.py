@@ -248,3 +248,16 @@ def test_noise_of_locked_joints_is_no_motion() -> None:
     assert not got.ddq[:, 1].any()
     np.testing.assert_allclose(got.q[:, 1], still[:, 1], atol=1e-9)
     assert got.ddq[:, 0].any()
+
+
+def test_joints_beyond_all_imus_keep_their_encoders() -> None:
+    """The smoother knows nothing of them that their encoders do not know."""
+    s = scene("two")
+    got = best(changed(s, {"imu_b": None}), "fused")
+    before = encoder(s, got.cutoff.hz)
+    assert got.imus == ("imu_a",)
+    for own, alone in ((got.q, before.q), (got.dq, before.dq), (got.ddq, before.ddq)):
+        np.testing.assert_allclose(own[:, 1], alone[:, 1], atol=1e-9)
+    assert got.error is not None
+    assert got.error[1] == pytest.approx(before.acceleration_error[1])
+    assert got.error[0] < 0.2 * before.acceleration_error[0]

@@ -1,0 +1,201 @@
+"""Equations of logs of any length, in memory that does not grow with them.
+
+A long log is passed over twice: to lay its time base and choose its cut-off (`motion.survey`; a
+third time where its stamps are uneven), and to filter, decimate and reduce its equations block by
+block. What comes out is what the same log held in memory gives with the motion of its encoders,
+because
+
+- blocks are cut on the same grid as there, filtered with all the samples that the filter remembers;
+- each joint's equations are reduced to the factors of blocks of about a second, as ever; they carry
+  what weights, standard errors (jackknife) and the judgement of the rotor coupling need, so
+  nothing of it takes another pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import InputError
+from seqid_cli.identify.equations import CHUNK
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.long import rows_at_least
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.model.torque import sliding
+from seqid_cli.motion.block_filter import BlockLowpass
+from seqid_cli.motion.blocks import joined_motions, make_plan, motion_blocks, part_of
+from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.motion import Motion, encoder_resolution
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.survey import SurveyedLog, open_surveyed
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.base import Basis, base_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LONG = 200_000  # samples from which on a log is better passed over than held
+LEAST_CHUNKS, MOST_CHUNKS = 2, 4  # of the equations, worked on together
+
+
+class Equations(Protocol):
+    """Takes the rows of one log, chunk by chunk."""
+
+    robot: Robot
+    basis: Basis
+    options: InertiaOptions
+    slowest: Array
+
+    def right_side(self, motion: Motion) -> Array:
+        """Torque (N, n) N m that the parameters are to explain."""
+        ...
+
+    def coupling_column(self, motion: Motion) -> Array:
+        """One more column (N, n), filtered."""
+        ...
+
+    def add_chunk(self, motion: Motion, H: Array, y: Array, usable: Mask) -> None:
+        """Take rows H (N, n, b + 1), y (N, n)."""
+        ...
+
+
+def streams(stages: Stages, options: InertiaOptions) -> bool:
+    """Whether long logs may be passed over: the motion is to be that of the encoders."""
+    imus = stages.imu is not None and bool(stages.imu.imus)
+    return options.source == "encoder" or (options.source in ("auto", "needed") and not imus)
+
+
+def open_if_long(
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int | None = None
+) -> SurveyedLog | None:
+    """Open a log of at least so many samples (`LONG`) to be passed over.
+
+    Returns
+    -------
+    SurveyedLog or None
+        None where the log is shorter, or can only be read as a whole.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or lacks a channel.
+    """
+    least = LONG if least is None else least
+    if not rows_at_least(path, least):
+        return None
+    log = open_surveyed(path, robot, time_source=time_source)
+    return log if log is not None and log.samples >= least else None
+
+
+def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
+    """Add the rows of one long log.
+
+    Parameters
+    ----------
+    log : SurveyedLog
+    equations : Equations
+        Given the rows.
+
+    Returns
+    -------
+    Motion
+        The last samples, `moving` (1, n) being that of all of them.
+
+    Raises
+    ------
+    InputError
+        If no stretch of the log is long enough to filter.
+    """
+    options = equations.options.motion
+    cutoff, step = _cutoff(log, equations.robot, options)
+    plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
+    lowpass = BlockLowpass(cutoff.hz, plan.kept_rate_hz)
+    reach = lowpass.memory + lowpass.settling  # of the low-pass, once
+    count = int(np.clip(-(-4 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
+    parts = motion_blocks(log.blocks(), plan)
+    moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
+    for motion, start, stop in overlapping(parts, count * CHUNK, 2 * reach):
+        _add_part(equations, motion, start, stop, reach)
+        moving |= motion.moving.any(axis=0)
+        usable |= bool(motion.usable.any())
+        last = motion
+    if last is None or not usable:
+        raise _too_short(log.path, cutoff)
+    return replace(last, moving=moving[None])
+
+
+def _add_part(equations: Equations, motion: Motion, start: int, stop: int, reach: int) -> None:
+    """Add the rows of samples [start, stop) of a part; the others are there for the filters."""
+    usable = sliding(motion, equations.slowest)
+    y = equations.right_side(motion)
+    low, high = max(0, start - reach), min(motion.samples, stop + reach)
+    H = _columns(equations, part_of(motion, low, high))
+    for first in range(start, stop, CHUNK):
+        end = min(first + CHUNK, stop)
+        where = slice(first, end)
+        equations.add_chunk(
+            part_of(motion, first, end), H[first - low : end - low], y[where], usable[where]
+        )
+
+
+def _columns(equations: Equations, motion: Motion) -> Array:
+    """Filtered base regressor and coupling column (N, n, b + 1)."""
+    robot, basis = equations.robot, equations.basis
+    H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq, spare=1)
+    rows = H.transpose(1, 2, 0).reshape(-1, motion.samples)
+    assert isinstance(motion.lowpass, BlockLowpass)
+    motion.lowpass.filter_rows(rows, motion.valid, only=np.flatnonzero(rows.any(axis=1)))
+    H[:, :, -1] = equations.coupling_column(motion)
+    return H
+
+
+def _cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tuple[Cutoff, Array]:
+    """Choose the cut-off of a log; returns it and the noise steps (n,) rad."""
+    assert log.survey is not None
+    resolution = encoder_resolution(robot)
+    cutoff = log.survey.cutoff(resolution)
+    if options.cutoff_hz is not None:
+        cutoff = replace(cutoff, hz=options.cutoff_hz, chosen=False)
+    return cutoff, log.survey.noise_step(resolution)
+
+
+def overlapping(
+    parts: Iterable[Motion], rows: int, margin: int
+) -> Iterator[tuple[Motion, int, int]]:
+    """Cut motion into blocks of `rows` samples with `margin` more on either side.
+
+    Yields
+    ------
+    tuple of Motion, int, int
+        The samples and which of them, [start, stop), are the block itself.
+    """
+    held: list[Motion] = []
+    before = have = 0  # samples held in front of the next block, and in all
+    for part in parts:
+        held.append(part)
+        have += part.samples
+        while have >= before + rows + margin:
+            joined = joined_motions(held)
+            yield part_of(joined, 0, before + rows + margin), before, before + rows
+            drop = max(0, before + rows - margin)
+            before, have = before + rows - drop, have - drop
+            held = [part_of(joined, drop, drop + have)]
+    while have > before:
+        joined = joined_motions(held)
+        stop = min(before + rows, have)
+        yield part_of(joined, 0, min(stop + margin, have)), before, stop
+        held, before = [joined], stop
+
+
+def _too_short(path: Path, cutoff: Cutoff) -> InputError:
+    return InputError(
+        f"no stretch without a gap is long enough for a low-pass of {cutoff.hz:.3g} Hz",
+        hint="record longer, mend the gaps, or give a higher --cutoff",
+        where=str(path),
+    )

@@ -1,0 +1,176 @@
+"""Logs on object storage (`s3://`, `gs://`, `az://` and whatever else fsspec knows).
+
+A stored log is a path like any other until it is read. Then it is copied to a temporary file, read
+from there by the same readers as local logs, and the copy is removed: memory stays flat, and one
+log at a time (per process) lies on the disk. Access is configured as the store's own tools are, by
+environment and profile; nothing of it passes through here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
+
+if TYPE_CHECKING:
+    _LocalPath = Path
+else:
+    _LocalPath = type(Path())  # the system's own kind of path, which can be inherited from
+
+_URL = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]+)://")  # two letters at least: no drive of Windows
+_EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs", "az": "az", "abfs": "az"}
+_ACCESS = {
+    "s3": "Set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, as for aws itself.",
+    "gs": "Run `gcloud auth application-default login`, or set GOOGLE_APPLICATION_CREDENTIALS.",
+    "az": "Set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY or _SAS_TOKEN.",
+}
+_REFUSALS = (
+    "NoCredentials",
+    "PartialCredentials",
+    "DefaultCredentials",
+    "ProfileNotFound",
+    "TokenRetrieval",
+    "RefreshError",
+    "ClientAuthentication",
+    "Forbidden",
+    "InvalidAccessKey",
+    "SignatureDoesNotMatch",
+    "PermissionError",
+)
+
+
+class StoredLog(_LocalPath):
+    """The URL of a log on object storage, in the place of a path.
+
+    Only its text and its names mean something; the file itself is opened through `local_copy`.
+    """
+
+    def __str__(self) -> str:
+        scheme, *rest = self.parts
+        return f"{scheme}//{'/'.join(rest)}"
+
+
+def is_url(text: str) -> bool:
+    """Whether an argument names something on object storage."""
+    return _URL.match(text) is not None and not text.startswith("file://")
+
+
+def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
+    """Return the logs that a URL means: one, those of a folder at any depth, or those of a glob.
+
+    Parameters
+    ----------
+    url : str
+        An object is taken whatever its suffix.
+    suffixes : sequence of str
+        Of logs, for folders and globs.
+
+    Returns
+    -------
+    list of Path
+        `StoredLog`, in no particular order.
+
+    Raises
+    ------
+    InputError
+        There is none, or the store cannot be reached.
+    ConfigError
+        The store refuses access.
+    UsageError
+        What reads this kind of storage is not installed.
+    """
+    system, root = _opened(url)
+    with _explained(url):
+        if glob.has_magic(root):
+            found = [name for name in system.glob(root) if name.lower().endswith(tuple(suffixes))]
+        elif system.isfile(root):
+            return [StoredLog(url)]
+        else:
+            found = [name for name in system.find(root) if name.lower().endswith(tuple(suffixes))]
+        logs: list[Path] = [StoredLog(system.unstrip_protocol(name)) for name in found]
+    if not logs:
+        hint = "Check bucket, folder and suffix."
+        raise InputError("there is no log at this place", hint=hint, where=url)
+    return [log for log in logs if not log.name.startswith(".")]
+
+
+@contextlib.contextmanager
+def local_copy(path: Path) -> Iterator[Path]:
+    """Yield a local file with the content of a log, itself where it is local.
+
+    Problems with the copy's content are told under the name of the log.
+
+    Raises
+    ------
+    SeqidError
+        As `stored_logs`, or what the block raises.
+    """
+    if not isinstance(path, StoredLog):
+        yield path
+        return
+    import tempfile
+
+    url = str(path)
+    system, root = _opened(url)
+    with tempfile.TemporaryDirectory(prefix="seqid-") as folder:
+        copy = Path(folder) / path.name
+        with _explained(url):
+            system.get_file(root, str(copy))
+        try:
+            yield copy
+        except SeqidError as error:
+            error.where = error.where.replace(str(copy), url)
+            error.message = error.message.replace(str(copy), url)
+            raise
+
+
+def _opened(url: str) -> tuple[Any, str]:
+    """The file system of a URL and the path within it."""
+    matched = _URL.match(url)
+    scheme = matched["scheme"] if matched else ""
+    extra = _EXTRAS.get(scheme, "s3")
+    try:
+        from fsspec.core import url_to_fs
+
+        with _explained(url):
+            system, root = url_to_fs(url)
+    except ImportError as error:
+        hint = f"Install it: python -m pip install 'seqid[{extra}]'"
+        if scheme not in _EXTRAS:
+            hint = "Install fsspec and what it needs for this kind of storage."
+        message = f"logs on {scheme}:// need a package that is not installed ({error})"
+        raise UsageError(message, where=url, hint=hint) from error
+    return system, str(root)
+
+
+@contextlib.contextmanager
+def _explained(url: str) -> Iterator[None]:
+    """Turn what a store says into a message; every kind of store has errors of its own."""
+    try:
+        yield
+    except (SeqidError, ImportError):
+        raise
+    except FileNotFoundError as error:
+        hint = "Check bucket and name."
+        raise InputError("does not exist", hint=hint, where=url) from error
+    except Exception as error:
+        raise _problem(url, error) from error
+
+
+def _problem(url: str, error: Exception) -> SeqidError:
+    scheme = url.partition("://")[0]
+    names = [type(error).__name__, str(error)]
+    said = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
+    if isinstance(error, ValueError) and "rotocol not known" in str(error):
+        message = f"{scheme}:// is no kind of storage that is known"
+        return UsageError(message, where=url, hint="s3://, gs:// and az:// are.")
+    if any(refusal in name for refusal in _REFUSALS for name in names):
+        hint = _ACCESS.get(_EXTRAS.get(scheme, ""), "Check the credentials of this store.")
+        return ConfigError(f"the store refuses access ({said})", where=url, hint=hint)
+    hint = "Check the network, the space for temporary files (TMPDIR) and the store."
+    return InputError(f"cannot be read ({said})", where=url, hint=hint)

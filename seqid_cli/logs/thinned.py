@@ -1,0 +1,39 @@
+"""A bounded, evenly spread sample of a stream of rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seqid_cli.logs.raw import Array
+
+MOST = 262_144
+
+
+class Thinned:
+    """Keeps every row until there are too many, then every second one, every fourth, and so on.
+
+    Up to `MOST` rows statistics are exact; beyond, they are those of at least half as many rows
+    spread over the whole stream. What is kept depends on the rows alone, not on how they came.
+    """
+
+    def __init__(self) -> None:
+        self._parts: list[Array] = []
+        self._every = 1
+        self._seen = 0
+        self._kept = 0
+
+    def push(self, rows: Array) -> None:
+        """Take the next rows (M, ...)."""
+        kept = rows[-self._seen % self._every :: self._every].copy()
+        self._parts.append(kept)
+        self._seen += len(rows)
+        self._kept += len(kept)
+        while self._kept > MOST:
+            self._parts = [np.concatenate(self._parts)[::2].copy()]
+            self._every *= 2
+            self._kept = len(self._parts[0])
+
+    @property
+    def rows(self) -> Array:
+        """What is kept."""
+        return np.concatenate(self._parts) if self._parts else np.zeros(0)

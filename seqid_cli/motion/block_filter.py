@@ -1,0 +1,252 @@
+"""The zero-phase low-pass as matrix products: the same filter, several times cheaper.
+
+A recursive filter with state s (m,), s+ = A s + B x, y = C s + D x, taken over blocks of L samples,
+
+    y = T x + O s,      s after the block = A^L s + K x,
+
+T (L, L) being the Toeplitz matrix of its impulse response, O = [C; C A; ...] and
+K = [A^(L-1) B ... B] (block realisation of recursive filters, C. S. Burrus, IEEE Trans. Audio
+Electroacoust. 20 (1972) 230). Run backwards, with state z, the matrices are the same ones mirrored
+(T', O', K'), and both ways together are one product,
+
+    y = T' (T x + O s) + O' z,      z before the block = A^L z + K' (T x + O s).
+
+Only the states go step by step. The state space is that of the cascade of second-order sections, so
+it is as well conditioned as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.motion.filtering import ORDER, Lowpass, _sections, runs
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Wide = NDArray[np.longdouble]
+
+STATES = ORDER
+LENGTH = 32  # samples per block: longer ones cost more products, shorter ones more steps
+GROUP = 16  # blocks whose states are taken forward together
+NEGLIGIBLE = 1e-13
+REACH = 64  # samples more than the memory, for what grows before it decays
+# Of the rate: below, what rounding leaves in the states of blocks exceeds 1e-12 of the signal.
+LOWEST = 0.0025 if np.finfo(np.longdouble).eps < 1e-18 else 0.006
+SHORTEST = 8  # samples of a run that is filtered at all
+TILE = 131_072  # values filtered together: what is made on the way stays in cache
+
+
+class BlockLowpass(Lowpass):
+    """A `Lowpass` that gives the same values, to rounding, by matrix products."""
+
+    @property
+    def memory(self) -> int:
+        """Samples after which one pass of the filter has forgotten what was before (to 1e-13)."""
+        if not self.active:
+            return 0
+        return _kernel(self.cutoff_hz, self.rate_hz).memory
+
+    def __call__(self, values: Array, valid: Mask | None = None) -> Array:
+        """Filter along the first axis, each run of valid samples by itself.
+
+        Parameters
+        ----------
+        values : (N, ...) array
+            Samples in time order.
+        valid : (N,) bool array, optional
+            False where samples must not leak into others.
+
+        Returns
+        -------
+        (N, ...) array
+            Filtered values; samples outside valid runs are returned as they came.
+        """
+        rows = np.array(values.reshape(len(values), -1).T, order="C")
+        self.filter_rows(rows, valid)
+        return np.ascontiguousarray(rows.T).reshape(values.shape)
+
+    def filter_rows(
+        self, rows: Array, valid: Mask | None = None, *, only: NDArray[np.intp] | None = None
+    ) -> None:
+        """Filter signals (c, N) in place, samples last; `only` those so numbered."""
+        if not self.active:
+            return
+        if self.cutoff_hz < LOWEST * self.rate_hz:
+            chosen = slice(None) if only is None else only
+            rows[chosen] = super().__call__(rows[chosen].T, valid).T
+            return
+        kernel = _kernel(self.cutoff_hz, self.rate_hz)
+        count = len(rows) if only is None else len(only)
+        for start, stop in runs(valid, rows.shape[1]):
+            if stop - start > SHORTEST:
+                pad = min(6 * self.settling, stop - start - 1)
+                height = max(1, TILE // (stop - start))
+                room = _Room.of(min(height, count), stop - start + 2 * pad)
+                for top in range(0, count, height):
+                    part = slice(top, top + height)
+                    if only is None:
+                        kernel.both_ways(rows[part, start:stop], pad, room)
+                    else:
+                        taken = rows[only[part], start:stop]
+                        kernel.both_ways(taken, pad, room)
+                        rows[only[part], start:stop] = taken
+
+
+@dataclass(frozen=True)
+class _Room:
+    """Arrays used again and again: fresh memory costs as much as the filter."""
+
+    blocks: Array  # (c, b, LENGTH + 2 m): samples, then both states, b whole groups of blocks
+    out: Array  # (c b, LENGTH)
+    added: Array  # (c b, 2 m): what each block adds to both states
+    local: Array  # (GROUP + 1, c groups, m)
+
+    @classmethod
+    def of(cls, channels: int, length: int) -> _Room:
+        """Make room for signals (channels, length)."""
+        groups = -(-length // (LENGTH * GROUP))
+        count = groups * GROUP
+        return cls(
+            np.empty((channels, count, LENGTH + 2 * STATES)),
+            np.empty((channels * count, LENGTH)),
+            np.empty((channels * count, 2 * STATES)),
+            np.zeros((GROUP + 1, channels * groups, STATES)),
+        )
+
+    def part(self, channels: int) -> _Room:
+        """The room of the first signals only."""
+        count = channels * self.blocks.shape[1]
+        return _Room(
+            self.blocks[:channels],
+            self.out[:count],
+            self.added[:count],
+            self.local[:, : count // GROUP],
+        )
+
+
+@dataclass(frozen=True)
+class _Kernel:
+    """Block matrices of one filter, transposed; see the module's text."""
+
+    both: Array  # (L + 2 m, L): x, s, z to y
+    adds: Array  # (L, 2 m): x to what it adds to s and z
+    passed: Array  # (m, m): s to what it adds to z
+    last: Array  # (L + m,): x, s to the last sample of one pass
+    powers: Array  # (GROUP + 1, m, m): A^(L k), transposed
+    steady: Array  # (m,) state at x = 1
+    memory: int
+
+    def both_ways(self, rows: Array, pad: int, room: _Room) -> None:
+        """Filter (c, N) in place, forward and backward, prolonged by point reflection."""
+        channels, count = rows.shape
+        room = room.part(channels)
+        _lay(rows, pad, room)
+        blocks = room.blocks
+        flat = blocks.reshape(-1, LENGTH + 2 * STATES)
+        np.matmul(flat[:, :LENGTH], self.adds, out=room.added)
+        ahead = slice(LENGTH, LENGTH + STATES)
+        # What lies in front of the signal is its first value: the filter starts in steady state.
+        start = blocks[:, 0, :1] * self.steady
+        self._states(room.added[:, :STATES], start, room.local, blocks[..., ahead], range(GROUP))
+        room.added[:, STATES:] += flat[:, ahead] @ self.passed
+        end = (blocks[:, -1, : LENGTH + STATES] @ self.last)[:, None] * self.steady
+        back = blocks[..., LENGTH + STATES :]
+        self._states(room.added[:, STATES:], end, room.local, back, range(GROUP - 1, -1, -1))
+        np.matmul(flat, self.both, out=room.out)
+        wide = room.out.reshape(channels, -1)
+        stop = wide.shape[1] - pad
+        rows[:] = wide[:, stop - count : stop]
+
+    def _states(
+        self, added: Array, start: Array, local: Array, target: Array, order: range
+    ) -> None:
+        """Fill in the state before each block, from the start and what each block adds."""
+        added = added.reshape(-1, GROUP, STATES)
+        step, across = self.powers[1], self.powers[GROUP]
+        for k, at in enumerate(order):
+            np.matmul(local[k], step, out=local[k + 1])
+            local[k + 1] += added[:, at]
+        grown = local[GROUP].reshape(len(start), -1, STATES)
+        groups = grown.shape[1]
+        before, state = np.empty_like(grown), start
+        for g in range(groups) if order.step > 0 else range(groups - 1, -1, -1):
+            before[:, g] = state
+            state = state @ across + grown[:, g]
+        flat = before.reshape(-1, STATES)
+        grouped = target.reshape(len(start), groups, GROUP, STATES)
+        for k, at in enumerate(order):
+            grouped[:, :, at] = (local[k] + flat @ self.powers[k]).reshape(before.shape)
+
+
+def _lay(rows: Array, pad: int, room: _Room) -> None:
+    """Put signals (c, N) and their reflections at the end of the blocks, the first value before."""
+    channels, count = rows.shape
+    wide = np.empty((channels, room.blocks.shape[1] * LENGTH))
+    stop = wide.shape[1] - pad
+    start = stop - count
+    wide[:, start:stop] = rows
+    np.subtract(2 * rows[:, :1], rows[:, pad:0:-1], out=wide[:, start - pad : start])
+    np.subtract(2 * rows[:, -1:], rows[:, -2 : -2 - pad : -1], out=wide[:, stop:])
+    wide[:, : start - pad] = wide[:, start - pad, None]
+    room.blocks[..., :LENGTH] = wide.reshape(channels, -1, LENGTH)
+
+
+@lru_cache(maxsize=64)
+def _kernel(cutoff_hz: float, rate_hz: float) -> _Kernel:
+    """Build the matrices, in the longest floating point there is: low cut-offs cancel digits."""
+    A, B, C, D, steady = _state_space(_sections(cutoff_hz, rate_hz).astype(np.longdouble))
+    responses, steps, rows = [D], [B], [C]
+    for _ in range(LENGTH - 1):
+        responses.append(np.longdouble(C @ steps[-1]))
+        steps.append(A @ steps[-1])
+        rows.append(rows[-1] @ A)
+    delay = np.subtract.outer(np.arange(LENGTH), np.arange(LENGTH))
+    T = np.where(delay >= 0, np.array(responses)[np.maximum(delay, 0)], 0.0)
+    O, K = np.array(rows), np.array(steps[::-1]).T
+    T_back, O_back, K_back = T.T, O[::-1], K[:, ::-1]
+    over_block = _powers(A, LENGTH)[-1]
+    slowest = float(np.abs(np.linalg.eigvals(_double(A))).max())
+    return _Kernel(
+        both=_double(np.concatenate([(T_back @ T).T, (T_back @ O).T, O_back.T])),
+        adds=_double(np.concatenate([K, K_back @ T]).T),
+        passed=_double((K_back @ O).T),
+        last=_double(np.concatenate([T[-1], O[-1]])),
+        powers=_double(np.array([power.T for power in _powers(over_block, GROUP)])),
+        steady=_double(steady),
+        memory=int(np.ceil(np.log(NEGLIGIBLE) / np.log(slowest))) + 1,
+    )
+
+
+def _powers(A: Wide, highest: int) -> list[Wide]:
+    """A^0 ... A^highest; `matrix_power` and BLAS know no long floating point."""
+    found = [np.eye(len(A), dtype=np.longdouble)]
+    for _ in range(highest):
+        found.append(found[-1] @ A)
+    return found
+
+
+def _double(values: Wide) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _state_space(sections: Wide) -> tuple[Wide, Wide, Wide, np.longdouble, Wide]:
+    """A, B, C, D of sections in the transposed direct form II, and the state at x = 1."""
+    empty = np.zeros(0, dtype=np.longdouble)
+    A, B, C, D = empty.reshape(0, 0), empty, empty, np.longdouble(1.0)
+    steady, level = [empty], np.longdouble(1.0)
+    for b0, b1, b2, _, a1, a2 in sections:
+        own = np.array([[-a1, 1.0], [-a2, 0.0]], dtype=np.longdouble)
+        drive = np.array([b1 - a1 * b0, b2 - a2 * b0])
+        corner = np.zeros((len(A), 2), dtype=np.longdouble)
+        A = np.block([[A, corner], [np.outer(drive, C), own]])
+        B = np.concatenate([B, drive * D])
+        C = np.concatenate([b0 * C, np.array([1.0, 0.0], dtype=np.longdouble)])
+        D = D * b0
+        out = level * (b0 + b1 + b2) / (1.0 + a1 + a2)
+        steady.append(np.array([out - b0 * level, b2 * level - a2 * out]))
+        level = out
+    return A, B, C, D, np.concatenate(steady)

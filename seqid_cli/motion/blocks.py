@@ -1,0 +1,220 @@
+"""The motion of a long log, block by block: the same values as `estimate_motion` and `decimated`.
+
+Blocks lie on a fixed grid of sample numbers, whatever parts the samples come in. Each is worked on
+with so many samples more on either side that the zero-phase filters have forgotten (to 1e-13 of
+the signal) what lies beyond; gaps and the ends of the log are runs' ends like in the whole log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.long import Block
+from seqid_cli.motion.block_filter import BlockLowpass
+from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filtering import _FIRST, _SECOND, differentiate, shrink
+from seqid_cli.motion.motion import Motion, _all_valid
+from seqid_cli.motion.segments import SCALES_S, moving_mask
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEAST_BLOCK = 32_768
+REACH = 4  # samples that a derivative takes from either side
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a log is filtered: its rate, cut-off, noise steps (n,) rad, and every which sample stays.
+
+    `rows` (a multiple of `factor`) samples make a block, `margin` more are needed on either side.
+    """
+
+    rate_hz: float
+    cutoff: Cutoff
+    step: Array
+    factor: int
+    rows: int
+    margin: int
+
+    @property
+    def lowpass(self) -> BlockLowpass:
+        """The filter at the log's own rate."""
+        return BlockLowpass(self.cutoff.hz, self.rate_hz)
+
+    @property
+    def kept_rate_hz(self) -> float:
+        """Samples per second that stay."""
+        return self.rate_hz / self.factor
+
+
+def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float) -> Plan:
+    """Plan the blocks.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second of the log.
+    cutoff : Cutoff
+    step : (n,) array
+        Position changes [rad] that are more than noise.
+    samples_per_cutoff : float
+        Samples that stay per period of the cut-off, at least; infinite keeps all.
+    """
+    lowpass = BlockLowpass(cutoff.hz, rate_hz)
+    factor = 1
+    if lowpass.active:
+        factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
+    seen = int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2  # half a scale and its dilation
+    margin = max(2 * lowpass.memory + REACH, 2 * lowpass.settling, seen)
+    margin = -(-margin // factor) * factor
+    rows = -(-max(LEAST_BLOCK, 2 * margin) // factor) * factor
+    return Plan(rate_hz, cutoff, step, factor, rows, margin)
+
+
+def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
+    """Filter, differentiate and decimate.
+
+    Parameters
+    ----------
+    blocks : iterable of Block
+        The log's samples in order.
+    plan : Plan
+
+    Yields
+    ------
+    Motion
+        Consecutive parts of the decimated motion; `t` counts from the first sample of the log.
+    """
+    for window, low, start, stop in windows(blocks, plan.rows, plan.margin):
+        yield _motion(window, plan, low, start, stop)
+
+
+def windows(
+    blocks: Iterable[Block], rows: int, margin: int
+) -> Iterator[tuple[Block, int, int, int]]:
+    """Cut samples into blocks of `rows` with `margin` more on either side.
+
+    Yields
+    ------
+    tuple of Block, int, int, int
+        The samples, the number of the first of them, and the range [start, stop) of numbers that
+        is the block itself.
+    """
+    held: list[Block] = []
+    begin = end = start = 0
+    for block in blocks:
+        held.append(block)
+        end += len(block.q)
+        while end >= start + rows + margin:
+            low = max(0, start - margin)
+            joined = _joined(held)
+            yield _cut(joined, low - begin, start + rows + margin - begin), low, start, start + rows
+            start += rows
+            keep = max(0, start - margin)
+            held, begin = [_cut(joined, keep - begin, end - begin)], keep
+    while start < end:
+        low, stop = max(0, start - margin), min(start + rows, end)
+        joined = _joined(held)
+        yield _cut(joined, low - begin, min(stop + margin, end) - begin), low, start, stop
+        held, start = [joined], stop
+
+
+def _joined(held: list[Block]) -> Block:
+    if len(held) == 1:
+        return held[0]
+    return Block(
+        held[0].start,
+        np.concatenate([block.q for block in held]),
+        np.concatenate([block.tau for block in held]),
+        np.concatenate([block.valid for block in held]),
+    )
+
+
+def _cut(block: Block, low: int, high: int) -> Block:
+    part = slice(low, high)
+    return Block(block.start + low, block.q[part], block.tau[part], block.valid[part])
+
+
+def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motion:
+    n, lowpass, factor = window.q.shape[1], plan.lowpass, plan.factor
+    inner = slice(start - low, stop - low)
+    rows = np.concatenate([window.q.T, window.tau.T])
+    lowpass.filter_rows(rows, window.valid)
+    lowpass.filter_rows(rows[n:], window.valid)
+    q, tau = rows[:n], rows[n:]
+    dq, ddq = _derivatives(q, window.valid, plan.rate_hz, inner, factor)
+    usable = shrink(window.valid, 2 * lowpass.settling)
+    kept_rate = plan.kept_rate_hz
+    return Motion(
+        t=np.arange(start, stop, factor) / plan.rate_hz,
+        q=np.ascontiguousarray(q[:, inner][:, ::factor].T),
+        dq=dq,
+        ddq=ddq,
+        tau=np.ascontiguousarray(tau[:, inner][:, ::factor].T),
+        moving=moving_mask(window.q, plan.rate_hz, plan.step)[inner][::factor],
+        usable=usable[inner][::factor],
+        valid=_all_valid(window.valid[inner], factor),
+        rate_hz=kept_rate,
+        lowpass=BlockLowpass(plan.cutoff.hz, kept_rate),
+        cutoff=plan.cutoff,
+    )
+
+
+def _derivatives(
+    q: Array, valid: Mask, rate_hz: float, inner: slice, factor: int
+) -> tuple[Array, Array]:
+    """First and second derivative (M, n) of signals (n, N) at every `factor`-th inner sample."""
+    low, high = inner.start - REACH, inner.stop + REACH
+    if low < 0 or high > q.shape[1] or not valid[low:high].all():
+        both = differentiate(np.ascontiguousarray(q.T), rate_hz, valid)
+        return both[0][inner][::factor], both[1][inner][::factor]
+    first, second = (np.zeros((len(q), -(-(inner.stop - inner.start) // factor))) for _ in "12")
+    for k in range(2 * REACH + 1):
+        tap = q[:, low + k : inner.stop - REACH + k : factor]
+        first += (_FIRST[k] * rate_hz) * tap
+        second += (_SECOND[k] * rate_hz**2) * tap
+    return np.ascontiguousarray(first.T), np.ascontiguousarray(second.T)
+
+
+def joined_motions(parts: list[Motion]) -> Motion:
+    """Put consecutive parts of one motion together."""
+    if len(parts) == 1:
+        return parts[0]
+
+    return replace(
+        parts[0],
+        t=np.concatenate([part.t for part in parts]),
+        q=np.concatenate([part.q for part in parts]),
+        dq=np.concatenate([part.dq for part in parts]),
+        ddq=np.concatenate([part.ddq for part in parts]),
+        tau=np.concatenate([_torque(part) for part in parts]),
+        moving=np.concatenate([part.moving for part in parts]),
+        usable=np.concatenate([part.usable for part in parts]),
+        valid=np.concatenate([part.valid for part in parts]),
+    )
+
+
+def _torque(motion: Motion) -> Array:
+    assert motion.tau is not None
+    return motion.tau
+
+
+def part_of(motion: Motion, low: int, high: int) -> Motion:
+    """Samples [low, high) of a motion."""
+    part = slice(low, high)
+    return replace(
+        motion,
+        t=motion.t[part],
+        q=motion.q[part],
+        dq=motion.dq[part],
+        ddq=motion.ddq[part],
+        tau=_torque(motion)[part],
+        moving=motion.moving[part],
+        usable=motion.usable[part],
+        valid=motion.valid[part],
+    )

@@ -1,0 +1,257 @@
+"""What the choice of a cut-off needs to know of a log, gathered block by block.
+
+The same figures as `noise_step`, `moving_mask` and `choose_cutoff` take from a whole log: Welch
+spectra are means over segments, counted from the first sample on, and add up as the samples come;
+which joints move follows from the largest travel over each time scale; an encoder's step from the
+levels it was seen at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+from scipy.signal import get_window, welch
+
+from seqid_cli.logs.long import LongLog, open_long
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.thinned import Thinned
+from seqid_cli.motion import cutoff as whole
+from seqid_cli.motion.cutoff import Cutoff, differentiated_error
+from seqid_cli.motion.segments import SCALES_S, SHAKEN, SMALLEST_STEP
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+MOST_LEVELS = 65_536  # distinct positions of a joint; a step shows in fewer
+SECOND_S, VELOCITY_S = 8, 20  # segments of the spectra of the second and the first difference
+LEAST_SEGMENT = 256
+MANY = 1 << 60
+MOVES = 2.5  # noise steps of travel, from which on a joint moves
+
+
+class Welch:
+    """One-sided spectral density of c signals, by Welch's method with half overlap.
+
+    Equal to `scipy.signal.welch` (Hann window, no detrending) of the signals as a whole.
+    """
+
+    def __init__(self, length: int) -> None:
+        self.length = length
+        self._window = get_window("hann", length)
+        self._left: Array | None = None
+        self._sum: Array | None = None
+        self._segments = 0
+
+    def push(self, values: Array) -> None:
+        """Take the next samples (M, c)."""
+        left = values if self._left is None else np.concatenate([self._left, values])
+        hop = self.length - self.length // 2
+        start = 0
+        while start + self.length <= len(left):
+            piece = left[start : start + self.length].T * self._window
+            spectrum = rfft(piece, axis=1, overwrite_x=True)
+            power = spectrum.real**2 + spectrum.imag**2
+            self._sum = power if self._sum is None else self._sum + power
+            self._segments += 1
+            start += hop
+        self._left = left[start:].copy()
+
+    def density(self, rate_hz: float) -> tuple[Array, Array]:
+        """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
+        if self._sum is None:  # shorter than a segment
+            assert self._left is not None
+            length = len(self._left)
+            _, density = welch(self._left, rate_hz, nperseg=length, detrend=False, axis=0)
+            return _frequencies(length, rate_hz), np.ascontiguousarray(density.T)
+        scale = rate_hz * np.sum(self._window**2) * self._segments
+        density = self._sum / scale
+        density[:, 1 : None if self.length % 2 else -1] *= 2
+        return _frequencies(self.length, rate_hz), density
+
+
+class Survey:
+    """Takes a log's positions (M, n) in order; then tells the noise step and the cut-off.
+
+    Parameters
+    ----------
+    n : int
+        Joints.
+    rate_hz : float
+        Samples per second, as far as it is known.
+    samples : int
+        How many will come, if that is known.
+    """
+
+    def __init__(self, n: int, rate_hz: float, samples: int = MANY) -> None:
+        self.rate_hz = rate_hz
+        self._levels: list[Array | None] = [np.zeros(0) for _ in range(n)]
+        self._known: list[Array] = [np.zeros(0) for _ in range(n)]
+        self._fourth = Thinned()
+        second, velocity, self._halves = _lengths(rate_hz, samples)
+        self._second, self._velocity = Welch(second), Welch(velocity)
+        self._travel = np.zeros(n)
+        self._tail: Array | None = None
+
+    def push(self, q: Array) -> None:
+        """Take the next samples."""
+        for j, levels in enumerate(self._levels):
+            if levels is not None:
+                self._add_levels(j, levels, q[:, j])
+        tail = q[:0] if self._tail is None else self._tail
+        wide = np.concatenate([tail, q])
+        fresh = len(tail)
+        self._fourth.push(np.abs(np.diff(wide[max(0, fresh - 4) :], 4, axis=0)))
+        self._second.push(np.diff(wide[max(0, fresh - 2) :], 2, axis=0))
+        self._velocity.push(np.diff(wide[max(0, fresh - 1) :], axis=0))
+        for half in self._halves:
+            self._add_travel(wide[max(0, fresh - 2 * half) :], half)
+        self._tail = wide[-2 * max([*self._halves, 2]) :].copy()
+
+    def _add_levels(self, j: int, levels: Array, position: Array) -> None:
+        values = np.round(position, 10)
+        values = values[np.diff(values, prepend=np.nan) != 0]
+        levels = np.unique(np.concatenate([levels, values]))
+        self._known[j] = levels
+        self._levels[j] = None if len(levels) > MOST_LEVELS else levels
+
+    def _add_travel(self, wide: Array, half: int) -> None:
+        if len(wide) <= 2 * half:
+            return
+        travel = np.abs(wide[2 * half :] - wide[: -2 * half])
+        largest = travel.max(axis=1, keepdims=True)
+        own = np.where(travel > SHAKEN * largest, travel, 0.0).max(axis=0)
+        self._travel = np.maximum(self._travel, own)
+
+    def at_rate(self, rate_hz: float, samples: int) -> bool:
+        """Take the rate and the number of samples that came; False if others would be needed."""
+        before = (self._second.length, self._velocity.length, self._halves)
+        self.rate_hz = rate_hz
+        return before == _lengths(rate_hz, samples)
+
+    def encoder_step(self) -> Array:
+        """Smallest step of each joint's position (n,) rad, 0 where it is not quantised."""
+        return np.concatenate([whole.encoder_step(levels[:, None]) for levels in self._known])
+
+    def noise_step(self, resolution: Array) -> Array:
+        """As `segments.noise_step`."""
+        step = np.maximum(self.encoder_step(), resolution)
+        noise = np.median(self._fourth.rows, axis=0) / 0.6745 / np.sqrt(70.0)
+        return np.maximum(np.maximum(step, SMALLEST_STEP), np.where(step > 0, 0.0, 3 * noise))
+
+    def moving(self, step: Array) -> NDArray[np.bool_]:
+        """Joints (n,) that move at any time."""
+        moves: NDArray[np.bool_] = self._travel > MOVES * step
+        return moves
+
+    def cutoff(self, resolution: Array) -> Cutoff:
+        """As `cutoff.choose_cutoff` for the joints that move."""
+        step = self.encoder_step()
+        step = np.where(resolution > 0, resolution, step)
+        joints = np.flatnonzero(self.moving(self.noise_step(resolution)))
+        highest = min(whole.HIGHEST_HZ, self.rate_hz / 8)
+        if len(joints):
+            frequency, density = self._velocity.density(self.rate_hz)
+            density *= self.rate_hz**2
+            widest = max(self._bandwidth(frequency, density[j]) for j in joints)
+            highest = min(highest, max(whole.BANDWIDTHS * widest, 2 * whole.LOWEST_HZ))
+        candidates = np.geomspace(min(whole.LOWEST_HZ, highest / 2), highest, 120)
+        score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
+        floors = step**2 / 12 * 2 / self.rate_hz
+        for j, signal, noise, floor in self._powers(joints, step, candidates):
+            floors[j] = floor
+            score += np.log(signal) - whole.KAPPA * noise / signal
+            bias = np.maximum(bias, noise / signal)
+        best = whole._first_maximum(score) if len(joints) else len(candidates) // 2
+        return Cutoff(float(candidates[best]), step, float(bias[best]), True, floors)
+
+    def _bandwidth(self, frequency: Array, density: Array) -> float:
+        floor = float(np.median(density[frequency > 0.25 * self.rate_hz]))
+        power = np.cumsum(np.maximum(density - 2 * floor, 0.0))
+        return float(frequency[np.searchsorted(power, 0.99 * power[-1])])
+
+    def _powers(
+        self, joints: NDArray[np.intp], step: Array, cutoffs: Array
+    ) -> Iterator[tuple[int, Array, Array, float]]:
+        """Joint, power of its acceleration and of the noise below each cut-off, noise density."""
+        if not len(joints):
+            return
+        frequency, densities = self._second.density(self.rate_hz)
+        densities *= self.rate_hz**4
+        gain = np.sinc(frequency / self.rate_hz) ** 4
+        omega4 = (2 * np.pi * frequency) ** 4
+        for j in (int(j) for j in joints):
+            density = densities[j] / np.maximum(gain, 0.05)
+            floor = whole._noise_density(frequency, density, omega4, self.rate_hz, step[j])
+            total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
+            noise = differentiated_error(np.asarray(floor), cutoffs)
+            signal = np.interp(cutoffs, frequency, total) - noise
+            yield j, np.maximum.accumulate(np.maximum(signal, 1e-12)), noise, floor
+
+
+def _frequencies(length: int, rate_hz: float) -> Array:
+    return np.asarray(np.arange(length // 2 + 1) * (rate_hz / length), dtype=np.float64)
+
+
+def _lengths(rate_hz: float, samples: int) -> tuple[int, int, list[int]]:
+    """Segments of both spectra and halves of the time scales, in samples."""
+    halves = [max(1, round(scale * rate_hz / 2)) for scale in SCALES_S]
+    return (
+        _segment(samples - 2, SECOND_S, rate_hz),
+        _segment(samples - 1, VELOCITY_S, rate_hz),
+        [half for half in halves if 2 * half < samples],
+    )
+
+
+def _segment(samples: int, seconds: float, rate_hz: float) -> int:
+    return min(samples, max(LEAST_SEGMENT, int(seconds * rate_hz)))
+
+
+@dataclass(frozen=True)
+class SurveyedLog(LongLog):
+    """A long log with what there is to know of its positions."""
+
+    survey: Survey | None = None
+
+
+def open_surveyed(
+    path: Path, robot: Robot, *, time_source: TimeSource = "header"
+) -> SurveyedLog | None:
+    """Open a log that is to be passed over; in one pass, if its stamps are as even as usual.
+
+    Parameters
+    ----------
+    path, robot, time_source
+        As for `open_long`.
+
+    Returns
+    -------
+    SurveyedLog or None
+        None where the log can only be read as a whole.
+
+    Raises
+    ------
+    InputError
+        As for `open_long`.
+    """
+    found: list[Survey] = []
+
+    def watch(rate_hz: float, q: Array) -> None:
+        if not found:
+            found.append(Survey(robot.n, rate_hz))
+        found[0].push(q)
+
+    log = open_long(path, robot, time_source=time_source, watch=watch)
+    if log is None:
+        return None
+    survey = found[0]
+    if not (log.exact and survey.at_rate(log.rate_hz, log.samples)):
+        survey = Survey(robot.n, log.rate_hz, log.samples)
+        for block in log.blocks():
+            survey.push(block.q)
+    known = {field.name: getattr(log, field.name) for field in fields(LongLog)}
+    return SurveyedLog(**known, survey=survey)

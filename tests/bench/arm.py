@@ -1,0 +1,134 @@
+"""A seven-joint arm and long logs of it for the measurements.
+
+The torque is that of Newton-Euler, Coulomb and viscous friction and noise along a sum of sines;
+that is enough to see what an identification costs and that two ways of doing it agree.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from seqid_cli.identify.simultaneous import surface_entries
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, Stages
+from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+N = 7
+RATE_HZ = 1000.0
+RESOLUTION = 2 * np.pi / 2**20
+GROUP = 131_072
+TORQUE_NOISE = 0.3
+COULOMB, VISCOUS, FASTEST, SIGN_WIDTH = 2.0, 1.5, 3.0, 0.02
+HARMONICS = 8
+PERIOD_S = 10.0
+
+# Where each joint sits in the frame of the one before: xyz [m] and roll [rad]; axes are z.
+PLACES = (
+    ((0.0, 0.0, 0.333), 0.0),
+    ((0.0, 0.0, 0.0), -np.pi / 2),
+    ((0.0, -0.316, 0.0), np.pi / 2),
+    ((0.0825, 0.0, 0.0), np.pi / 2),
+    ((-0.0825, 0.384, 0.0), -np.pi / 2),
+    ((0.0, 0.0, 0.0), np.pi / 2),
+    ((0.088, 0.0, 0.0), np.pi / 2),
+)
+JOINTS = tuple(f"joint_{i + 1}" for i in range(N))
+
+
+def write_arm(folder: Path) -> Path:
+    """Write the URDF and the robot file; returns the latter."""
+    links = ['<link name="base"/>']
+    for i, (xyz, roll) in enumerate(PLACES):
+        mass, size = 4.0 - 0.45 * i, 0.05 - 0.006 * i
+        links.append(
+            f'<link name="link_{i}"><inertial><origin xyz="0.01 {0.02 * (-1) ** i} 0.04"/>'
+            f'<mass value="{mass}"/><inertia ixx="{size}" iyy="{0.9 * size}" izz="{0.6 * size}" '
+            f'ixy="{0.05 * size}" ixz="{-0.04 * size}" iyz="{0.03 * size}"/></inertial></link>'
+        )
+        parent = "base" if i == 0 else f"link_{i - 1}"
+        links.append(
+            f'<joint name="{JOINTS[i]}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="link_{i}"/><origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}" '
+            f'rpy="{roll!r} 0 0"/><axis xyz="0 0 1"/>'
+            '<limit lower="-3" upper="3" velocity="5" effort="100"/></joint>'
+        )
+    urdf = f'<?xml version="1.0"?>\n<robot name="arm">{"".join(links)}</robot>\n'
+    (folder / "arm.urdf").write_text(urdf, encoding="utf-8")
+    entries = "".join(
+        f'\n[[joint]]\nname = "{name}"\ngear_ratio = 100.0\nrotor_inertia = 0.0\n'
+        f"encoder_resolution = {RESOLUTION!r}\n"
+        for name in JOINTS
+    )
+    path = folder / "robot.toml"
+    path.write_text(
+        'schema = "seqid/robot@1"\nname = "arm"\nurdf = "arm.urdf"\n'
+        f"gravity = [0.0, 0.0, -9.81]\n{entries}",
+        encoding="utf-8",
+    )
+    return path
+
+
+def known_friction() -> Stages:
+    """The friction of the logs, as a stage of orders (0, 1)."""
+    ahead, back = surface_entries(FASTEST, 2)
+    values = np.array([COULOMB, VISCOUS])
+    covariance = ahead @ np.diag([1e-4, 1e-4]) @ ahead.T
+    joint = FrictionJoint(
+        position_order=0,
+        velocity_order=1,
+        max_error=0.0,
+        rmse=0.0,
+        position_range=[-3.0, 3.0],
+        speed_range=[0.0, FASTEST],
+        sign_width=SIGN_WIDTH,
+        directional=False,
+        positive=[(ahead @ values).tolist()],
+        negative=[(back @ values).tolist()],
+        covariance=covariance.tolist(),
+    )
+    return Stages(friction=FrictionStage(joints=dict.fromkeys(JOINTS, joint)))
+
+
+def motion(t: Array) -> tuple[Array, Array, Array]:
+    """Position, velocity and acceleration (M, 7) at times t [s]."""
+    rng = np.random.default_rng(5)
+    w = 2 * np.pi * np.arange(1, HARMONICS + 1) / PERIOD_S
+    size = rng.normal(size=(2, HARMONICS, N)) * 0.15
+    sine, cosine = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+    # Every period is a little different, so that a long log is not one period many times.
+    slow = 1 + 0.2 * np.sin(2 * np.pi * t[:, None] / 313.0)
+    q = slow * (sine @ size[0] + cosine @ size[1])
+    dq = slow * (cosine @ (w[:, None] * size[0]) - sine @ (w[:, None] * size[1]))
+    ddq = -slow * (sine @ (w[:, None] ** 2 * size[0]) + cosine @ (w[:, None] ** 2 * size[1]))
+    rate = 0.2 * 2 * np.pi / 313.0 * np.cos(2 * np.pi * t[:, None] / 313.0)
+    return q, dq + rate * q / slow, ddq + 2 * rate * dq / slow
+
+
+def write_log(path: Path, robot: Robot, rows: int) -> Path:
+    """Write a Parquet log: time, position and torque, in row groups of 131,072."""
+    assert robot.nominal is not None
+    rng = np.random.default_rng(6)
+    writer = None
+    for first in range(0, rows, GROUP):
+        t = (first + np.arange(min(GROUP, rows - first))) / RATE_HZ
+        q, dq, ddq = motion(t)
+        tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
+        tau += (COULOMB + VISCOUS * np.abs(dq)) * np.tanh(dq / SIGN_WIDTH)
+        tau += TORQUE_NOISE * rng.normal(size=tau.shape)
+        counted = RESOLUTION * np.round(q / RESOLUTION)
+        columns = {"t": t}
+        columns |= {f"{name}.position": counted[:, j] for j, name in enumerate(JOINTS)}
+        columns |= {f"{name}.torque": tau[:, j] for j, name in enumerate(JOINTS)}
+        table = pa.table(columns)
+        writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
+        writer.write_table(table)
+    if writer is not None:
+        writer.close()
+    return path

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 
 import jsonschema
 import numpy as np
@@ -101,11 +99,10 @@ def bench(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Bench:
     made = Bench(lambda *a: (lambda d: (d.code, d.out, d.err))(rig.run(*a)), logs)
 
     def read(paths: Iterable[Path], robot: Robot, *, time_source: str) -> Iterator[Recording]:
-        yield from made.recordings
+        by_name = {str(log.path): log for log in made.recordings}
+        yield from (by_name[Path(path).name] for path in paths)
 
-    module = ModuleType("seqid_cli.logs.read")
-    module.read_recordings = read  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "seqid_cli.logs.read", module)
+    monkeypatch.setattr("seqid_cli.logs.read.read_recordings", read)
     return made
 
 

@@ -12,6 +12,7 @@ from tests.study import (
     formats,
     fused_motion,
     imu_mounting,
+    motion_sources,
     one_joint,
     recorded,
     recorded_effects,
@@ -31,6 +32,7 @@ STUDIES: Mapping[str, Study] = {
     "six_joint": lambda chosen: "" if chosen.quick else six_joint.study(3),
     "recorded": lambda chosen: recorded.study(),
     "table_two": table_two.study,
+    "motion_sources": motion_sources.study,
     "formats": lambda chosen: formats.study(6 if chosen.quick else 12),
     "imu_mounting": lambda chosen: imu_mounting.study(
         2 if chosen.quick else 100, folder=None if chosen.quick else chosen.cache / "imu_mounting"
@@ -42,12 +44,14 @@ STUDIES: Mapping[str, Study] = {
 LONG = (
     "fused_motion",
     "table_two",
+    "motion_sources",
     "undeclared",
     "recorded_effects",
     "imu_mounting",
 )  # only where asked for by name
 DOCUMENTS: Mapping[str, Path] = {  # the others: README
     "table_two": table_two.DOCUMENT,
+    "motion_sources": motion_sources.DOCUMENT,
     "fused_motion": fused_motion.DOCUMENT,
     "undeclared": undeclared.DOCUMENT,
     "recorded_effects": recorded_effects.DOCUMENT,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from seqid_cli.params.schema import ImuCalibration, ImuStage
 from tests.study import table_two
 from tests.study.table_two import WAYS, errors, faults, range_of, table_of
 
@@ -52,3 +53,25 @@ def test_the_study_is_known_and_its_document_has_its_place() -> None:
     text = DOCUMENTS["table_two"].read_text(encoding="utf-8")
     assert "| x |" in placed(text, "table_two", "| x |")
     assert table_two.DOCUMENT.name == "motion.md"
+
+
+def test_the_options_of_all_studies_go_together() -> None:
+    from tests.study.__main__ import main
+
+    with pytest.raises(SystemExit) as caught:
+        main(["--help"])
+    assert caught.value.code == 0
+
+
+def test_mountings_alone_are_what_the_paper_calibrates() -> None:
+    known = ImuCalibration(
+        rotation=np.eye(3).tolist(),
+        std_error_deg=0.1,
+        time_offset_s=0.002,
+        accelerometer_bias=[0.2] * 12,
+        accelerometer_scale=[1.01] * 12,
+    )
+    left = table_two.mounting_alone(ImuStage(imus={"imu_a": known})).imus["imu_a"]
+    assert left.rotation == known.rotation
+    assert left.time_offset_s == 0.0
+    assert left.accelerometer_bias == left.accelerometer_scale == []

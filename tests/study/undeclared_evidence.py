@@ -78,9 +78,7 @@ def _of(case: Judged, rank: int, finding: Finding) -> Evidence:
         joint=finding.joint,
         right=any(right(finding, t) for t in case.truths),
         kind_right=any(named(finding, t) for t in case.truths),
-        name_right=any(
-            finding.effect == t.kind and finding.joint in t.joints for t in case.truths
-        ),
+        name_right=any(finding.effect == t.kind and finding.joint in t.joints for t in case.truths),
         confidence=finding.confidence,
         name_confidence=finding.name_confidence,
         explains=finding.explains,

@@ -37,7 +37,8 @@ def imu(collection: Collection) -> Section:
     ]
     inertia = model.stages.inertia if model else None
     motion = [table for table in ([_motion(inertia)] if inertia else []) if table.rows]
-    return Section("imu", title, lead, groups, tables=motion, notes=stage.notes)
+    notes = [*stage.notes, *(_warnings(inertia) if inertia else [])]
+    return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
 
 def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdict]) -> Group:
@@ -131,14 +132,23 @@ def _references(name: str, item: ImuCalibration) -> Table:
     return Table(f"Joint axes as {name} sees them", columns, rows)
 
 
+def _warnings(stage: RigidStage) -> list[str]:
+    """IMUs that took no part, or less than a whole one; each remark once, with its logs."""
+    logs: dict[str, list[str]] = {}
+    for use in stage.motion_use:
+        for warning in use.warnings:
+            logs.setdefault(warning, []).append(short_path(use.log))
+    return [f"{warning} ({', '.join(names)})" for warning, names in logs.items()]
+
+
 def _motion(stage: RigidStage) -> Table:
     columns = (
         Column("log"),
         Column("motion from"),
         Column("IMUs"),
         Column("joint"),
-        Column("std error of acceleration", numeric=True),
-        Column("by encoders alone", numeric=True),
+        Column("std error of acceleration", numeric=True, unit="rad/s\u00b2"),
+        Column("by encoders alone", numeric=True, unit="rad/s\u00b2"),
     )
     rows = [
         (

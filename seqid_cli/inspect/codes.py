@@ -201,8 +201,8 @@ CODES: Mapping[str, Code] = {
     "position_stuck": Code(
         "error",
         "The position stands still although the logged velocity moves the joint.",
-        "No change of the position in at least 10 windows of 0.1 s in which the velocity's "
-        "integral is above 20 encoder steps.",
+        "No change of the position in at least 10 windows of 0.1 to 1 s in which the velocity's "
+        "integral is above 10 encoder steps.",
         "Look at the encoder and its connection.",
     ),
     # velocities
@@ -215,7 +215,7 @@ CODES: Mapping[str, Code] = {
     "velocity_sign": Code(
         "error",
         "The velocity has the opposite sign of the position's slope.",
-        "Gain between -1.2 and -0.8 over windows of 0.1 s.",
+        "Gain between -1.2 and -0.8 over windows of 0.1 to 1 s.",
         "Flip the velocity or the position, whichever disagrees with the robot.",
     ),
     "velocity_zero": Code(
@@ -227,7 +227,7 @@ CODES: Mapping[str, Code] = {
     "velocity_inconsistent": Code(
         "warning",
         "The velocity does not belong to the position.",
-        "Gain outside 0.8 to 1.25 or correlation below 0.9 over windows of 0.1 s.",
+        "Gain outside 0.8 to 1.25 or correlation below 0.9 over windows of 0.1 to 1 s.",
         "Check that both are measured (not commanded), of one joint and in SI units.",
     ),
     "speed_limit": Code(
@@ -273,7 +273,8 @@ CODES: Mapping[str, Code] = {
     "torque_quantised": Code(
         "warning",
         "The torque is coarsely quantised.",
-        "Its lattice step is more than a quarter of its standard deviation while moving.",
+        "Its lattice step is more than a quarter of its standard deviation while moving, and most "
+        "samples equal the one before.",
         "Log the current with more bits.",
     ),
     "torque_saturated": Code(
@@ -320,27 +321,30 @@ CODES: Mapping[str, Code] = {
         "error",
         "Torque and position have opposite signs.",
         "The friction found at its RMS speed is negative by 4 standard errors and above 3 % of "
-        "the torque: the joint would gain energy.",
+        "the torque: the joint would gain energy; or with one of the two reversed, the rigid-body "
+        "equations leave less than half of the error.",
         "Flip the sign of the torque (or of gear_ratio), or of the position.",
     ),
     "axis_flipped": Code(
         "error",
         "A joint turns the other way round than in the URDF.",
         "With position and torque reversed, the rigid-body equations leave less than half of the "
-        "error; or gravity is the opposite of that of the URDF's inertials.",
+        "error, of that with free functions of each joint's position too; or gravity is the "
+        "opposite of that of the URDF's inertials.",
         "Reverse the joint's axis in the URDF, or position and torque of the log.",
     ),
     "position_zero": Code(
         "error",
         "A joint's zero is not that of the URDF.",
         "With a quarter or half turn added, the rigid-body equations leave less than half of the "
-        "error.",
+        "error, of that with free functions of each joint's position too.",
         "Add the offset to the positions, or correct the joint's origin in the URDF.",
     ),
     "model_mismatch": Code(
         "warning",
         "The robot's equations do not fit the torque.",
-        "They leave more than 60 % of its RMS, and no exchange or flip mends it.",
+        "They leave more than 60 % of its RMS, no exchange or flip mends it, and every joint that "
+        "moves makes 10 encoder steps a second.",
         "Check that robot file and log are of one robot and that the torque is measured.",
     ),
     **IMU_CODES,

@@ -91,7 +91,8 @@ IMU_CODES: Mapping[str, Code] = {
     "imu_delay": Code(
         "warning",
         "The IMU's time is shifted against the encoders'.",
-        "The shift that fits best exceeds 5 ms and two samples, beyond 4 standard errors.",
+        "The shift that fits best exceeds 5 ms and two samples, beyond 4 standard errors and what "
+        "the encoder's step hides.",
         "Synchronise the clocks, or subtract the delay of the IMU's driver and filter.",
     ),
     "gyro_in_degrees": Code(

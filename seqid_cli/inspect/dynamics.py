@@ -20,11 +20,9 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.errors import SeqidError
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
-from seqid_cli.motion.motion import Motion, decimated, estimate_motion
-from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.robot.base import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
@@ -40,6 +38,7 @@ SIGMAS = 4.0
 SHARE = 0.03  # of the torque's spread, that friction must be to be judged
 ALIEN = 0.25  # of the alien friction, that the own one may be where joints are exchanged
 SMOOTH_TERMS = 4
+UNEXPLAINED = 0.25  # of the torque's spread, that is judged nevertheless without geometry
 RCOND = 1e-8
 
 
@@ -51,6 +50,7 @@ class Sample:
     dq: Array
     ddq: Array
     tau: Array
+    direction: Array  # of motion, -1 to 1, through the torque's filter
     memory: float  # rows that count as one
     moving: tuple[int, ...]  # joints that go far enough both ways
     basis: Basis | None  # of the robot without rotors; None where its geometry is not known
@@ -73,23 +73,23 @@ class Friction:
 def sample_of(data: LogData) -> Sample | None:
     """Filter a log; None where it has no torque or nothing moves long enough."""
     recording, robot = data.recording, data.robot
-    if recording.tau is None:
+    if recording.tau is None or data.motion is None:
         return None
-    try:
-        motion = decimated(estimate_motion(recording, robot, MotionOptions()))
-    except SeqidError:
-        return None
+    motion = decimated(data.motion)
     rows = np.flatnonzero(motion.usable & np.isfinite(motion.dq).all(axis=1))
     rows = rows[:: max(1, len(rows) // ROWS)]
     if len(rows) < FEWEST or motion.tau is None:
         return None
     moving = tuple(j for j in range(robot.n) if data.moves(j) and _both_ways(motion, rows, j))
     spacing = float(np.median(np.diff(motion.t[rows])))
+    speeds = np.maximum(np.sqrt(np.mean(motion.dq[rows] ** 2, axis=0)), 1e-12)
+    direction = motion.filtered(np.tanh(motion.dq / (SLOW * speeds)), 2)
     return Sample(
         motion.q[rows],
         motion.dq[rows],
         motion.ddq[rows],
         motion.tau[rows],
+        direction[rows],
         max(1.0, MEMORY_S / spacing),
         moving,
         base_parameters(robot, rotor=[]) if data.modelled and moving else None,
@@ -120,6 +120,8 @@ def friction_findings(data: LogData, sample: Sample) -> Iterator[Finding]:
         fit = fits.get(j)
         if fit is None or any(j in pair for pair in swapped):
             continue
+        if not data.modelled and fit.unexplained > UNEXPLAINED:
+            continue  # gravity of the other links could pass for anything
         value, error = fit.own
         if value < -SIGMAS * error and value < -SHARE * fit.spread:
             text = (
@@ -135,9 +137,7 @@ def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
     if spread == 0.0 or not sample.moving:
         return None
     moving = list(sample.moving)
-    signs = np.column_stack(
-        [np.tanh(sample.dq[:, i] / (SLOW * sample.rms_speed(i))) for i in moving]
-    )
+    signs = sample.direction[:, moving]
     own = [sample.dq[:, j]] if j in moving else []
     X = np.column_stack([signs, *own, sample.ddq[:, moving], *_law(sample, gravity, j)])
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
@@ -147,7 +147,7 @@ def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
     theta = inverse @ tau
     residual = tau - X @ theta
     freedom = max(len(tau) - int(kept.sum()) * sample.memory, 10.0)
-    variance = float(residual @ residual) / freedom * sample.memory
+    variance = float(residual @ residual) / freedom * max(sample.memory, memory_of(residual))
     C = inverse[: len(moving) + len(own)] @ inverse[: len(moving) + len(own)].T * variance
     by_joint = {i: (float(theta[k]), float(np.sqrt(C[k, k]))) for k, i in enumerate(moving)}
     return Friction(
@@ -156,6 +156,22 @@ def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
         spread,
         float(np.sqrt(np.mean(residual**2))) / spread,
     )
+
+
+def memory_of(residual: Array) -> float:
+    """Return how many samples of a residual (M,) count as one: the sum of its autocorrelation.
+
+    Up to its first zero, which is as far as it is known.
+    """
+    x = residual - residual.mean()
+    size = 1 << (2 * len(x) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(x, size)) ** 2
+    r = np.fft.irfft(spectrum)[: len(x)]
+    if r[0] <= 0.0:
+        return 1.0
+    negative = np.flatnonzero(r <= 0.0)
+    last = int(negative[0]) if len(negative) else len(r)
+    return float(1.0 + 2.0 * r[1:last].sum() / r[0])
 
 
 def _at_rms(
@@ -182,8 +198,7 @@ def _law(sample: Sample, gravity: Array, j: int) -> list[Array]:
     q = sample.q[:, j]
     span = float(np.ptp(q))
     terms = SMOOTH_TERMS if j in sample.moving and span > 0 else 1
-    x = 2.0 * (q - q.min()) / max(span, 1e-12) - 1.0
-    columns = list(chebvander(x, terms - 1).T)
+    columns = list(_smooth(q, terms).T)
     columns += [g for g in gravity.T if np.abs(g).max() > 1e-9]
     return columns
 
@@ -204,12 +219,29 @@ def _alien(fits: dict[int, Friction], i: int, j: int) -> bool:
     """Whether the motion of joint i shows as friction in the torque of j and not in its own."""
     own, own_error = fits[i].by_joint[i]
     alien, error = fits[j].by_joint[i]
-    largest = max(abs(fits[k].by_joint[i][0]) for k in fits)
+    certain = (abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())
+    largest = max(certain)
     return (
         alien > SIGMAS * error
         and alien > SHARE * fits[j].spread
         and abs(alien) >= largest
         and abs(own) < max(ALIEN * alien, 2.0 * own_error)
+    )
+
+
+def position_columns(sample: Sample) -> Array:
+    """Columns (N, n, 3 k) of smooth functions of each of the k moving joints' own position."""
+    terms = SMOOTH_TERMS - 1
+    columns = np.zeros((*sample.q.shape, terms * len(sample.moving)))
+    for k, j in enumerate(sample.moving):
+        columns[:, j, terms * k : terms * (k + 1)] = _smooth(sample.q[:, j], SMOOTH_TERMS)[:, 1:]
+    return columns
+
+
+def _smooth(q: Array, terms: int) -> Array:
+    """Chebyshev polynomials (N, terms) over the range of positions (N,)."""
+    return np.asarray(
+        chebvander(2.0 * (q - q.min()) / max(float(np.ptp(q)), 1e-12) - 1.0, terms - 1)
     )
 
 
@@ -221,6 +253,6 @@ def joint_columns(robot: Robot, sample: Sample) -> Array:
         columns[:, j, 4 * j] = 1.0
         if j in sample.moving:
             columns[:, j, 4 * j + 1] = sample.ddq[:, j]
-            columns[:, j, 4 * j + 2] = np.tanh(sample.dq[:, j] / (SLOW * sample.rms_speed(j)))
+            columns[:, j, 4 * j + 2] = sample.direction[:, j]
             columns[:, j, 4 * j + 3] = sample.dq[:, j]
     return columns

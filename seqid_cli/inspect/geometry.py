@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.dynamics import Sample, joint_columns
+from seqid_cli.inspect.dynamics import Sample, joint_columns, position_columns
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.robot.base import base_regressor
@@ -27,15 +27,19 @@ Array = NDArray[np.float64]
 
 SUSPICIOUS = 0.1  # of the torque's RMS left by the equations, from where a cause is looked for
 POOR = 0.6
+SEEN = 10.0  # encoder steps per second, of each joint that is to follow the equations
 MENDED = 0.5  # of the error, that a cause may leave
 SOUND = 0.35  # of the torque's RMS, that a mended fit may leave
 BETTER = 0.8  # of the next best cause's error
-ROWS = 900
+ROWS, FEW_ROWS = 900, 250  # of a fit, and of a first look at many
 SLIDES = 0.2  # of the RMS speed
 SIGMAS = 3.0
 SMALL, LARGE = 0.25, 4.0
 LOADED = 0.2  # of the largest gravity torque, that a joint must carry to be judged
 HEAVY = 1e-3  # N m
+ACTING = 0.1  # of the largest gravity torque of a joint in any posture, the same
+LIGHT = 0.05  # of the largest of any joint: lighter ones show friction rather than gravity
+POSTURES = 200
 KINDS = ("axis_flipped", "position_zero", "joints_swapped")
 
 
@@ -50,6 +54,14 @@ class Cause:
 
 
 @dataclass(frozen=True)
+class Left:
+    """What a fit leaves of the torque's RMS, and the number of columns that it can tell apart."""
+
+    error: float
+    columns: int
+
+
+@dataclass(frozen=True)
 class Weight:
     """Measured over nominal gravity torque of one joint, its error, and the nominal's RMS."""
 
@@ -59,60 +71,101 @@ class Weight:
     rms: float
 
 
-def geometry_findings(data: LogData, sample: Sample, tainted: frozenset[str]) -> Iterator[Finding]:
-    """Compare a log with the robot's equations; `tainted` names joints already found faulty."""
-    robot = data.robot
+def geometry_findings(data: LogData, sample: Sample, friction: list[Finding]) -> list[Finding]:
+    """Compare a log with the robot's equations.
+
+    Parameters
+    ----------
+    data : LogData
+    sample : Sample
+        Its filtered motion and torque.
+    friction : list of Finding
+        What its friction shows. Another cause that mends the equations explains that as well: a
+        zero that is off leaves gravity in the torque, which may look like friction of any sign.
+
+    Returns
+    -------
+    list of Finding
+        One cause, or those of `friction`, or what the robot's weight says.
+    """
     if not data.modelled or not sample.moving:
-        return
-    weights = _weights(robot, sample)
-    if tainted:
-        return
+        return friction
     structural = [*_structural(data, sample)]
-    yield from structural
-    if not structural:
-        yield from _scale(data, sample, weights)
+    if friction:
+        known = {(f.code, frozenset(f.joint.split(", "))) for f in friction}
+        mends = [f for f in structural if f.code != "model_mismatch"]
+        agrees = any((f.code, frozenset(f.joint.split(", "))) in known for f in mends)
+        return friction if agrees or not mends else mends
+    return structural or [*_scale(data, sample, _weights(data.robot, sample))]
 
 
 def _structural(data: LogData, sample: Sample) -> Iterator[Finding]:
     robot = data.robot
-    thin = _thinned(sample)
-    error = _error(robot, thin)
+    thin = _thinned(sample, ROWS)
+    left = _structural_error(robot, thin)
+    error = left.error
     if error < SUSPICIOUS:
         return
-    finding = _mending(robot, thin, error, _error)
+    free = _structural_error(robot, thin, own_law=True).error
+    finding = _mending(robot, thin, left, _structural_error, free=free)
     if finding is not None:
         yield finding
-    elif error > POOR:
+    elif error > POOR and all(sample.rms_speed(j) > SEEN * data.step[j] for j in sample.moving):
         yield found("model_mismatch", f"the equations leave {error:.0%} of the torque's RMS")
 
 
 def _mending(
-    robot: Robot, sample: Sample, error: float, measure: Callable[[Robot, Sample], float]
+    robot: Robot,
+    sample: Sample,
+    before: Left,
+    measure: Callable[[Robot, Sample], Left],
+    *,
+    free: float = np.inf,
 ) -> Finding | None:
-    """Find the one change that mends a fit, by its error; None where none or several do."""
-    tried = [(cause, measure(robot, cause.change(sample))) for cause in _causes(robot, sample)]
-    tried.sort(key=lambda pair: pair[1])
-    cause, left = tried[0]
-    rivals = [e for other, e in tried if set(other.joints) != set(cause.joints)]
-    if left > min(MENDED * error, SOUND) or (rivals and left > BETTER * min(rivals)):
+    """Find the one change that mends a fit; None where none or several do.
+
+    It must leave half of the error. Where it gives the equations columns that they had not before
+    (gravity on a joint that hardly feels it, say), any free function would do better as well: then
+    it must leave half of what such functions leave, `free`.
+    """
+    few = _thinned(sample, FEW_ROWS)
+    tried = [(measure(robot, cause.change(few)).error, cause) for cause in _causes(robot, sample)]
+    tried.sort(key=lambda item: item[0])
+    cause = tried[0][1]
+    rivals = [other for _, other in tried if set(other.joints) != set(cause.joints)]
+    after = measure(robot, cause.change(sample))
+    most = min(before.error, free) if after.columns > before.columns else before.error
+    if after.error > min(MENDED * most, SOUND):
+        return None
+    if rivals and after.error > BETTER * measure(robot, rivals[0].change(sample)).error:
         return None
     names = ", ".join(robot.joint_names[j] for j in cause.joints)
-    text = f"{cause.text}; the equations' error falls from {error:.1%} to {left:.1%}"
+    fall = f"falls from {before.error:.1%} to {after.error:.1%}"
+    text = f"{cause.text}; the equations' error {fall}"
     return found(cause.code, text, joint=names, channel="position")
 
 
-def _thinned(sample: Sample) -> Sample:
-    rows = slice(None, None, max(1, len(sample.q) // ROWS))
+def _thinned(sample: Sample, count: int) -> Sample:
+    rows = slice(None, None, max(1, len(sample.q) // count))
     return replace(
-        sample, q=sample.q[rows], dq=sample.dq[rows], ddq=sample.ddq[rows], tau=sample.tau[rows]
+        sample,
+        q=sample.q[rows],
+        dq=sample.dq[rows],
+        ddq=sample.ddq[rows],
+        tau=sample.tau[rows],
+        direction=sample.direction[rows],
     )
 
 
-def _error(robot: Robot, sample: Sample) -> float:
-    """RMS that rigid body and friction leave of the torques, each as a share of its own."""
+def _structural_error(robot: Robot, sample: Sample, *, own_law: bool = False) -> Left:
+    """RMS that rigid body and friction leave of the torques, each as a share of its own.
+
+    With `own_law`, and a smooth function of each joint's own position.
+    """
     assert sample.basis is not None
     Y = base_regressor(robot, sample.basis, sample.q, sample.dq, sample.ddq)
-    X = np.concatenate([Y, joint_columns(robot, sample)], axis=2)
+    parts = [Y, joint_columns(robot, sample), *([position_columns(sample)] if own_law else [])]
+    X = np.concatenate(parts, axis=2)
     tau = sample.tau
     sliding = np.zeros(tau.shape, dtype=bool)  # at rest friction takes any value
     for j in sample.moving:
@@ -123,8 +176,8 @@ def _error(robot: Robot, sample: Sample) -> float:
     W = (X / size[:, None])[sliding]
     W = W / np.maximum(np.sqrt(np.mean(W**2, axis=0)), 1e-12)
     y = (tau / size)[sliding]
-    left = y - W @ np.linalg.lstsq(W, y, rcond=1e-8)[0]
-    return float(np.sqrt(np.mean(left**2)))
+    theta, _, rank, _ = np.linalg.lstsq(W, y, rcond=1e-8)
+    return Left(float(np.sqrt(np.mean((y - W @ theta) ** 2))), int(rank))
 
 
 def _causes(robot: Robot, sample: Sample) -> Iterator[Cause]:
@@ -133,6 +186,8 @@ def _causes(robot: Robot, sample: Sample) -> Iterator[Cause]:
         yield Cause("position_in_degrees", joints, "is in degrees", _in_radians(joints))
     for j in range(robot.n):
         yield Cause("axis_flipped", (j,), "turns the other way round", _flipped(j))
+        yield Cause("sign_mismatch", (j,), "its torque is reversed", _flipped(j, motion=False))
+        yield Cause("sign_mismatch", (j,), "its position is reversed", _flipped(j, torque=False))
         if not robot.joints[j].prismatic:
             for turns, angle in (("a quarter", 0.5), ("minus a quarter", -0.5), ("half a", 1.0)):
                 text = f"its zero is {turns} turn off"
@@ -141,18 +196,21 @@ def _causes(robot: Robot, sample: Sample) -> Iterator[Cause]:
     for a, b in combinations(sample.moving, 2):
         yield Cause("joints_swapped", (a, b), "are exchanged", _swapped(a, b, tau=True))
         yield Cause("joints_swapped", (a, b), "have exchanged positions", _swapped(a, b, tau=False))
+        yield Cause("joints_swapped", (a, b), "have exchanged torques", _swapped_torques(a, b))
 
 
-def _flipped(j: int) -> Callable[[Sample], Sample]:
+def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Callable[[Sample], Sample]:
     def change(sample: Sample) -> Sample:
         sign = np.ones(sample.q.shape[1])
         sign[j] = -1.0
+        moved, driven = sign if motion else 1.0, sign if torque else 1.0
         return replace(
             sample,
-            q=sample.q * sign,
-            dq=sample.dq * sign,
-            ddq=sample.ddq * sign,
-            tau=sample.tau * sign,
+            q=sample.q * moved,
+            dq=sample.dq * moved,
+            ddq=sample.ddq * moved,
+            tau=sample.tau * driven,
+            direction=sample.direction * moved,
         )
 
     return change
@@ -186,9 +244,19 @@ def _swapped(a: int, b: int, *, tau: bool) -> Callable[[Sample], Sample]:
             q=sample.q[:, order],
             dq=sample.dq[:, order],
             ddq=sample.ddq[:, order],
+            direction=sample.direction[:, order],
             tau=sample.tau[:, order] if tau else sample.tau,
             moving=moving,
         )
+
+    return change
+
+
+def _swapped_torques(a: int, b: int) -> Callable[[Sample], Sample]:
+    def change(sample: Sample) -> Sample:
+        order = list(range(sample.q.shape[1]))
+        order[a], order[b] = b, a
+        return replace(sample, tau=sample.tau[:, order])
 
     return change
 
@@ -203,11 +271,16 @@ def _weights(robot: Robot, sample: Sample) -> list[Weight]:
     gravity, inertia = _nominal(robot, sample)
     rms = gravity.std(axis=0)
     heaviest = max(float(rms[list(sample.moving)].max()), HEAVY)
+    could = _largest_gravity(robot)
     columns = joint_columns(robot, sample)
     result = []
     for j in sample.moving:
-        if rms[j] < LOADED * heaviest:
-            continue
+        if (
+            rms[j] < LOADED * heaviest
+            or rms[j] < ACTING * could[j]
+            or could[j] < LIGHT * could.max()
+        ):
+            continue  # friction that changes with position would pass for gravity
         own = columns[:, j, 4 * j : 4 * j + 4]
         X = np.column_stack([gravity[:, j], inertia[:, j], own])
         scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
@@ -220,6 +293,18 @@ def _weights(robot: Robot, sample: Sample) -> list[Weight]:
     return result
 
 
+def _largest_gravity(robot: Robot) -> Array:
+    """Largest gravity torque (n,) by the URDF's inertials over postures spread evenly."""
+    assert robot.nominal is not None
+    root = 2.0 ** (1.0 / (robot.n + 1))  # powers of it step through all angles evenly
+    turns = np.outer(np.arange(POSTURES), root ** -np.arange(1, robot.n + 1)) % 1.0
+    slides = np.array([joint.prismatic for joint in robot.joints])
+    q = np.where(slides, turns - 0.5, 2.0 * np.pi * turns)
+    still = np.zeros_like(q)
+    torque = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+    return np.asarray(np.abs(torque).max(axis=0))
+
+
 def _nominal(robot: Robot, sample: Sample) -> tuple[Array, Array]:
     """Gravity and inertia torque (N, n) by the URDF's inertials."""
     assert robot.nominal is not None
@@ -229,7 +314,7 @@ def _nominal(robot: Robot, sample: Sample) -> tuple[Array, Array]:
     return gravity, inverse_dynamics(chain, g, phi, sample.q, sample.dq, sample.ddq) - gravity
 
 
-def _nominal_error(robot: Robot, sample: Sample) -> float:
+def _nominal_error(robot: Robot, sample: Sample) -> Left:
     """RMS that the URDF's inertials and friction leave of the torques of loaded joints."""
     gravity, inertia = _nominal(robot, sample)
     rms = gravity.std(axis=0)
@@ -242,7 +327,7 @@ def _nominal_error(robot: Robot, sample: Sample) -> float:
             left = y - own @ np.linalg.lstsq(own, y, rcond=1e-8)[0]
             total += float(np.mean(left**2))
             size += float(np.var(sample.tau[:, j]))
-    return float(np.sqrt(total / max(size, 1e-300)))
+    return Left(float(np.sqrt(total / max(size, 1e-300))), 0)
 
 
 def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[Finding]:
@@ -250,7 +335,7 @@ def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[Fin
     off = [w for w in weights if _is_off(w)]
     if not off:
         return
-    thin = _thinned(sample)
+    thin = _thinned(sample, ROWS)
     mended = _mending(data.robot, thin, _nominal_error(data.robot, thin), _nominal_error)
     if mended is not None:
         yield mended

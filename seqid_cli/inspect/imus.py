@@ -25,6 +25,7 @@ STUCK_S, STUCK_SAMPLES = 0.5, 50
 REST_S = 0.2
 WRONG = 0.05  # of gravity
 EXPLAINS = 0.1  # of the squared error
+ALIKE = 4.0  # times the squared error without a channel, that it may leave once put right
 RIVAL = 0.5
 MISSING = 0.01
 BIAS = 0.1  # rad/s
@@ -183,6 +184,11 @@ def odd_channel(imu: Imu, rest: Array, gravity: float) -> Finding | None:
             without = np.eye(count - 1) - axes @ np.linalg.pinv(axes)
             tried.append((1.2 * _disagreement(rest[:, kept], without), "imu_channel_wrong", (k,)))
     left, code, channels = min(tried)
+    if code == "imu_channel_wrong":  # leaving one out fits best even where it is only reversed
+        left, code, channels = min(
+            [t for t in tried if t[1] != code and channels[0] in t[2] and t[0] < ALIKE * left]
+            or [(left, code, channels)]
+        )
     if left > EXPLAINS * error:
         return None
     names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)

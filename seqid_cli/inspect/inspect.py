@@ -199,7 +199,9 @@ def _findings(data: LogData, following: list[Following]) -> Iterator[Finding]:
     if not any(finding.code in _SPOIL_ALL for finding in own):
         positions = [*position_findings(data)]
         broken = frozenset(f.joint for f in positions if f.code in _SPOIL)
-        own += velocity_findings(data, broken)
+        velocities = velocity_findings(data, broken)
+        uneven = any(f.code == "jitter" for f in own)  # times nothing that a slope can be over
+        own += [f for f in velocities if not uneven or f.code != "velocity_inconsistent"]
         if not any(finding.code in _SPOIL_ALL for finding in own):
             own += [*positions, *fast_in_degrees(data)]
     own = _one_cause(own)
@@ -217,13 +219,14 @@ def _of_dynamics(
     uneven = any(f.code == "jitter" for f in own)  # accelerations mean nothing then
     sample = None if uneven else sample_of(data)
     if sample is not None:
-        against += [] if spoilt else friction_findings(data, sample)
-        tainted = frozenset(spoilt | {finding.joint for finding in against})
-        against += geometry_findings(data, sample, tainted)
+        friction = [] if spoilt else [*friction_findings(data, sample)]
+        against += friction if spoilt else geometry_findings(data, sample, friction)
     yield from (_with_imus(finding, data, following) for finding in against)
-    joints = {name for f in (*own, *against) if f.code in _SPOIL for name in f.joint.split(", ")}
+    spoil = {*_SPOIL, "position_limits"}  # a zero that is off turns the link
+    joints = {name for f in (*own, *against) if f.code in spoil for name in f.joint.split(", ")}
     if not joints & set(data.robot.joint_names):
         broken = {f.joint for f in own if f.severity == "error"}
+        broken |= {f.joint for f in own if f.code == "imu_saturated"}
         sound = [item for item in following if item.imu.name not in broken]
         yield from motion_findings(data, sound)
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.errors import SeqidError
 from seqid_cli.logs.clocks import tidy
 from seqid_cli.logs.open import check_log
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import READERS, read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
+from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segments import moving_mask, noise_step
 from seqid_cli.robot.types import Robot
 
@@ -21,6 +24,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ABSURD = 1e9  # the reader takes such values as missing
+LOWEST_HZ, LOWEST_SHARE = 3.0, 0.1  # cut-off, and as a share of the rate
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,11 @@ class LogData:
     recording: Recording
     step: Array  # (n,) rad, what counts as more than encoder noise
     moving: Mask
+
+    @cached_property
+    def motion(self) -> Motion | None:
+        """Filtered motion and torque; None where no stretch is long enough to filter."""
+        return _motion(self.recording, self.robot)
 
     @property
     def t(self) -> Array:
@@ -89,6 +98,18 @@ def read_log(path: Path, robot: Robot, *, modelled: bool, time_source: TimeSourc
         step=step,
         moving=moving_mask(recording.q, recording.rate_hz, step),
     )
+
+
+def _motion(recording: Recording, robot: Robot) -> Motion | None:
+    """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
+    lowest = min(LOWEST_HZ, LOWEST_SHARE * recording.rate_hz)
+    try:
+        motion = estimate_motion(recording, robot, MotionOptions())
+        if motion.lowpass.active and motion.cutoff.hz < lowest:
+            motion = estimate_motion(recording, robot, MotionOptions(cutoff_hz=lowest))
+    except SeqidError:
+        return None
+    return motion
 
 
 def _without_absurd(stream: Stream) -> Stream:

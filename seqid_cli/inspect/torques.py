@@ -17,6 +17,7 @@ MISSING = 0.01
 STUCK_SAMPLES, STUCK_S = 50, 0.2
 LIVELY = 0.9  # share of changing samples of a channel that does not repeat itself
 COARSE = 0.25  # of the standard deviation
+DITHERED = 0.6  # share of changing samples, beyond which noise carries the signal over the steps
 WHOLE, WHOLE_LEAST = 0.999, 30.0
 
 
@@ -65,7 +66,8 @@ def _of_moving(
     if size > 1:
         yield "channel_held", f"repeats each value {size} times"
     step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
-    if step and spread and step > COARSE * spread:
+    dithered = np.mean(np.diff(values) != 0) > DITHERED
+    if step and spread and step > COARSE * spread and not dithered:
         yield "torque_quantised", f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
 
 

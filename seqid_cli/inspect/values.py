@@ -17,6 +17,7 @@ RUN = 3  # samples at an extreme that make a run
 CLIPPED_LEAST, CLIPPED_SHARE = 10, 2e-3
 PILED = 3.0  # times the next level of a quantised channel
 HELD_SHARE, HELD_REGULAR = 0.7, 0.95
+HELD_ODD = 0.1  # of the gaps, that are longer ones
 FEW = 20
 
 
@@ -51,8 +52,9 @@ def clipped(values: Array) -> tuple[float, float] | None:
         if limit == 0.0:
             continue  # a brake, or a channel that is off, not a limit
         at = values == limit
-        piled = sum(b - a for a, b in runs(at, len(at)) if b - a >= RUN)
-        if piled < max(CLIPPED_LEAST, CLIPPED_SHARE * len(values)):
+        visits = runs(at, len(at))
+        piled = sum(b - a for a, b in visits if b - a >= RUN)
+        if max(piled, len(visits)) < max(CLIPPED_LEAST, CLIPPED_SHARE * len(values)):
             continue
         inner = (
             [
@@ -75,7 +77,11 @@ def held(values: Array) -> int:
     gaps = np.diff(changes)
     size = int(np.bincount(gaps).argmax())
     regular = float(np.mean(gaps % size == 0))
-    if size < 2 or np.mean(gaps == size) < HELD_SHARE or regular < HELD_REGULAR:
+    if size < 2 or regular < HELD_REGULAR:
+        return 1
+    if np.count_nonzero(gaps > size) > max(FEW, HELD_ODD * len(gaps)):
+        return size  # changes far apart and still in step: no motion keeps such time
+    if np.mean(gaps == size) < HELD_SHARE:
         return 1
     step = lattice(values)
     if step and np.median(np.abs(np.diff(values)[changes])) < 1.5 * step:

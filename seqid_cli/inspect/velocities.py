@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,8 @@ from seqid_cli.inspect.report import Finding, found
 
 Array = NDArray[np.float64]
 
-WINDOW_S = 0.1
-COUNTS = 20.0  # encoder steps of travel that make a window count
+WINDOWS_S = (0.1, 0.2, 0.5, 1.0)  # the shortest in which the encoder sees enough
+COUNTS = 10.0  # encoder steps of travel that make a window count
 FEWEST = 10
 NOTHING = 0.05
 NEAR = 0.15
@@ -27,23 +28,18 @@ def velocity_findings(data: LogData, broken: frozenset[str] = frozenset()) -> It
     """Check the velocity of every joint that moves, but for the joints named in `broken`."""
     if data.recording.dq is None:
         return
-    travel, integral = _windows(data)
-    counts = np.abs(travel) > COUNTS * data.step
     names = data.robot.joint_names
-    judged = [
-        j for j in range(data.robot.n) if names[j] not in broken and counts[:, j].sum() >= FEWEST
-    ]
-    for j in range(data.robot.n):
-        if names[j] not in broken:
-            size = np.abs(integral[:, j])
-            fast = max(COUNTS * data.step[j], DEAD * float(np.quantile(size, 0.9)))
-            dead = (travel[:, j] == 0.0) & (size > fast)
-            if dead.sum() >= FEWEST:
-                text = (
-                    f"stands still for {WINDOW_S * dead.sum():.2g} s in which its velocity moves it"
-                )
-                yield found("position_stuck", text, joint=names[j], channel="position")
-                judged = [i for i in judged if i != j]
+    sound = [j for j in range(data.robot.n) if names[j] not in broken]
+    choices = [_windows(data, seconds) for seconds in WINDOWS_S]
+    dead = {j: seconds for j in sound if (seconds := _dead_s(data, choices, j))}
+    for j, seconds in dead.items():
+        text = f"stands still for {seconds:.2g} s in which its velocity moves it"
+        yield found("position_stuck", text, joint=names[j], channel="position")
+    # The shortest windows that show as many joints as any; max takes the first of equals.
+    windows = max(choices, key=lambda choice: len(_judged(choice, data, sound)))
+    judged = [j for j in _judged(windows, data, sound) if j not in dead]
+    travel, integral = windows.travel, windows.integral
+    counts = windows.counts(data)
     fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in judged}
     shared = _time_unit({j: gain for j, (gain, r, _) in fits.items() if abs(r) > CORRELATED})
     if shared:
@@ -62,18 +58,49 @@ def velocity_findings(data: LogData, broken: frozenset[str] = frozenset()) -> It
             yield from _verdict(data, j, *fits[j])
 
 
-def _windows(data: LogData) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class _Windows:
     """Travel (W, n) of the positions and integral (W, n) of the velocities over windows."""
+
+    seconds: float
+    travel: Array
+    integral: Array
+
+    def counts(self, data: LogData) -> NDArray[np.bool_]:
+        """Where the encoders (W, n) see enough to be judged."""
+        return np.asarray(np.abs(self.travel) > COUNTS * data.step)
+
+
+def _windows(data: LogData, seconds: float) -> _Windows:
     recording = data.recording
     assert recording.dq is not None
-    width = max(2, round(WINDOW_S * recording.rate_hz))
+    width = max(2, round(seconds * recording.rate_hz))
     edges = np.arange(0, len(recording.t), width)
     step = 1.0 / recording.rate_hz
     middles = 0.5 * (recording.dq[1:] + recording.dq[:-1]) * step
     total = np.vstack([np.zeros((1, data.robot.n)), np.cumsum(middles, axis=0)])
     broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
     whole = np.diff(broken) == 0
-    return np.diff(recording.q[edges], axis=0)[whole], np.diff(total[edges], axis=0)[whole]
+    travel = np.diff(recording.q[edges], axis=0)[whole]
+    return _Windows(seconds, travel, np.diff(total[edges], axis=0)[whole])
+
+
+def _judged(windows: _Windows, data: LogData, sound: list[int]) -> list[int]:
+    counts = windows.counts(data)
+    return [j for j in sound if counts[:, j].sum() >= FEWEST]
+
+
+def _dead_s(data: LogData, choices: list[_Windows], j: int) -> float:
+    """Seconds in which a joint's velocity moves it and its position does not; 0 if too few."""
+    for windows in choices:
+        size = np.abs(windows.integral[:, j])
+        if not len(size):
+            continue
+        fast = max(COUNTS * float(data.step[j]), DEAD * float(np.quantile(size, 0.9)))
+        dead = (windows.travel[:, j] == 0.0) & (size > fast)
+        if dead.sum() >= FEWEST:
+            return windows.seconds * float(dead.sum())
+    return 0.0
 
 
 def _fit(travel: Array, integral: Array) -> tuple[float, float, float]:

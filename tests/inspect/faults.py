@@ -305,3 +305,34 @@ FAULTS = (
         rig="two_joint",
     ),
 )
+
+# Faults of different channels that share a log, so that one inspection finds them all.
+TOGETHER = (
+    (
+        "degrees against limits",
+        "wraps",
+        "freeze",
+        "velocity in degrees",
+        "torque missing",
+        "kelvin",
+    ),
+    ("motor side", "spikes", "velocity sign", "limits exceeded", "torque held", "temperature off"),
+    ("lost counts", "velocity scale", "speed limit", "torque clipped"),
+    ("resolution", "velocity zero", "torque quantised"),
+    ("position held", "position missing", "torque zero"),
+    ("velocities swapped", "torque constant"),
+    ("rows exchanged", "rows repeated", "torque stuck"),
+    ("IMU stuck", "IMU clipped", "IMU values missing"),
+    ("IMU stuck for a while", "IMU empty"),
+    ("IMU channel flipped", "IMU scale"),
+)
+
+
+def groups() -> tuple[tuple[Fault, ...], ...]:
+    """All faults: those that share a log, and each of the others by itself."""
+    by_name = {fault.name: fault for fault in FAULTS}
+    assert len(by_name) == len(FAULTS)
+    shared = {name for names in TOGETHER for name in names}
+    return tuple(tuple(by_name[name] for name in names) for names in TOGETHER) + tuple(
+        (fault,) for fault in FAULTS if fault.name not in shared
+    )

@@ -1,8 +1,11 @@
-"""A folder with one sample log and its robot file, to plant a fault into."""
+"""A sample log with a fault planted into it, and its robot file; what is shared is made once."""
 
 from __future__ import annotations
 
 import shutil
+import tempfile
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +13,7 @@ import numpy as np
 from seqid_cli.inspect.inspect import inspect_logs
 from seqid_cli.inspect.report import InspectReport
 from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
 from tests.inspect.faults import (
     SAMPLES,
     SINGLE,
@@ -20,29 +24,62 @@ from tests.inspect.faults import (
     with_triad,
     write_columns,
 )
+from tests.inspect.planting import Columns
+
+SEED = 5
 
 
-def inspect_planted(fault: Fault, folder: Path, *, planted: bool = True) -> InspectReport:
-    """Plant a fault into a copy of its log, or not, and inspect that."""
-    for urdf in (SAMPLES / fault.rig).glob("*.urdf"):
-        shutil.copy(urdf, folder)
-    text = (SAMPLES / fault.rig / "robot.toml").read_text()
-    for old, new in (fault.robot or {}).items() if planted else ():
-        assert old in text
-        text = text.replace(old, new)
-    columns = read_columns(SAMPLES / fault.rig / f"{fault.base}.parquet")
-    rng = np.random.default_rng(5)
-    if not fault.of_imus and fault.rig == "six_joint":
-        start, end = text.index("[[imu]]"), text.index("[channels]")
-        text = text[:start] + text[end:]
-        columns = {name: values for name, values in columns.items() if "imu" not in name}
-    (folder / "robot.toml").write_text(triad_toml(text) if fault.triad else text)
-    robot = load_robot(folder / "robot.toml")
-    if fault.rig == "six_joint" and fault.base != SINGLE:
-        columns = with_extras(columns)
-    if fault.triad:
-        columns = with_triad(columns, robot, rng)
-    if planted:
-        fault.plant(columns, rng)
+def inspect_planted(
+    faults: Sequence[Fault], folder: Path, *, planted: bool = True
+) -> InspectReport:
+    """Plant faults into a copy of the log that they share, or not, and inspect that."""
+    first = faults[0]
+    (base,) = {_base(fault) for fault in faults}
+    text = robot_text(first.rig, imus=first.of_imus, triad=first.triad)
+    columns = {name: values.copy() for name, values in sound_columns(*base).items()}
+    for fault in faults if planted else ():
+        for old, new in (fault.robot or {}).items():
+            assert old in text
+            text = text.replace(old, new)
+        fault.plant(columns, np.random.default_rng(SEED))
     write_columns(folder / "log.parquet", columns)
-    return inspect_logs([folder / "log.parquet"], robot)
+    return inspect_logs([folder / "log.parquet"], robot_of(first.rig, text))
+
+
+def _base(fault: Fault) -> tuple[str, str, bool, bool]:
+    return fault.rig, fault.base, fault.of_imus, fault.triad
+
+
+@cache
+def sound_columns(rig: str, base: str, imus: bool, triad: bool) -> Columns:
+    """Columns of a sample log as the faults find them."""
+    columns = read_columns(SAMPLES / rig / f"{base}.parquet")
+    if not imus and rig == "six_joint":
+        columns = {name: values for name, values in columns.items() if "imu" not in name}
+    if rig == "six_joint" and base != SINGLE:
+        columns = with_extras(columns)
+    if base == SINGLE:  # a third of the speeds is enough
+        columns = {name: values[: len(values) // 3] for name, values in columns.items()}
+    if triad:
+        robot = robot_of(rig, robot_text(rig, imus=imus, triad=triad))
+        columns = with_triad(columns, robot, np.random.default_rng(SEED))
+    return columns
+
+
+def robot_text(rig: str, *, imus: bool, triad: bool) -> str:
+    """Text of the robot file that goes with the columns."""
+    text = (SAMPLES / rig / "robot.toml").read_text()
+    if not imus and rig == "six_joint":
+        text = text[: text.index("[[imu]]")] + text[text.index("[channels]") :]
+    return triad_toml(text) if triad else text
+
+
+@cache
+def robot_of(rig: str, text: str) -> Robot:
+    """Load a robot file of this text beside the rig's URDF."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for urdf in (SAMPLES / rig).glob("*.urdf"):
+            shutil.copy(urdf, folder)
+        (folder / "robot.toml").write_text(text)
+        return load_robot(folder / "robot.toml")

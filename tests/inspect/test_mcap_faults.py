@@ -20,7 +20,7 @@ Change = Callable[[list[Message]], list[Message]]
 
 def messages(imu_shift_ns: int = 0) -> list[Message]:
     columns = read_columns(SAMPLES / "six_joint" / "validation" / "fourier_1.parquet")
-    columns = {name: values[:1500] for name, values in columns.items()}
+    columns = {name: values[:1000] for name, values in columns.items()}
     stamps = T0 + np.rint(columns["t"] * 1e9).astype(np.int64)
     q = np.column_stack([columns[f"{name}.position"] for name in SIX])
     effort = np.column_stack([columns[f"{name}.current"] for name in SIX])

@@ -6,6 +6,7 @@ WORKERS ?= 2
 RIGS ?= one_joint two_joint six_joint
 OUT ?= out
 FUZZ_SECONDS ?= 60
+ROBOTS ?= 50
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -42,9 +43,12 @@ $(DEV): pyproject.toml | $(BIN)/python
 
 # ---- checks
 
-.PHONY: test lint types
+.PHONY: test docs-test lint types
 test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+docs-test: $(DEV) ## run every command of the documents, also those that take minutes
+	SEQID_DOCS=1 $(BIN)/python -m pytest tests/docs
 
 lint: $(DEV) ## check the style
 	$(BIN)/ruff check .
@@ -67,6 +71,10 @@ bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchma
 .PHONY: fuzz
 fuzz: $(DEV) ## read damaged logs for FUZZ_SECONDS
 	$(BIN)/python -m tests.logs.fuzz --seconds $(FUZZ_SECONDS)
+
+.PHONY: fleet
+fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)
+	$(BIN)/python -m tests.scale.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
 
 # ---- sample logs
 

@@ -5,10 +5,11 @@
     friction = api.friction(["logs/friction"], "robot.toml", output="friction.json")
     print(friction.stages.friction.joints["elbow"].rmse)
 
-Paths are files, folders or globs, as on the command line. Nothing is printed; what a command would
-warn of comes as `SeqidWarning`. Every function raises a subclass of `SeqidError` (see
-`seqid_cli.errors`) where the command would exit with 2, and writes `output`, where given,
-atomically. Documents are the structures of `seqid_cli.params`: `document.stages`, `.joints`, ...
+Paths are files, folders or globs, logs also URLs of object storage, as on the command line.
+Nothing is printed; what a command would warn of comes as `SeqidWarning`. Every function raises a
+subclass of `SeqidError` (see `seqid_cli.errors`) where the command would exit with 2, and writes
+`output`, where given, atomically. Documents are the structures of `seqid_cli.params`:
+`document.stages`, `.joints`, ...
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.inspection_schema import InspectionFile
 from seqid_cli.params.prediction_schema import PredictionFile
 from seqid_cli.params.schema import ParameterFile
+from seqid_cli.scale.options import EngineName
 
 PathLike = str | os.PathLike[str]
 Paths = PathLike | Sequence[PathLike]
@@ -68,6 +70,10 @@ def friction(
     beta: float | None = None,
     cutoff: float | None = None,
     time: Clock = "header",
+    jobs: int | None = 1,
+    engine: EngineName = "local",
+    scheduler: str | None = None,
+    skip_failed: bool = False,
 ) -> ParameterFile:
     """Identify joint friction over position and velocity (Eq. 7-11).
 
@@ -87,9 +93,19 @@ def friction(
         Cut-off of the low-pass in Hz; chosen from the data when left out.
     time : {"header", "log"}
         Which stamps of MCAP messages count.
+    jobs : int or None
+        Processes to read logs with; None for all cores where the logs are large enough. A script
+        that asks for more than one must guard its main part with `if __name__ == "__main__":`.
+    engine : {"local", "dask"}
+        Processes of this machine, or Dask.
+    scheduler : str, optional
+        Address of a running Dask scheduler.
+    skip_failed : bool
+        Whether to go on without logs that cannot be used; they come as warnings.
     """
     orders = {"position_order": position_order, "velocity_order": velocity_order, "beta": beta}
-    return _parameters("friction", logs, robot, output, cutoff=cutoff, time=time, **orders)
+    who = _workers(jobs, engine, scheduler, skip_failed)
+    return _parameters("friction", logs, robot, output, cutoff=cutoff, time=time, **orders, **who)
 
 
 def gravity(
@@ -100,10 +116,15 @@ def gravity(
     output: PathLike | None = None,
     cutoff: float | None = None,
     time: Clock = "header",
+    jobs: int | None = 1,
+    engine: EngineName = "local",
+    scheduler: str | None = None,
+    skip_failed: bool = False,
 ) -> ParameterFile:
     """Identify the gravity parameters, given the friction (Eq. 12-19); see `friction`."""
     own = {"parameters": _paths(parameters), "cutoff": cutoff, "time": time}
-    return _parameters("gravity", logs, robot, output, **own)
+    who = _workers(jobs, engine, scheduler, skip_failed)
+    return _parameters("gravity", logs, robot, output, **own, **who)
 
 
 def imu_calib(
@@ -114,10 +135,15 @@ def imu_calib(
     output: PathLike | None = None,
     cutoff: float | None = None,
     time: Clock = "header",
+    jobs: int | None = 1,
+    engine: EngineName = "local",
+    scheduler: str | None = None,
+    skip_failed: bool = False,
 ) -> ParameterFile:
     """Find how IMUs sit on their links and what they are like (Eq. 29-38); see `friction`."""
     own = {"parameters": _paths(parameters), "cutoff": cutoff, "time": time}
-    return _parameters("imu-calib", logs, robot, output, **own)
+    who = _workers(jobs, engine, scheduler, skip_failed)
+    return _parameters("imu-calib", logs, robot, output, **own, **who)
 
 
 def inertia(
@@ -129,10 +155,15 @@ def inertia(
     motion: Source = "auto",
     cutoff: float | None = None,
     time: Clock = "header",
+    jobs: int | None = 1,
+    engine: EngineName = "local",
+    scheduler: str | None = None,
+    skip_failed: bool = False,
 ) -> ParameterFile:
     """Identify the inertia parameters (Eq. 22-26); `motion` says which sensors tell it."""
     own = {"parameters": _paths(parameters), "motion": motion, "cutoff": cutoff, "time": time}
-    return _parameters("inertia", logs, robot, output, **own)
+    who = _workers(jobs, engine, scheduler, skip_failed)
+    return _parameters("inertia", logs, robot, output, **own, **who)
 
 
 def simultaneous(
@@ -161,14 +192,18 @@ def predict(
     motion: Source = "auto",
     cutoff: float | None = None,
     time: Clock = "header",
+    jobs: int | None = 1,
+    engine: EngineName = "local",
+    scheduler: str | None = None,
+    skip_failed: bool = False,
     with_unexplained: bool = False,
 ) -> PredictionFile:
     """Predict joint torques and compare them with the measured ones.
 
     Parameters
     ----------
-    logs, robot, output, motion, cutoff, time
-        As in `inertia`.
+    logs, robot, output, motion, cutoff, time, jobs, engine, scheduler, skip_failed
+        As in `friction` and `inertia`.
     parameters : path or sequence of paths
         Parameter files of different stages.
     torques : path, optional
@@ -178,7 +213,7 @@ def predict(
     """
     found = _run(
         "predict",
-        logs=_paths(logs),
+        logs=_names(logs),
         robot=Path(robot),
         parameters=_paths(parameters),
         output=_optional(output),
@@ -187,6 +222,7 @@ def predict(
         cutoff=cutoff,
         time=time,
         with_unexplained=with_unexplained,
+        **_workers(jobs, engine, scheduler, skip_failed),
     )
     assert isinstance(found, PredictionFile)
     return found
@@ -205,7 +241,7 @@ def diagnose(
     """Find out which physical effects a model lacks; arguments as in `predict`."""
     found = _run(
         "diagnose",
-        logs=_paths(logs),
+        logs=_names(logs),
         robot=Path(robot),
         parameters=_paths(parameters),
         output=_optional(output),
@@ -249,7 +285,7 @@ def inspect(
 ) -> InspectionFile:
     """Tell what is in logs and what is wrong with them; the document has `findings`."""
     own = {"robot": _optional(robot), "output": _optional(output), "time": time}
-    found = _run("inspect", logs=_paths(logs), **own)
+    found = _run("inspect", logs=_names(logs), **own)
     assert isinstance(found, InspectionFile)
     return found
 
@@ -284,17 +320,21 @@ def compare(
 def _parameters(
     name: str, logs: Paths, robot: PathLike, output: PathLike | None, **own: Any
 ) -> ParameterFile:
-    found = _run(name, logs=_paths(logs), robot=Path(robot), output=_optional(output), **own)
+    found = _run(name, logs=_names(logs), robot=Path(robot), output=_optional(output), **own)
     assert isinstance(found, ParameterFile)
     return found
+
+
+def _workers(
+    jobs: int | None, engine: str, scheduler: str | None, skip_failed: bool
+) -> dict[str, Any]:
+    return {"jobs": jobs, "engine": engine, "scheduler": scheduler, "skip_failed": skip_failed}
 
 
 def _run(name: str, **arguments: Any) -> Any:
     """Run a command's own function on a screen that only keeps the document."""
     module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
     screen = _Collected(command=name, quiet=True, json=True)
-    if "logs" in arguments:
-        arguments["logs"] = [str(path) for path in arguments["logs"]]
     module.run(typer.Context(load_command(name), info_name=name, obj=screen), **arguments)
     return screen.documents[-1]
 
@@ -303,6 +343,13 @@ def _paths(paths: Paths) -> list[Path]:
     if isinstance(paths, str | os.PathLike):
         return [Path(paths)]
     return [Path(path) for path in paths]
+
+
+def _names(paths: Paths) -> list[str]:
+    """Logs as they were given: a URL is no path."""
+    if isinstance(paths, str | os.PathLike):
+        return [os.fspath(paths)]
+    return [os.fspath(path) for path in paths]
 
 
 def _optional(path: PathLike | None) -> Path | None:

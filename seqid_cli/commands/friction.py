@@ -8,10 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from seqid_cli.commands.job import prepare
-from seqid_cli.commands.options import Clock, Cutoff, Logs, Output, RobotPath, Strict
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Engine,
+    Jobs,
+    Logs,
+    Output,
+    RobotPath,
+    Scheduler,
+    SkipFailed,
+    Strict,
+)
 from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.stages import run_stage
 from seqid_cli.params.schema import Stages
+from seqid_cli.scale.options import Workers
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
@@ -53,6 +65,10 @@ def run(
     beta: Beta = None,
     cutoff: Cutoff = None,
     time: Clock = "header",
+    jobs: Jobs = None,
+    engine: Engine = "local",
+    scheduler: Scheduler = None,
+    skip_failed: SkipFailed = False,
     strict: Strict = False,
 ) -> int:
     """Identify joint friction over position and velocity.
@@ -60,7 +76,15 @@ def run(
     The logs hold moves of one joint at a time at constant velocity, forward and backward, at
     several speeds.
     """
-    job = prepare(screen_of(context), logs, robot, (), output=output, time_source=time)
+    job = prepare(
+        screen_of(context),
+        logs,
+        robot,
+        (),
+        output=output,
+        time_source=time,
+        workers=Workers(jobs, engine, scheduler, skip_failed),
+    )
 
     from seqid_cli.identify.friction import identify_friction
     from seqid_cli.identify.options import FrictionOptions

@@ -8,10 +8,23 @@ from typing import TYPE_CHECKING
 import typer
 
 from seqid_cli.commands.job import prepare
-from seqid_cli.commands.options import Clock, Cutoff, Logs, Output, Parameters, RobotPath, Strict
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Engine,
+    Jobs,
+    Logs,
+    Output,
+    Parameters,
+    RobotPath,
+    Scheduler,
+    SkipFailed,
+    Strict,
+)
 from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.stages import run_stage
 from seqid_cli.params.schema import Stages
+from seqid_cli.scale.options import Workers
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
@@ -36,6 +49,10 @@ def run(
     output: Output = None,
     cutoff: Cutoff = None,
     time: Clock = "header",
+    jobs: Jobs = None,
+    engine: Engine = "local",
+    scheduler: Scheduler = None,
+    skip_failed: SkipFailed = False,
     strict: Strict = False,
 ) -> int:
     """Identify the gravity parameters, given the friction.
@@ -50,6 +67,7 @@ def run(
         parameters,
         output=output,
         time_source=time,
+        workers=Workers(jobs, engine, scheduler, skip_failed),
         needs=("friction",),
     )
 

@@ -11,16 +11,21 @@ from seqid_cli.commands.job import prepare
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
+    Engine,
+    Jobs,
     Logs,
     OptionalParameters,
     Output,
     RobotPath,
+    Scheduler,
+    SkipFailed,
     Strict,
 )
 from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.stages import run_stage
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.schema import Stages
+from seqid_cli.scale.options import Workers
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
@@ -41,6 +46,10 @@ def run(
     output: Output = None,
     cutoff: Cutoff = None,
     time: Clock = "header",
+    jobs: Jobs = None,
+    engine: Engine = "local",
+    scheduler: Scheduler = None,
+    skip_failed: SkipFailed = False,
     strict: Strict = False,
 ) -> int:
     """Find how accelerometers and IMUs are mounted on the links, and what they are like.
@@ -49,7 +58,13 @@ def run(
     configurations. Mounting, place, biases, scales, axes and clock offset are found together.
     """
     job = prepare(
-        screen_of(context), logs, robot, parameters or (), output=output, time_source=time
+        screen_of(context),
+        logs,
+        robot,
+        parameters or (),
+        output=output,
+        time_source=time,
+        workers=Workers(jobs, engine, scheduler, skip_failed),
     )
     if not job.robot.imus:
         hint = "Add an [[imu]] table with its accelerometers."

@@ -11,11 +11,15 @@ from seqid_cli.commands.job import prepare
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
+    Engine,
+    Jobs,
     Logs,
     MotionSource,
     Output,
     Parameters,
     RobotPath,
+    Scheduler,
+    SkipFailed,
     Strict,
     imu_stage_for,
 )
@@ -23,6 +27,7 @@ from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.show_motion import announced
 from seqid_cli.commands.stages import run_stage
 from seqid_cli.params.schema import Stages
+from seqid_cli.scale.options import Workers
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
@@ -45,6 +50,10 @@ def run(
     motion: MotionSource = "auto",
     cutoff: Cutoff = None,
     time: Clock = "header",
+    jobs: Jobs = None,
+    engine: Engine = "local",
+    scheduler: Scheduler = None,
+    skip_failed: SkipFailed = False,
     strict: Strict = False,
 ) -> int:
     """Identify the inertia parameters, given friction and gravity.
@@ -58,6 +67,7 @@ def run(
         parameters,
         output=output,
         time_source=time,
+        workers=Workers(jobs, engine, scheduler, skip_failed),
         needs=("friction", "gravity", *imu_stage_for(motion)),
     )
 

@@ -87,6 +87,27 @@ def imu_stage_for(motion: str) -> tuple[str, ...]:
     return ("imu",) if motion in ("imu", "fused") else ()
 
 
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        metavar="N",
+        min=1,
+        help="Processes to read logs with; by default all cores where the logs are large enough.",
+    ),
+]
+Engine = Annotated[
+    Literal["local", "dask"],
+    typer.Option("--engine", help="Who reads the logs: processes here, or Dask (seqid[dask])."),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Of a running Dask scheduler."),
+]
+SkipFailed = Annotated[
+    bool,
+    typer.Option("--skip-failed", help="Go on without logs that cannot be used; exits with 3."),
+]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 when a verdict is poor.")]
 
 _SCREEN_FLAGS = (

@@ -12,11 +12,15 @@ from seqid_cli.commands.job import Account, Job, exit_code, prepare
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
+    Engine,
+    Jobs,
     Logs,
     MotionSource,
     Output,
     Parameters,
     RobotPath,
+    Scheduler,
+    SkipFailed,
     Strict,
     imu_stage_for,
 )
@@ -35,6 +39,7 @@ from seqid_cli.params.prediction_schema import (
     PredictionFile,
 )
 from seqid_cli.params.schema import Verdict
+from seqid_cli.scale.options import Workers
 
 if TYPE_CHECKING:
     from seqid_cli.commands.prediction_errors import ErrorSums, TorqueWriter
@@ -72,6 +77,10 @@ def run(
     motion: MotionSource = "auto",
     cutoff: Cutoff = None,
     time: Clock = "header",
+    jobs: Jobs = None,
+    engine: Engine = "local",
+    scheduler: Scheduler = None,
+    skip_failed: SkipFailed = False,
     strict: Strict = False,
     with_unexplained: WithUnexplained = False,
 ) -> int:
@@ -90,6 +99,7 @@ def run(
         output=output,
         more_outputs=[torques] if torques else [],
         time_source=time,
+        workers=Workers(jobs, engine, scheduler, skip_failed),
         needs=imu_stage_for(motion),
     )
     there = present(job.stages)
@@ -111,7 +121,7 @@ def run(
         job.screen.note(f"written: {torques}")
     tell_output(job, "")
     poor = any(not verdict.good for verdict in file.verdicts)
-    return exit_code(untrusted=strict and poor, partial=account.partial)
+    return exit_code(untrusted=strict and poor, partial=account.incomplete)
 
 
 def _predict(
@@ -165,7 +175,7 @@ def _predict(
         joints=joints,
         logs=logs,
         verdicts=[_verdict(name, error) for name, error in joints.items() if error.samples_sliding],
-        notes=[*told, *_notes(used, joints)],
+        notes=[*told, *_notes(used, joints), *account.notes()],
     )
 
 

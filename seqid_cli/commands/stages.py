@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from seqid_cli.commands.job import Account, Job, exit_code
 from seqid_cli.commands.show import show_stages
 from seqid_cli.params.document import present, robot_id, stale_stages, with_stage
@@ -32,7 +34,7 @@ def run_stage(job: Job, identify: Identify, *, strict: bool, following: str) -> 
         The command that comes next, with `{output}` and `{robot}` to fill in.
     """
     account = Account(job)
-    found = identify(account)
+    found = _with_notes(identify(account), account.notes())
     names = tuple(present(found))
     for name in stale_stages(job.previous, names):
         job.screen.warn(f"the {name} stage rested on the old result and is left out: redo it")
@@ -51,7 +53,18 @@ def run_stage(job: Job, identify: Identify, *, strict: bool, following: str) -> 
     show_stages(job.screen, found)
     tell_output(job, following)
     poor = any(not verdict.good for verdict in stage_verdicts(found))
-    return exit_code(untrusted=strict and poor, partial=account.partial)
+    return exit_code(untrusted=strict and poor, partial=account.incomplete)
+
+
+def _with_notes(found: Stages, notes: list[str]) -> Stages:
+    if not notes:
+        return found
+    stages = {
+        name: replace(stage, notes=[*stage.notes, *notes])
+        for name in ("friction", "gravity", "imu", "inertia")
+        if (stage := getattr(found, name)) is not None
+    }
+    return replace(found, **stages)
 
 
 def tell_output(job: Job, following: str) -> None:

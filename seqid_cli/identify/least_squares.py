@@ -22,15 +22,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgeqrf, dtpqrt
+from scipy.linalg.lapack import dtpqrt
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 MOST_BLOCKS = 400
 WHITE_FLOOR = 0.05
 PANEL = 8  # columns that the blocked QR takes at once
-STRIP = 512  # rows that it takes at once: they stay in cache
-NARROW = 16  # columns below which there is nothing to block
+STRIP = 1024  # rows that it takes at once: they stay in cache
 RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, that counts as excited
 
 
@@ -39,78 +39,125 @@ def triangular(rows: Array) -> Array:
 
     Columns of zeros give columns and rows of zeros.
     """
-    p = rows.shape[1]
-    factor = np.zeros((p, p))
-    alive = np.flatnonzero(rows.any(axis=0))
+    return _absorbed(None, rows[:, :-1], rows[:, -1])
+
+
+def _absorbed(factor: Array | None, H: Array, y: Array) -> Array:
+    """Factor of the rows [H y] below those that `factor` (p + 1, p + 1) stands for."""
+    alive = np.append(_not_zero(H), bool(y.any()))
+    if factor is not None:
+        alive |= factor.any(axis=0)
+    chosen = np.flatnonzero(alive)
+    square = np.ix_(chosen, chosen)
+    R = np.zeros((len(chosen), len(chosen)), order="F")
+    if factor is not None:
+        R[:] = factor[square]
+    columns = H.T if len(chosen) > H.shape[1] else H.T[chosen[chosen < H.shape[1]]]
+    for start in range(0, len(y) if len(chosen) else 0, STRIP):
+        strip = np.empty((len(chosen), min(STRIP, len(y) - start)))
+        strip[: len(columns)] = columns[:, start : start + STRIP]
+        strip[len(columns) :] = y[start : start + STRIP]
+        R = _reduced(R, strip.T, 0)
+    full = np.zeros((len(alive), len(alive)))
+    full[square] = R
+    return _signed(full)
+
+
+def _not_zero(H: Array) -> Mask:
+    """Columns (p,) of H (N, p) that are not all zero; most show it in their first row."""
+    alive: Mask = H[0] != 0.0 if len(H) else np.zeros(H.shape[1], dtype=np.bool_)
+    rest = np.flatnonzero(~alive)
+    if len(rest) and len(H):
+        alive[rest] = (H.T[rest] != 0.0).any(axis=1)
+    return alive
+
+
+def _reduced(R: Array, rows: Array, triangle: int) -> Array:
+    """R (k, k) of R on top of rows (m, k), the last `triangle` of them upper trapezoidal.
+
+    Both must be Fortran-ordered and are used up.
+    """
+    panel = min(PANEL, len(R))
+    R, *_ = dtpqrt(triangle, panel, R, rows, overwrite_a=True, overwrite_b=True)
+    return R
+
+
+def _signed(factor: Array) -> Array:
+    """The factor with no negative entry on its diagonal."""
+    factor[np.diag(factor) < 0] *= -1
+    return factor
+
+
+def _merged(first: Array, second: Array) -> Array:
+    """Factor of the rows that two factors stand for."""
+    alive = np.flatnonzero(first.any(axis=0) | second.any(axis=0))
     if not len(alive):
-        return factor
-    R = _reduced(rows if len(alive) == p else rows[:, alive])
-    factor[np.ix_(alive[: len(R)], alive)] = R
-    factor[np.diag(factor) < 0] *= -1
-    return factor
+        return first
+    square = np.ix_(alive, alive)
+    R, below = (np.asfortranarray(factor[square]) for factor in (first, second))
+    full = np.zeros_like(first)
+    full[square] = _reduced(R, below, len(alive))
+    return _signed(full)
 
 
-def _factor_of(H: Array, y: Array) -> Array:
-    """As `triangular` of [H y], without putting zeros beside each other."""
-    factor = np.zeros((H.shape[1] + 1, H.shape[1] + 1))
-    alive = np.append(np.flatnonzero(H.any(axis=0)), H.shape[1])
-    if not len(y):
-        return factor
-    columns = np.empty((len(alive), len(y)))
-    columns[:-1], columns[-1] = H.T[alive[:-1]], y
-    R = _reduced(columns.T)
-    factor[np.ix_(alive[: len(R)], alive)] = R
-    factor[np.diag(factor) < 0] *= -1
-    return factor
-
-
-def _reduced(rows: Array) -> Array:
-    """R of the QR decomposition of rows (N, k), (min(N, k), k)."""
-    count, k = rows.shape
-    if k < NARROW or count <= 2 * k:
-        found, *_ = dgeqrf(rows, lwork=32 * k)
-        return np.triu(found[:k])
-    R = np.zeros((k, k), order="F")
-    for start in range(0, count, STRIP):
-        strip = np.array(rows[start : start + STRIP], order="F")
-        R, *_ = dtpqrt(0, PANEL, R, strip, overwrite_a=True, overwrite_b=True)
-    return np.triu(R)
+def _merged_pairs(level: list[Array]) -> list[Array]:
+    pairs = [_merged(*level[i : i + 2]) for i in range(0, len(level) - 1, 2)]
+    return pairs + level[2 * len(pairs) :]
 
 
 @dataclass
 class Accumulator:
-    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y]."""
+    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y].
+
+    Each block takes `span` additions; the last one has `filled` of them.
+    """
 
     size: int
     blocks: list[Array] = field(default_factory=list)
     rows: list[int] = field(default_factory=list)
+    span: int = 1
+    filled: int = 1
+    _total: Array | None = field(default=None, repr=False, compare=False)
 
     def add(self, H: Array, y: Array) -> None:
         """Add one block of rows H (N, p), y (N,); an empty one keeps the joints' blocks in step."""
-        self.blocks.append(_factor_of(H, y))
+        self._total = None
+        if self.blocks and self.filled < self.span:
+            if len(y):
+                self.blocks[-1] = _absorbed(self.blocks[-1], H, y)
+            self.rows[-1] += len(y)
+            self.filled += 1
+            return
+        self.blocks.append(_absorbed(None, H, y))
         self.rows.append(len(y))
+        self.filled = 1
         self._bound()
 
     def __add__(self, other: Accumulator) -> Accumulator:
         """The rows of both, those of `other` behind."""
-        both = Accumulator(self.size, self.blocks + other.blocks, self.rows + other.rows)
+        span = max(self.span, other.span)
+        both = Accumulator(self.size, self.blocks + other.blocks, self.rows + other.rows, span, span)
         both._bound()
         return both
 
     def _bound(self) -> None:
         """Merge neighbouring blocks where there are too many."""
         while len(self.blocks) > MOST_BLOCKS:
-            pairs = range(0, len(self.blocks), 2)
-            self.blocks = [triangular(np.vstack(self.blocks[i : i + 2])) for i in pairs]
-            self.rows = [sum(self.rows[i : i + 2]) for i in pairs]
+            if len(self.blocks) % 2 == 0:
+                self.filled += self.span
+            self.blocks = _merged_pairs(self.blocks)
+            self.rows = [sum(self.rows[i : i + 2]) for i in range(0, len(self.rows), 2)]
+            self.span *= 2
 
     @property
     def total(self) -> Array:
         """Factor of all rows, merged in a fixed order."""
-        level = self.blocks or [np.zeros((self.size + 1, self.size + 1))]
-        while len(level) > 1:
-            level = [triangular(np.vstack(level[i : i + 2])) for i in range(0, len(level), 2)]
-        return level[0]
+        if self._total is None:
+            level = self.blocks or [np.zeros((self.size + 1, self.size + 1))]
+            while len(level) > 1:
+                level = _merged_pairs(level)
+            self._total = level[0]
+        return self._total
 
     @property
     def samples(self) -> int:
@@ -119,19 +166,27 @@ class Accumulator:
 
     def with_fixed(self, column: int, value: float) -> Accumulator:
         """The same rows with one parameter held at a value and taken out."""
-        kept = [c for c in range(self.size + 1) if c != column]
-        blocks = []
-        for R in self.blocks:
-            if R[:, column].any():
-                right = R[:, -1] - value * R[:, column]
-                blocks.append(triangular(np.column_stack([R[:, kept[:-1]], right])))
-            else:
-                blocks.append(R[np.ix_(kept, kept)])
-        return Accumulator(self.size - 1, blocks, list(self.rows))
+        total = _without(self.total[None], column, value)[0]
+        blocks = list(_without(np.stack(self.blocks), column, value)) if self.blocks else []
+        rows = list(self.rows)
+        return Accumulator(self.size - 1, blocks, rows, self.span, self.filled, total)
 
     def residual_rms(self, theta: Array) -> float:
         """RMS of H theta - y over all rows."""
         return _residual_rms(self.total, self.samples, theta)
+
+
+def _without(factors: Array, column: int, value: float) -> Array:
+    """Factors (G, p + 1, p + 1) with one column, times a value, taken to the right side."""
+    right = factors[:, :, -1] - value * factors[:, :, column]
+    fewer = np.delete(factors, column, axis=2)
+    fewer[:, :, -1] = right
+    # The rows above the column are as they should be.
+    below: Array = np.linalg.qr(fewer[:, column:, column:], mode="r")
+    diagonal = np.diagonal(below, axis1=1, axis2=2)
+    fewer[:, column:-1, column:] = below * np.where(diagonal < 0, -1.0, 1.0)[:, :, None]
+    kept: Array = fewer[:, :-1].copy()
+    return kept
 
 
 @dataclass(frozen=True)
@@ -272,31 +327,43 @@ def _jackknife(
     """
     normal = factor[:-1, :-1].T @ factor[:-1, :-1]
     count = max((len(joints[k].blocks) for k in used), default=0)
-    covariance = np.zeros_like(bread)
-    extended = np.append(-theta, 1.0)
-    for b in range(count):
-        A_b, s_b = np.zeros_like(bread), np.zeros(len(theta))
-        for k in used:
-            if b < len(joints[k].blocks):
-                R = joints[k].blocks[b] / sigma[k]
-                A_b += R[:, :-1].T @ R[:, :-1]
-                s_b += R[:, :-1].T @ (R @ extended)
-        move = _downdated(normal, A_b, bread, s_b)
-        covariance += np.outer(move, move)
+    A, s = np.zeros((count, *bread.shape)), np.zeros((count, len(theta)))
+    for k in used:
+        _add_blocks(A, s, joints[k].blocks, np.append(-theta, 1.0), sigma[k])
+    moves = _downdated(normal, A, bread, s)
     share = max(count - 1, 1) / max(count, 1)
-    return covariance * share
+    covariance: Array = moves.T @ moves * share
+    return covariance
 
 
-def _downdated(normal: Array, A_b: Array, bread: Array, s_b: Array) -> Array:
+def _add_blocks(A: Array, s: Array, blocks: list[Array], extended: Array, sigma: float) -> None:
+    """Add to A (G, p, p) and s (G, p) the normal matrices and scores of one joint's blocks."""
+    alive = np.flatnonzero(np.any([block.any(axis=0) for block in blocks], axis=0))
+    inner = alive[alive < len(extended) - 1]
+    square, last = np.ix_(inner, inner), len(inner)
+    for b, block in enumerate(blocks):
+        R = block[np.ix_(alive, alive)] / sigma
+        A[b][square] += R[:, :last].T @ R[:, :last]
+        s[b, inner] += R[:, :last].T @ (R @ extended[alive])
+
+
+def _downdated(normal: Array, A: Array, bread: Array, s: Array) -> Array:
     """(A - A_b)^+ s_b within the excited directions; the plain score where that is not regular."""
-    reduced = np.eye(len(bread)) - bread @ A_b
-    plain = bread @ s_b
+    plain = s @ bread
     try:
-        move: Array = np.asarray(np.linalg.solve(reduced, plain), dtype=np.float64)
+        moves = np.linalg.solve(np.eye(len(bread)) - bread @ A, plain[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        moves = np.stack([_one_downdated(bread @ A[b], plain[b]) for b in range(len(A))])
+    before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
+    regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
+    return np.where(regular[:, None], moves, plain)
+
+
+def _one_downdated(share: Array, plain: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.solve(np.eye(len(plain)) - share, plain), dtype=np.float64)
     except np.linalg.LinAlgError:
         return plain
-    longest = 4.0 * np.sqrt(max(float(plain @ normal @ plain), 0.0))
-    return move if np.sqrt(max(float(move @ normal @ move), 0.0)) <= longest else plain
 
 
 def _prior_part(factor: Array, totals: Sequence[Array], bread: Array) -> Array:

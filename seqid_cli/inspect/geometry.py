@@ -9,7 +9,7 @@ is torque.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 SUSPICIOUS = 0.1  # of the torque's RMS left by the equations, from where a cause is looked for
 POOR = 0.6
+TURN = 2.0 * np.pi  # beyond which some position lies where they are in degrees
 SEEN = 10.0  # encoder steps per second, of each joint that is to follow the equations
 MENDED = 0.5  # of the error, that a cause may leave
 SOUND = 0.35  # of the torque's RMS, that a mended fit may leave
@@ -51,6 +52,7 @@ class Cause:
     joints: tuple[int, ...]
     text: str
     change: Callable[[Sample], Sample]
+    channel: str = "position"
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,8 @@ def _structural(data: LogData, sample: Sample) -> Iterator[Finding]:
     if error < SUSPICIOUS:
         return
     free = _structural_error(robot, thin, own_law=True).error
-    finding = _mending(robot, thin, left, _structural_error, free=free)
+    causes = [*_causes(robot, thin), *_units(data)]
+    finding = _mending(robot, thin, left, _structural_error, causes, free=free)
     if finding is not None:
         yield finding
     elif error > POOR and all(sample.rms_speed(j) > SEEN * data.step[j] for j in sample.moving):
@@ -119,6 +122,7 @@ def _mending(
     sample: Sample,
     before: Left,
     measure: Callable[[Robot, Sample], Left],
+    causes: Sequence[Cause],
     *,
     free: float = np.inf,
 ) -> Finding | None:
@@ -129,7 +133,7 @@ def _mending(
     it must leave half of what such functions leave, `free`.
     """
     few = _thinned(sample, FEW_ROWS)
-    tried = [(measure(robot, cause.change(few)).error, cause) for cause in _causes(robot, sample)]
+    tried = [(measure(robot, cause.change(few)).error, cause) for cause in causes]
     tried.sort(key=lambda item: item[0])
     cause = tried[0][1]
     rivals = [other for _, other in tried if set(other.joints) != set(cause.joints)]
@@ -142,7 +146,7 @@ def _mending(
     names = ", ".join(robot.joint_names[j] for j in cause.joints)
     fall = f"falls from {before.error:.1%} to {after.error:.1%}"
     text = f"{cause.text}; the equations' error {fall}"
-    return found(cause.code, text, joint=names, channel="position")
+    return found(cause.code, text, joint=names, channel=cause.channel)
 
 
 def _thinned(sample: Sample, count: int) -> Sample:
@@ -181,8 +185,10 @@ def _structural_error(robot: Robot, sample: Sample, *, own_law: bool = False) ->
 
 
 def _causes(robot: Robot, sample: Sample) -> Iterator[Cause]:
+    far = np.abs(sample.q).max(axis=0) > TURN  # less in degrees is no motion to speak of
     turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
-    for joints in [(j,) for j in turning] + ([turning] if len(turning) > 1 else []):
+    degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
+    for joints in (group for group in degrees if far[list(group)].any()):
         yield Cause("position_in_degrees", joints, "is in degrees", _in_radians(joints))
     for j in range(robot.n):
         yield Cause("axis_flipped", (j,), "turns the other way round", _flipped(j))
@@ -197,6 +203,21 @@ def _causes(robot: Robot, sample: Sample) -> Iterator[Cause]:
         yield Cause("joints_swapped", (a, b), "are exchanged", _swapped(a, b, tau=True))
         yield Cause("joints_swapped", (a, b), "have exchanged positions", _swapped(a, b, tau=False))
         yield Cause("joints_swapped", (a, b), "have exchanged torques", _swapped_torques(a, b))
+
+
+def _units(data: LogData) -> Iterator[Cause]:
+    """Yield efforts that are the other quantity, where the robot file gives the drives' data."""
+    effort, joints = data.effort(), data.robot.joints
+    factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in joints])
+    if effort is None or not factor.all():
+        return
+    every, current = tuple(range(len(joints))), effort[0] == "current"
+    code = "effort_is_torque" if current else "effort_is_current"
+    text = "carry torque, not current" if current else "carry current, not torque"
+    scale = 1.0 / factor if current else factor
+    yield Cause(
+        code, every, text, lambda sample: replace(sample, tau=sample.tau * scale), effort[0]
+    )
 
 
 def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Callable[[Sample], Sample]:
@@ -270,16 +291,18 @@ def _weights(robot: Robot, sample: Sample) -> list[Weight]:
         return []
     gravity, inertia = _nominal(robot, sample)
     rms = gravity.std(axis=0)
-    heaviest = max(float(rms[list(sample.moving)].max()), HEAVY)
     could = _largest_gravity(robot)
+    slides = np.array([joint.prismatic for joint in robot.joints])
+    moving = np.isin(np.arange(robot.n), sample.moving)
     columns = joint_columns(robot, sample)
     result = []
     for j in sample.moving:
-        if (
-            rms[j] < LOADED * heaviest
-            or rms[j] < ACTING * could[j]
-            or could[j] < LIGHT * could.max()
-        ):
+        alike = slides == slides[j]  # forces and torques are not to be compared
+        least = max(
+            LOADED * max(float(rms[alike & moving].max()), HEAVY),
+            ACTING * float(could[j]),
+        )
+        if rms[j] < least or could[j] < LIGHT * could[alike].max():
             continue  # friction that changes with position would pass for gravity
         own = columns[:, j, 4 * j : 4 * j + 4]
         X = np.column_stack([gravity[:, j], inertia[:, j], own])
@@ -336,7 +359,8 @@ def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[Fin
     if not off:
         return
     thin = _thinned(sample, ROWS)
-    mended = _mending(data.robot, thin, _nominal_error(data.robot, thin), _nominal_error)
+    before, causes = _nominal_error(data.robot, thin), [*_causes(data.robot, thin)]
+    mended = _mending(data.robot, thin, before, _nominal_error, causes)
     if mended is not None:
         yield mended
         return

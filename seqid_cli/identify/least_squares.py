@@ -184,7 +184,7 @@ def _without(factors: Array, column: int, value: float) -> Array:
     fewer = np.delete(factors, column, axis=2)
     fewer[:, :, -1] = right
     # The rows above the column are as they should be.
-    below: Array = np.linalg.qr(fewer[:, column:, column:], mode="r")
+    below = np.asarray(np.linalg.qr(fewer[:, column:, column:], mode="r"), dtype=np.float64)
     diagonal = np.diagonal(below, axis1=1, axis2=2)
     fewer[:, column:-1, column:] = below * np.where(diagonal < 0, -1.0, 1.0)[:, :, None]
     kept: Array = fewer[:, :-1].copy()

@@ -82,6 +82,7 @@ def described(found: Investigation, robot: Robot) -> Diagnosis:
     """Turn a search into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, tried) for tried in found.search.accepted]
     rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
+    findings = [_beside_rest(finding, rest) for finding in findings]
     if found.events:
         findings.append(_contact(found))
     findings = _ordered(findings)
@@ -94,6 +95,23 @@ def described(found: Investigation, robot: Robot) -> Diagnosis:
         events=tuple(_event(found, robot, event) for event in found.events),
         hidden=_hidden(found, robot),
         notes=(),
+    )
+
+
+def _beside_rest(finding: Finding, rest: Sequence[Unexplained]) -> Finding:
+    """Less sure where more of its joint's residual depends on things unknown than it explains.
+
+    What shows above the cut-off is judged there, and the rest lies below.
+    """
+    share = max((part.share for part in rest if part.joint == finding.joint), default=0.0)
+    if not share or CATALOGUE[finding.effect].wide:
+        return finding
+    unknown = share * (1.0 - finding.explains)
+    sure = finding.explains / max(finding.explains + unknown, 1e-12)
+    return replace(
+        finding,
+        confidence=sure * finding.confidence,
+        name_confidence=sure * finding.name_confidence,
     )
 
 

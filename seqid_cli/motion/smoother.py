@@ -6,8 +6,8 @@ IMUs by every accelerometer and gyro as a function of all joints before them; wh
 its small misalignment and its biases are constants of a chunk. Gauss-Newton on the whole chunk: the
 normal equations are banded, bordered by the constants. The size of each joint's jerk in a chunk is
 the maximum of the marginal likelihood (MacKay's fixed point), its correlation between joints goes
-towards it by expectation and maximisation; traces and covariances come from probing with random
-signs.
+towards it by expectation and maximisation; traces come from probing with random signs, covariances
+from the factor's rows behind some of the knots.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
-from seqid_cli.motion.smoother_belief import believed, contradiction
+from seqid_cli.motion.smoother_belief import believed, contradiction, fits
 from seqid_cli.motion.smoother_chunk import Chunk, Mounted, motion_at, resampled
 from seqid_cli.motion.smoother_encoder import bridged, encoder_view
 from seqid_cli.motion.smoother_imus import handed_on, mounted_imus, read
@@ -148,24 +148,38 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[_Part, Array]:
     coarse = _on_knots(chunk, between_knots, chunk.every).gathered()
     c, jerk = encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)
-    shared, said = _agreed(coarse, c, jerk)
+    shared, said = _agreed(chunk, coarse, c, jerk)
     notes += said
-    fine = _on_knots(replace(chunk, imus=shared.chunk.imus), FINE_S, chunk.every).gathered()
-    c = resampled(coarse, shared.c, fine)
-    last = detailed(fine, c, _on_finer(shared.jerk, coarse, fine))
+    fine, c, finer = _refined(chunk, shared)
+    last = detailed(fine, c, finer)
     places, covariance = probed_covariance(last, shared)
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
     imus = _with_covariance(shared, last)
     part = _Part(0, motion, places, covariance, last.jerk.size, imus, tuple(notes))
-    return part, shared.jerk.size
+    return part, shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
 
 
-def _agreed(coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution, list[str]]:
-    """Settle the constants; IMUs whose readings no motion explains are left out one by one."""
+def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
+    """What was found on coarse knots, on fine ones."""
+    fine = _on_knots(replace(chunk, imus=shared.chunk.imus), FINE_S, chunk.every).gathered()
+    c = resampled(shared.chunk, shared.c, fine)
+    return fine, c, _on_finer(shared.jerk, shared.chunk, fine)
+
+
+def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution, list[str]]:
+    """Settle the constants; IMUs whose readings no motion explains are left out one by one.
+
+    Coarse knots may not follow what an IMU feels: before it is left out, fine ones have their say.
+    """
     notes = []
     while True:
         shared = settled(coarse, c, jerk)
-        name, said = contradiction(shared.chunk, c, shared.c)
+        found = fits(shared.chunk, c, shared.c)
+        if any(fit.suspect for fit in found):
+            fine = _refined(chunk, shared)
+            shared = settled(*fine)
+            found = fits(shared.chunk, resampled(coarse, c, shared.chunk), shared.c)
+        name, said = contradiction(found)
         notes += said
         if not name:
             return shared, notes

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from seqid_cli.motion.smoother_chunk import Chunk, Mounted
+from seqid_cli.motion.smoother_chunk import Chunk, Mounted, mean_motion
 from seqid_cli.motion.smoother_imus import moved
-from seqid_cli.motion.smoother_system import jacobians, misfit, predicted
+from seqid_cli.motion.smoother_system import jacobians, predicted
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 DISAGREEMENT = 0.5  # share of the expected reading's changes, beyond which an IMU is not believed
 LARGEST_OFFSET = 2.0  # m/s^2 or rad/s, of a mean reading
@@ -21,6 +23,7 @@ COMPARE_S = 0.1
 SEARCH_S = 0.06  # of a clock's offset, to both sides of what is expected
 SURE_S, SURE_M = 2e-3, 5e-3  # standard errors of clock offset and place that need no search
 BEYOND_NOISE, UNEXPLAINED = 2.3, 0.36  # limits of what joint motion leaves of an IMU's readings
+TYPICAL, IN_MOTION = 0.8, 0.05  # share of the intervals; of a joint's largest speed
 INDEPENDENT_S = 0.05  # between errors of the encoders' motion that have nothing to do with another
 
 
@@ -37,11 +40,33 @@ def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
     return replace(chunk, imus=tuple(kept)), notes
 
 
-def contradiction(chunk: Chunk, alone: Array, together: Array) -> tuple[str, list[str]]:
-    """The IMU to be left out, if any, and what is to be said of those that fit badly.
+@dataclass(frozen=True)
+class Fit:
+    """What joint motion leaves of an IMU's readings, over its noise, and what encoders alone leave.
 
-    A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
-    from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
+    Both are root mean squares over the channels that `TYPICAL` of the intervals in motion do not
+    exceed: a jolt is over in less time than there is between coarse knots, which cannot follow it.
+    `size` is the same in m/s^2 (rad/s). What encoders leave is only found of a suspect.
+    """
+
+    name: str
+    together: float
+    alone: float
+    size: float
+
+    @property
+    def suspect(self) -> bool:
+        """Whether more than noise is left."""
+        return self.together > BEYOND_NOISE
+
+    @property
+    def share(self) -> float:
+        """Share of what differs from the encoders' motion that no joint motion explains."""
+        return self.together / max(self.alone, 1e-9)
+
+
+def fits(chunk: Chunk, alone: Array, together: Array) -> list[Fit]:
+    """How well each IMU goes with the others and the encoders.
 
     Parameters
     ----------
@@ -49,31 +74,61 @@ def contradiction(chunk: Chunk, alone: Array, together: Array) -> tuple[str, lis
     alone, together : (K, n) arrays
         Coefficients by the encoders, and by everything.
     """
-    notes, worst, name = [], UNEXPLAINED, ""
+    found = []
     for x in chunk.imus:
-        left, before = (_beyond_drift(x, predicted(chunk, c, x)) for c in (together, alone))
-        beyond = float(np.sqrt(np.mean(left**2)))
-        if beyond < BEYOND_NOISE:
+        own = x.there & _in_motion(chunk, alone, x.joints)
+        if not own.any():
+            own = x.there
+        off = _without_drift(x, predicted(chunk, together, x))
+        left, size = (_typical(v, x.seen, own) for v in (off / x.spread, off))
+        fit = Fit(x.name, left, np.inf, size)
+        if fit.suspect:
+            before = _without_drift(x, predicted(chunk, alone, x))
+            fit = replace(fit, alone=_typical(before / x.spread, x.seen, own))
+        found.append(fit)
+    return found
+
+
+def contradiction(found: Sequence[Fit]) -> tuple[str, list[str]]:
+    """The IMU to be left out, if any, and what is to be said of those that fit badly.
+
+    A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
+    from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
+    """
+    notes, name, worst = [], "", UNEXPLAINED
+    for fit in found:
+        if not fit.suspect:
             continue
-        share = beyond / max(float(np.sqrt(np.mean(before**2))), 1e-9)
-        size = float(np.sqrt(np.mean((left * x.noise) ** 2)))
         text = (
-            f"it differs from the motion by {size:.3g}, {beyond:.1f} times its noise and "
-            f"{100 * share:.0f} % of what it differs from the encoders'"
+            f"it differs from the motion by {fit.size:.3g}, {fit.together:.1f} times its noise and "
+            f"{100 * fit.share:.0f} % of what it differs from the encoders'"
         )
-        notes.append(f"{x.name} fits badly: {text}; check geometry, mounting and gravity")
-        if share > worst:
-            worst, name = share, x.name
-            said = f"{x.name} is left out: {text} (limit {100 * UNEXPLAINED:.0f} %)"
+        notes.append(f"{fit.name} fits badly: {text}; check geometry, mounting and gravity")
+        if fit.share > worst:
+            worst, name = fit.share, fit.name
+            said = f"{fit.name} is left out: {text} (limit {100 * UNEXPLAINED:.0f} %)"
     return (name, [said]) if name else ("", notes)
 
 
-def _beyond_drift(x: Mounted, told: Array) -> Array:
-    """Residual of each channel over its noise, (K,), without what a drifting bias explains."""
+def _in_motion(chunk: Chunk, c: Array, joints: int) -> Mask:
+    """Intervals (M,) in which any of the first joints moves."""
+    speed = np.abs(mean_motion(chunk, c[:, :joints])[1])
+    fastest = speed.max(axis=1, keepdims=True)
+    return np.asarray((speed > IN_MOTION * np.maximum(fastest, 1e-9)).any(axis=0))
+
+
+def _without_drift(x: Mounted, told: Array) -> Array:
+    """Residual (M, K) of the readings without what a drifting bias explains."""
     t = np.linspace(-1.0, 1.0, len(told))[:, None] * x.seen
     off = (x.y - told) * x.seen
     slope = np.sum(t * off, axis=0) / np.maximum(np.sum(t * t, axis=0), 1e-9)
-    return misfit(x, told + slope * t)
+    return np.asarray(off - slope * t)
+
+
+def _typical(off: Array, seen: Mask, own: Mask) -> float:
+    """Root mean square over the channels, where it is larger than in most of the intervals."""
+    square = np.sum(off[own] ** 2, axis=1) / np.maximum(seen[own].sum(axis=1), 1)
+    return float(np.sqrt(np.quantile(square, TYPICAL)))
 
 
 def located(chunk: Chunk, c: Array, x: Mounted) -> Mounted:

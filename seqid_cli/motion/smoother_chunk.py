@@ -139,13 +139,27 @@ def windows(c: Array) -> Array:
 
 def motion_at(chunk: Chunk, c: Array) -> Array:
     """q, dq, ddq (N, 3, n) at the samples."""
-    x = np.tensordot(windows(c), chunk.knots, (1, 2)).transpose(0, 2, 3, 1)
-    return x.reshape(-1, *x.shape[2:])[: chunk.samples]
+    x = sampled(c, chunk.knots.reshape(-1, 4)).reshape(chunk.every, 3, -1, chunk.joints)
+    return x.transpose(2, 0, 1, 3).reshape(-1, 3, chunk.joints)[: chunk.samples]
 
 
-def mean_motion(chunk: Chunk, c: Array, fraction: float = 0.0) -> Array:
-    """q, dq, ddq (3, n, M) averaged over every interval's samples."""
+def sampled(c: Array, weights: Array) -> Array:
+    """Values (S, M, n) in every interval by weights (S, 4) of its coefficients."""
+    m = len(c) - 3
+    x = weights[:, 0, None, None] * c[:m]
+    for a in range(1, 4):
+        x += weights[:, a, None, None] * c[a : a + m]
+    return np.asarray(x)
+
+
+def mean_motion(
+    chunk: Chunk, c: Array, fraction: float = 0.0, at: NDArray[np.intp] | None = None
+) -> Array:
+    """q, dq, ddq (3, n, M) averaged over the samples of every interval, or of those `at` alone."""
     weights, m = chunk.mean_knots(fraction), len(c) - 3
+    if at is not None:
+        near = np.stack([c[at + a] for a in range(4)])
+        return np.ascontiguousarray(np.tensordot(weights, near, (1, 0)).transpose(0, 2, 1))
     flat = np.ascontiguousarray(c.T)
     x = weights[:, 0, None, None] * flat[:, :m]
     for a in range(1, 4):

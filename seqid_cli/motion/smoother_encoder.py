@@ -23,12 +23,12 @@ def white_noise(values: Array, known: Mask | None = None) -> Array:
     """
     if len(values) < 9:
         return np.zeros(values.shape[1])
-    rough = np.abs(np.diff(values, 4, axis=0))
+    rough = np.abs(np.diff(np.ascontiguousarray(values.T), 4))
     if known is not None and not known.all():
-        rough = rough[np.convolve(known, np.ones(5), "valid") > 4.5]
-    if not len(rough):
+        rough = rough[:, np.convolve(known, np.ones(5), "valid") > 4.5]
+    if not rough.size:
         return np.zeros(values.shape[1])
-    return np.asarray(np.median(rough, axis=0) / 0.6745 / np.sqrt(70.0))
+    return np.asarray(np.median(rough, axis=1) / 0.6745 / np.sqrt(70.0))
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,11 @@ class EncoderView:
     dwell: Array
     known: Mask
     stride: int = 1
+
+    @property
+    def edges(self) -> Array:
+        """Positions (N,) of the edges, zero where there are none."""
+        return np.asarray(np.nan_to_num(self.edge))
 
     def part(self, start: int, stop: int) -> EncoderView:
         """What lies between two places."""

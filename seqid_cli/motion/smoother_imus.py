@@ -135,31 +135,34 @@ def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
 
 def _silent(raw: Array, rate_hz: float) -> Mask:
     """Where a sensor repeats its last reading in all channels, or one while the others move."""
-    same = np.vstack([np.zeros((1, raw.shape[1]), dtype=bool), np.diff(raw, axis=0) == 0])
-    silent = uniform_filter1d(same.all(axis=1).astype(float), SILENT) > 0.9
+    values = np.ascontiguousarray(raw.T)
+    same = np.zeros(values.shape, dtype=bool)
+    np.equal(values[:, 1:], values[:, :-1], out=same[:, 1:])
+    silent = uniform_filter1d(same.all(axis=0).astype(float), SILENT) > 0.9
     # The window's whole width is as silent as its middle.
     silent = uniform_filter1d(silent.astype(float), SILENT + 2) > 0
     width = max(SILENT, int(STUCK_S * rate_hz))
     stuck = np.zeros_like(same)
-    often = same.mean(axis=0)
+    often = np.count_nonzero(same, axis=1) / len(raw)
     for k in np.flatnonzero(often > min(width, len(raw)) / (2 * len(raw))):
-        others = np.delete(same, k, axis=1).mean(axis=1)
-        alone = uniform_filter1d(same[:, k] & (others < 0.5), width, output=float) > 0.9
-        stuck[:, k] = uniform_filter1d(alone.astype(float), width) > 0
-    return stuck | silent[:, None]
+        others = np.delete(same, k, axis=0).mean(axis=0)
+        alone = uniform_filter1d(same[k] & (others < 0.5), width, output=float) > 0.9
+        stuck[k] = uniform_filter1d(alone.astype(float), width) > 0
+    return np.asarray((stuck | silent).T)
 
 
 def _clipped(raw: Array, live: Mask, noise: Array) -> Mask:
     """Where a channel stays at its own limit for several samples, with those beside them."""
     clipped = np.zeros_like(live)
     for k in np.flatnonzero(live.any(axis=0)):
-        values = raw[live[:, k], k]
+        channel = np.ascontiguousarray(raw[:, k])
+        values = channel[live[:, k]]
         middle = float(np.median(values))
         for limit in (values.min(), values.max()):
-            if abs(limit - middle) < CLIPPED_NOISE * noise[k]:
+            at = channel == limit
+            if abs(limit - middle) < CLIPPED_NOISE * noise[k] or at.sum() < CLIPPED:
                 continue
-            at = (raw[:, k] == limit).astype(float)
-            run = np.convolve(at, np.ones(CLIPPED), "same") > CLIPPED - 0.5
+            run = np.convolve(at.astype(float), np.ones(CLIPPED), "same") > CLIPPED - 0.5
             clipped[:, k] |= np.convolve(run, np.ones(CLIPPED + 2), "same") > 0.5
     return clipped
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.motion.smoother_chunk import Chunk, jerk_of
 from seqid_cli.motion.smoother_imus import moved
 from seqid_cli.motion.smoother_system import (
+    Cells,
     Constants,
-    Linear,
     Normal,
     chosen,
     encoder_information,
@@ -30,9 +32,11 @@ LEAST_JERK = 30.0  # rad/s^3 between knots
 LARGEST_CHANGE, LEAST_KNOWN = 10.0, 0.01  # of the jerk's size in one round; of its intervals
 NOISE_TOLERANCE, MOST_QUIETER, LEAST_FREE = 0.1, 2.0, 0.1
 FIRST_MEAN_S = 0.05
-PROBE_S, PROBE_COLUMNS, LEAST_SHARE = 0.125, 24, 0.2
+PROBE_S = 0.125  # between knots at which the acceleration's variance is found
+FEWER = 4  # such knots from one to the next at which the whole covariance is found
 DENSE_S = 0.01  # between places at which the covariance is kept
 FOLLOWS = (0.0, 2.0)  # power of the jerk's relative size that variances may follow
+FEW = 0.3  # spread of that size's logarithm, below which the power is about one
 ENCODER_ROUNDS = 4
 FINE_ROUNDS: tuple[Constants, ...] = ("none",)
 KNOWN_AXES = 2e-3  # standard error of a channel's axis that needs no more work
@@ -40,6 +44,7 @@ FREEDOM, NEARBY, LEAST_NEARBY = 4.0, 2.0, 5  # in known intervals; intervals
 DARK = 4.0  # most that jerk's mean square may be above the usual where nothing tells it
 OPEN_S = 0.25  # over which the share left open is averaged
 RELATIVE = (0.1, 30.0)  # limits of a jerk's size over the usual one
+FELT = 0.01  # of a variance, that the constants may add unnoticed
 SHRINK = 0.02  # of the jerks' correlations
 
 
@@ -51,16 +56,33 @@ class Solution:
     c: Array
     jerk: Jerk
     factor: Array  # Cholesky factor of the band
-    reach: Array  # (Kn, g): inverse of the band times the border
+    border: Array  # (Kn, g): inverse of the factor times the border
     schur: Array  # (g, g): information about the constants
     constants: Constants = "none"
 
     def inverse(self, right: Array) -> Array:
         """Covariance of the coefficients times `right` (Kn, m)."""
-        x: Array = cho_solve_banded((self.factor, True), right, check_finite=False)
-        if not len(self.schur):
-            return x
-        return x + self.reach @ np.linalg.solve(self.schur, self.reach.T @ right)
+        x = halved(self.factor, right)
+        if len(self.schur):
+            x = x + self.border @ np.linalg.solve(self.schur, self.border.T @ x)
+        return halved(self.factor, x, transposed=True)
+
+    def reach(self) -> Array:
+        """Deviations of the coefficients (Kn, r) by which the constants may move them.
+
+        Independent of each other; none is left away that adds more than `FELT` of its own to any
+        variance.
+        """
+        half = np.linalg.inv(np.linalg.cholesky(self.schur))
+        size, along = np.linalg.eigh(half @ (self.border.T @ self.border) @ half.T)
+        kept = half.T @ along[:, size > FELT]
+        return halved(self.factor, self.border @ kept, transposed=True)
+
+
+def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
+    """Inverse of a lower band's Cholesky factor, or of its transpose, times `right` (Kn, m)."""
+    x, _ = dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")
+    return np.asarray(x)
 
 
 def encoder_motion(chunk: Chunk, size: Array) -> tuple[Array, Jerk]:
@@ -97,10 +119,11 @@ def _jerks(chunk: Chunk, c: Array, jerk: Jerk) -> Array:
 def settled(coarse: Chunk, c: Array, jerk: Jerk) -> Solution:
     """Find the IMUs' constants, together with the motion on coarse knots.
 
-    Gauss-Newton over all joints; the channels' axes are left alone once they are known.
+    Gauss-Newton over all joints; the channels' axes are left alone once they are known, and then
+    one round does.
     """
     rng = np.random.default_rng(0)
-    rounds: tuple[Constants, ...] = ("place", "place" if _axes_known(coarse) else "all")
+    rounds: tuple[Constants, ...] = ("place",) if _axes_known(coarse) else ("place", "all")
     solution = None
     for constants in rounds if coarse.imus else ("none",):
         linear = linearised(coarse, c, gains=constants == "all")
@@ -130,7 +153,6 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk) -> Solution:
         if any(np.any(np.abs(f - 1.0) > NOISE_TOLERANCE) for f in factors):
             pairs = zip(fine.imus, factors, strict=True)
             fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
-            linear = linearised(fine, c)
         first = _renewed(fine, c, jerk, linear, constants, told)
         fine, c = first.chunk.gathered() if constants != "none" else first.chunk, first.c
         if constants != FINE_ROUNDS[-1]:
@@ -142,7 +164,7 @@ def _renewed(
     chunk: Chunk,
     c: Array,
     jerk: Jerk,
-    linear: Linear,
+    linear: tuple[Cells, ...],
     constants: Constants,
     told: tuple[Array, ...] | None = None,
 ) -> Solution:
@@ -175,20 +197,20 @@ def _first_coefficients(chunk: Chunk) -> Array:
 def solved(chunk: Chunk, c: Array, jerk: Jerk, normal: Normal) -> Solution:
     """Factor the normal equations; the coefficients stay as they are."""
     factor = cholesky_banded(normal.band, lower=True, check_finite=False, overwrite_ab=True)
-    reach = normal.border
-    if reach.shape[1]:
-        reach = cho_solve_banded((factor, True), normal.border, check_finite=False)
-    return Solution(chunk, c, jerk, factor, reach, normal.corner - normal.border.T @ reach)
+    border = normal.border
+    if border.shape[1]:
+        border = halved(factor, border)
+    return Solution(chunk, c, jerk, factor, border, normal.corner - border.T @ border)
 
 
 def stepped(solution: Solution, normal: Normal) -> Solution:
     """Coefficients, and constants where they take part, after one step of Gauss-Newton."""
-    free = cho_solve_banded((solution.factor, True), normal.gradient, check_finite=False)
+    free = halved(solution.factor, normal.gradient[:, None])[:, 0]
     chunk = solution.chunk
     if len(solution.schur):
-        right = normal.corner_gradient - normal.border.T @ free
+        right = normal.corner_gradient - solution.border.T @ free
         constants: Array = np.asarray(np.linalg.solve(solution.schur, right), dtype=np.float64)
-        free = free - solution.reach @ constants
+        free = free - solution.border @ constants
         imus, start = [], 0
         for x in chunk.imus:
             taken = chosen(x, solution.constants)
@@ -197,27 +219,31 @@ def stepped(solution: Solution, normal: Normal) -> Solution:
             start += len(taken)
             imus.append(moved(x, change))
         chunk = replace(chunk, imus=tuple(imus))
-    return replace(solution, chunk=chunk, c=solution.c + free.reshape(-1, chunk.joints))
+    change = halved(solution.factor, free[:, None], transposed=True)
+    return replace(solution, chunk=chunk, c=solution.c + change.reshape(-1, chunk.joints))
 
 
 def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     """Jerk renewed by what the solution shows of it and by what it leaves open."""
     chunk, jerk, n = solution.chunk, solution.jerk, solution.chunk.joints
-    # The joints have the same signs, as their covariance asks for.
-    signs = rng.choice([-1.0, 1.0], (chunk.intervals, 1))
-    probe = _jerk_probe(chunk, jerk, np.repeat(signs, n, axis=1))
-    right = (probe[:, :, None] * np.eye(n)).reshape(probe.size, -1)
-    seen = solution.inverse(right)
-    left_open = right.T @ seen
-    seen = seen.reshape(-1, n, n)[:, np.arange(n), np.arange(n)]
-    found = _jerks(chunk, solution.c, jerk)
+    signs = rng.choice([-1.0, 1.0], (chunk.intervals, n))
+    probe = _jerk_probe(chunk, jerk, signs)
+    seen = _jerks(chunk, solution.inverse(probe.reshape(-1, 1)).reshape(-1, n), jerk)
     # Expectation and maximisation for the correlations, the faster fixed point for the sizes.
+    found, left_open = _jerks(chunk, solution.c, jerk), signs.T @ seen
     second = found.T @ found + 0.5 * (left_open + left_open.T)
-    deviation = np.sqrt(np.diag(second))
-    correlation = (1.0 - SHRINK) * second / np.outer(deviation, deviation)
-    correlation += SHRINK * np.eye(n)
-    renewed = _renewed_jerk(chunk, solution.c, jerk, _jerks(chunk, seen, jerk) * signs)
-    return replace(renewed, correlation=correlation)
+    renewed = _renewed_jerk(chunk, solution.c, jerk, seen * signs)
+    return replace(renewed, correlation=_correlation(second))
+
+
+def _correlation(second: Array) -> Array:
+    """Correlation (n, n) by second moments that chance may have made slightly impossible."""
+    deviation = np.sqrt(np.maximum(np.diag(second), 1e-12))
+    values, axes = np.linalg.eigh(second / np.outer(deviation, deviation))
+    possible = (axes * np.maximum(values, 0.0)) @ axes.T
+    deviation = np.sqrt(np.diag(possible))
+    possible /= np.outer(deviation, deviation)
+    return np.asarray((1.0 - SHRINK) * possible + SHRINK * np.eye(len(second)))
 
 
 def _renewed_jerk(chunk: Chunk, c: Array, jerk: Jerk, left_open: Array) -> Jerk:
@@ -248,7 +274,7 @@ def _renewed_jerk(chunk: Chunk, c: Array, jerk: Jerk, left_open: Array) -> Jerk:
 
 
 def probed_covariance(solution: Solution, shared: Solution) -> tuple[NDArray[np.intp], Array]:
-    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), from probes at knots far apart.
+    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), interpolated from knots far apart.
 
     Parameters
     ----------
@@ -257,23 +283,15 @@ def probed_covariance(solution: Solution, shared: Solution) -> tuple[NDArray[np.
     shared : Solution
         Of the same stretch, perhaps on other knots: says how well the constants are known.
     """
-    chunk, n = solution.chunk, solution.chunk.joints
+    chunk = solution.chunk
     every = max(1, int(PROBE_S / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)
     knots = np.unique(np.minimum(-(-knots // chunk.stride) * chunk.stride, chunk.intervals - 1))
-    found = np.zeros((len(knots), n, 3, 3))
-    rng = np.random.default_rng(1)
-    sets = min(max(1, PROBE_COLUMNS // (3 * n)), len(knots))
-    for k in range(sets):
-        found[k::sets] = _probed(solution, knots[k::sets], rng)
+    found = _at_knots(solution, knots)
     if len(shared.schur):
         at = np.round(knots * chunk.spacing / shared.chunk.spacing).astype(int)
         along = _along(shared, np.minimum(at, shared.chunk.intervals - 1))
-        found += along @ np.linalg.solve(shared.schur, np.swapaxes(along, 2, 3))
-    # Chance may leave a variance too small, never less than its neighbours' share.
-    d = np.arange(3)
-    floor = LEAST_SHARE * np.median(found[:, :, d, d], axis=0)
-    found[:, :, d, d] = np.maximum(found[:, :, d, d], floor)
+        found += along @ np.swapaxes(along, 2, 3)
     return _everywhere(solution, knots, found)
 
 
@@ -289,7 +307,7 @@ def _everywhere(
     for j in range(chunk.joints):
         size = np.log(relative[:, j])
         spread = size[knots] - size[knots].mean()
-        follow = spread @ np.log(found[:, j, 2, 2]) / max(spread @ spread, 1e-9)
+        follow = (spread @ np.log(found[:, j, 2, 2]) + FEW) / (spread @ spread + FEW)
         rise = np.exp(np.clip(follow, *FOLLOWS) * size)[:, None, None]
         usual = found[:, j] / rise[knots]
         at = np.clip(np.searchsorted(knots, places), 1, max(len(knots) - 1, 1))
@@ -301,27 +319,42 @@ def _everywhere(
 
 
 def _along(shared: Solution, knots: NDArray[np.intp]) -> Array:
-    """How the motion (G, n, 3, g) at some knots follows the constants."""
+    """By how much (G, n, 3, r) the constants may move the motion at some knots."""
     n, W = shared.chunk.joints, shared.chunk.knots[0]
-    reach = shared.reach.reshape(len(shared.c), n, len(shared.schur))
+    reach = shared.reach().reshape(len(shared.c), n, -1)
     along = np.stack([reach[knots + a] for a in range(4)])
     return np.moveaxis(np.tensordot(W, along, (1, 0)), 0, 2)
 
 
-def _probed(solution: Solution, knots: NDArray[np.intp], rng: np.random.Generator) -> Array:
-    """Covariance (G, n, 3, 3) at knots so far apart that they hardly depend on each other."""
-    n, W = solution.chunk.joints, solution.chunk.knots[0]
-    signs = rng.choice([-1.0, 1.0], len(knots))
-    right = np.zeros((solution.c.size, 3 * n))
-    for a in range(4):
+def _at_knots(solution: Solution, knots: NDArray[np.intp]) -> Array:
+    """Covariance (G, n, 3, 3) at knots: whole at a few, the acceleration's variance at all."""
+    few = np.arange(0, len(knots), FEWER)
+    found = between(_forward(solution, knots[few], slice(0, 3)), few, len(knots))
+    variance = _forward(solution, knots, slice(2, 3))[:, :, 0]
+    share = np.sqrt(variance / found[:, :, 2, 2:])
+    found[:, :, 2] *= share
+    found[:, :, :, 2] *= share
+    return found
+
+
+def _forward(solution: Solution, knots: NDArray[np.intp], which: slice) -> Array:
+    """Covariance (G, n, d, d) of some derivatives at knots.
+
+    The factor's rows of a knot hold all that comes before it. What comes after the next knot is
+    left away: it hardly tells more.
+    """
+    n, W = solution.chunk.joints, solution.chunk.knots[0][which]
+    d = len(W)
+    found = np.empty((len(knots), n, d, d))
+    for k, (start, after) in enumerate(pairwise(np.append(knots, len(solution.c)) * n)):
+        stop = max(after, start + 4 * n)
+        right = np.zeros((stop - start, n, d))
         for j in range(n):
-            right[(knots + a) * n + j, 3 * j : 3 * j + 3] = np.outer(signs, W[:, a])
-    x = cho_solve_banded((solution.factor, True), right, check_finite=False, overwrite_b=True)
-    x = x.reshape(-1, n, n, 3)
-    near = np.stack([x[knots + a][:, np.arange(n), np.arange(n)] for a in range(4)])
-    local = np.tensordot(W, near, (1, 0)) * signs[:, None, None]
-    local = np.moveaxis(local, 0, 2)
-    return np.asarray(0.5 * (local + np.swapaxes(local, 2, 3)))
+            right[j : 4 * n : n, j] = W.T
+        own = halved(solution.factor[:, start:stop], right.reshape(-1, d * n))
+        own = own.T.reshape(n, d, -1)
+        found[k] = own @ own.transpose(0, 2, 1)
+    return found
 
 
 def between(values: Array, at: NDArray[np.intp], samples: int) -> Array:

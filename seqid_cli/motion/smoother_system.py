@@ -8,15 +8,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.motion.smoother_chunk import Chunk, Mounted, jerk_of, mean_motion, motion_at, windows
+from seqid_cli.motion.smoother_chunk import Chunk, Mounted, jerk_of, mean_motion, sampled
 from seqid_cli.motion.smoother_terms import (
     JERK,
     Band,
-    ChainState,
     Jerk,
     chain_state,
     couple_jerks,
-    felt,
+    felt_by,
     imu_rows,
     readings,
     spline_weights,
@@ -42,17 +41,6 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """What the IMUs add to the normal equations, about one motion.
-
-    `blocks` (4, n, n, K) is the information about the coefficients.
-    """
-
-    cells: tuple[Cells, ...]
-    blocks: Array
-
-
-@dataclass(frozen=True)
 class Normal:
     """Normal equations: lower `band` (4n, Kn), `border` (Kn, g), `corner` (g, g), gradients."""
 
@@ -66,17 +54,18 @@ class Normal:
 def _encoder_terms(chunk: Chunk, c: Array, band: Band) -> None:
     """Add what the encoders' samples and edges say of the coefficients `c`."""
     m, every, n = chunk.intervals, chunk.every, chunk.joints
-    speed = motion_at(chunk, c)[:, 1]
+    speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
     at_edges = spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
     both = np.zeros((2, m * every, n)), np.zeros((2, m * every, n))
     for j, view in enumerate(chunk.views):
-        both[0][:, : chunk.samples, j] = view.weights(speed[:, j], chunk.dt)
-        both[1][:, : chunk.samples, j] = view.q, np.nan_to_num(view.edge)
+        own = slice(chunk.samples)
+        both[0][0, own, j], both[0][1, own, j] = view.weights(speed[own, j], chunk.dt)
+        both[1][0, own, j], both[1][1, own, j] = view.q, view.edges
     for B, weight, seen in zip((chunk.knots[:, 0], at_edges), *both, strict=True):
-        w, y = weight.reshape(m, every, n), seen.reshape(m, every, n)
-        r = w * (y - B @ windows(c))
-        info = np.tensordot(B[:, :, None] * B[:, None, :], w, (0, 1))
-        band.add(info, np.tensordot(B, r, (0, 1)))
+        w, y = (
+            np.ascontiguousarray(v.reshape(m, every, n).transpose(1, 0, 2)) for v in (weight, seen)
+        )
+        band.add(B, w, w * (y - sampled(c, B)))
 
 
 def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> Band:
@@ -86,10 +75,9 @@ def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> Band:
     """
     band = Band(chunk.intervals, chunk.joints)
     _encoder_terms(chunk, c, band)
-    row = JERK / chunk.spacing**3
     weight = 1.0 / np.atleast_2d(jerk) ** 2
-    pull = jerk_of(c, chunk.spacing) * weight
-    band.add(np.multiply.outer(np.outer(row, row), weight), -np.multiply.outer(row, pull))
+    pull = -jerk_of(c, chunk.spacing) * weight
+    band.add(JERK[None] / chunk.spacing**3, weight[None], pull[None])
     return band
 
 
@@ -101,26 +89,19 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     count = np.add.reduceat(seen, starts)
     mean = np.add.reduceat(seen * np.arange(m), starts) / np.maximum(count, 1.0)
     amid = np.where(count > 0, mean.astype(int), np.minimum(starts + size // 2, m - 1))
-    motion = mean_motion(chunk, c[:, :head], x.fraction)
-    q, dq, ddq = np.ascontiguousarray(motion[:, :, amid])
     first, last = np.maximum(starts - 1, 0), np.minimum(starts + size, m - 1)
-    rate = (motion[:, :, last] - motion[:, :, first]) / ((last - first) * chunk.spacing)
+    q, dq, ddq = mean_motion(chunk, c[:, :head], x.fraction, amid)
+    before, after = (mean_motion(chunk, c[:, :head], x.fraction, at) for at in (first, last))
+    rate = (after - before) / ((last - first) * chunk.spacing)
     chain = chunk.robot.chain
     state = chain_state(chain, chunk.robot.gravity, q, dq, ddq)
     rows = imu_rows(chain, state, dq, x.place)
     return Cells(rows.by_motion, rows.by_constants(np.moveaxis(rate, 2, 0), gains=gains))
 
 
-def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> Linear:
-    """Information of all IMUs about the coefficients `c` (K, n)."""
-    cells = tuple(jacobians(chunk, c, x, gains=gains) for x in chunk.imus)
-    blocks = np.zeros((4, chunk.joints, chunk.joints, chunk.intervals + 3))
-    alike: dict[bytes, list[tuple[Mounted, Cells]]] = {}
-    for pair in zip(chunk.imus, cells, strict=True):
-        alike.setdefault(pair[0].there.tobytes(), []).append(pair)
-    for pairs in alike.values():
-        _add_blocks(blocks, _information(chunk, pairs), chunk, pairs[0][0].there)
-    return Linear(cells, blocks)
+def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> tuple[Cells, ...]:
+    """Jacobians of all IMUs about the coefficients `c` (K, n)."""
+    return tuple(jacobians(chunk, c, x, gains=gains) for x in chunk.imus)
 
 
 def _share(chunk: Chunk, x: Mounted) -> Array:
@@ -131,48 +112,79 @@ def _share(chunk: Chunk, x: Mounted) -> Array:
     return np.asarray(np.add.reduceat(x.seen.astype(float), chunk.cells) / count[:, None])
 
 
-def _information(chunk: Chunk, pairs: list[tuple[Mounted, Cells]]) -> Array:
-    """Information (C, 4, n, 4, n) of one interval with readings in each cell."""
-    n, count = chunk.joints, len(chunk.cells)
-    H = np.zeros((count, 4, n, 4, n))
-    for x, cells in pairs:
-        m = x.joints
-        J = cells.by_coefficients(chunk, x).reshape(count, -1, 4 * m)
-        shared = J * _share(chunk, x)[:, :, None]
-        H[:, :, :m, :, :m] += (shared.transpose(0, 2, 1) @ J).reshape(count, 4, m, 4, m)
-    return H
+def _columns(chunk: Chunk, x: Mounted, cells: Cells) -> Array:
+    """Information of one interval with readings in each cell.
+
+    (4, C, n, 4n): of the columns of a lower band that belong to the interval's four coefficients.
+    """
+    n, m, count = chunk.joints, x.joints, len(chunk.cells)
+    by_joint = np.zeros((count, len(x.noise), 4, n))
+    by_joint[..., :m] = cells.by_coefficients(chunk, x)
+    J = by_joint.reshape(count, -1, 4 * n)
+    H = (J * _share(chunk, x)[:, :, None]).transpose(0, 2, 1) @ J
+    columns = np.zeros((4, count, n, 4 * n))
+    for k in range(4 * n):
+        columns[k // n, :, k % n, : 4 * n - k] = H[:, k, k:]
+    return columns
 
 
-def _add_blocks(blocks: Array, H: Array, chunk: Chunk, there: Mask) -> None:
-    """Add (C, 4, n, 4, n) of every cell to blocks (4, n, n, K) of the coefficients."""
-    m, whole = chunk.intervals, bool(there.all())
-    by_part = np.ascontiguousarray(H.transpose(1, 3, 2, 4, 0))
-    for a in range(4):
-        for b in range(a + 1):
-            repeated = np.repeat(by_part[a, b], chunk.cell, axis=-1)[..., :m]
-            blocks[a - b, ..., b : b + m] += repeated if whole else repeated * there
+def _coupled(chunk: Chunk, cells: tuple[Cells, ...]) -> Array:
+    """Lower band (K, n, 4n) of what all IMUs say about the coefficients."""
+    n = chunk.joints
+    band = np.empty((chunk.intervals + 3, n * 4 * n))
+    parts = [
+        (_columns(chunk, x, own).reshape(4, len(chunk.cells), -1), x.there)
+        for x, own in zip(chunk.imus, cells, strict=True)
+    ]
+    _lay_out(chunk, parts, band)
+    return band.reshape(-1, n, 4 * n)
 
 
-def _constants(chunk: Chunk, linear: Linear, constants: Constants) -> tuple[Array, Array]:
+def _lay_out(chunk: Chunk, parts: list[tuple[Array, Mask]], out: Array) -> None:
+    """Fill `out` (..., K, V) with what intervals with readings add to their four coefficients.
+
+    `parts` are pairs of (4, ..., C, V), the same throughout a cell, and whether (M,) there are
+    readings. Where a cell has them in all intervals, but three of its coefficients get the same.
+    """
+    m, size, starts = chunk.intervals, chunk.cell, chunk.cells
+    alike = np.zeros((4, *out.shape[:-2], len(starts), out.shape[-1]))
+    for part, there in parts:
+        alike += part * np.logical_and.reduceat(there, starts)[:, None]
+    total = alike.sum(axis=0)
+    out[..., m:, :] = 0.0
+    for k in range(min(size, m)):
+        own = out[..., k:m:size, :]
+        own[...] = total[..., : own.shape[-2], :]
+    edges = np.append(starts, m)
+    for b in range(1, 4):
+        for k in range(b):
+            out[..., edges[1:] + k, :] += alike[b]
+            out[..., edges[:-1] + k, :] -= alike[b]
+    for part, there in parts:
+        whole = np.logical_and.reduceat(there, starts)
+        rows = np.flatnonzero(there & ~whole[np.arange(m) // size])
+        for b in range(4 * bool(len(rows))):
+            out[..., rows + b, :] += part[b][..., rows // size, :]
+
+
+def _constants(
+    chunk: Chunk, linear: tuple[Cells, ...], constants: Constants
+) -> tuple[Array, Array]:
     """Border (Kn, g) and corner (g, g) of the constants that take part."""
     used = [chosen(x, constants) for x in chunk.imus]
     n, m, total = chunk.joints, chunk.intervals, sum(len(x) for x in used)
     border = np.zeros((total, m + 3, n))
     corner, start = np.zeros((total, total)), 0
-    for x, cells, taken in zip(chunk.imus, linear.cells, used, strict=True):
+    for x, cells, taken in zip(chunk.imus, linear, used, strict=True):
         count = len(taken)
         own = slice(start, start + count)
         start += count
-        share, whole = _share(chunk, x)[:, :, None], bool(x.there.all())
+        share = _share(chunk, x)[:, :, None]
         J = cells.by_coefficients(chunk, x)
         G = cells.by_constants[:, :, taken] / x.spread[:, None]
         flat = J.reshape(*J.shape[:2], -1).transpose(0, 2, 1)
         each = (flat @ (share * G)).reshape(len(G), 4, x.joints, count).transpose(1, 3, 0, 2)
-        for a in range(4):
-            wide = np.repeat(each[a], chunk.cell, axis=1)[:, :m]
-            if not whole:
-                wide = wide * x.there[:, None]
-            border[own, a : a + m, : x.joints] += wide
+        _lay_out(chunk, [(each, x.there)], border[own, :, : x.joints])
         count_there = np.add.reduceat(x.there.astype(float), chunk.cells)[:, None, None]
         corner[own, own] = np.tensordot(count_there * share * G, G, ([0, 1], [0, 1]))
         corner[own, own] += x.precision[np.ix_(taken, taken)]
@@ -183,12 +195,12 @@ def normal_equations(
     chunk: Chunk,
     c: Array,
     jerk: Jerk,
-    linear: Linear | None = None,
+    linear: tuple[Cells, ...] = (),
     *,
     constants: Constants = "none",
     told: tuple[Array, ...] | None = None,
 ) -> Normal:
-    """Gradients at the coefficients `c` (K, n), information with the IMUs' from `linear`.
+    """Gradients at the coefficients `c` (K, n), information with the IMUs' Jacobians `linear`.
 
     `constants` are those of the IMUs that take part; `told` the readings expected at `c`, where
     they are known already.
@@ -201,17 +213,17 @@ def normal_equations(
     pull = (jerk_of(c, spacing) / jerk.relative) @ between / jerk.relative
     for a in range(4):
         band.gradient[a : a + m] -= JERK[a] * pull
-    lower = band.banded(linear.blocks if linear else None)
+    lower = band.added_to(_coupled(chunk, linear))
     couple_jerks(lower, between / spacing**3, jerk.relative)
     border, corner = np.zeros((c.size, 0)), np.zeros((0, 0))
     right = []
     if linear:
         border, corner = _constants(chunk, linear, constants)
         told = told or tuple(predicted(chunk, c, x) for x in chunk.imus)
-        for x, cells, expected in zip(chunk.imus, linear.cells, told, strict=True):
+        for x, cells, expected in zip(chunk.imus, linear, told, strict=True):
             right.append(_imu_gradient(chunk, x, cells, constants, expected, band))
     return Normal(
-        lower,
+        lower.reshape(c.size, -1).T,
         border,
         corner,
         band.gradient.ravel(),
@@ -251,12 +263,8 @@ def misfit(x: Mounted, told: Array) -> Array:
     return np.asarray(np.sqrt(np.sum(r**2, axis=0) / np.maximum(x.seen.sum(axis=0), 1)))
 
 
-def state_of(chunk: Chunk, c: Array, x: Mounted) -> ChainState:
-    """Motion of the links up to an IMU's, when it was read."""
-    motion = mean_motion(chunk, c[:, : x.joints], x.fraction)
-    return chain_state(chunk.robot.chain, chunk.robot.gravity, *motion)
-
-
 def predicted(chunk: Chunk, c: Array, x: Mounted) -> Array:
     """An IMU's readings (M, K), its bias included."""
-    return readings(x.place, felt(state_of(chunk, c, x), x.place)) + x.bias
+    motion = mean_motion(chunk, c[:, : x.joints], x.fraction)
+    own = felt_by(chunk.robot.chain, chunk.robot.gravity, motion, x.place)
+    return readings(x.place, own) + x.bias

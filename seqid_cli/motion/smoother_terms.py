@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 JERK = np.array([-1.0, 3.0, -3.0, 1.0])
+STRETCH = 512  # intervals whose couplings fit into the cache
 
 
 def spline_weights(u: Array, spacing: float) -> Array:
@@ -41,29 +42,31 @@ class Band:
         self.gradient = np.zeros((intervals + 3, n))
         self.intervals = intervals
 
-    def add(self, weights: Array, gradient: Array) -> None:
-        """Add information (4, 4, M or 1, n) and gradients (4, M, n)."""
+    def add(self, rows: Array, weights: Array, pulls: Array) -> None:
+        """Add measurements that are sums by `rows` (S, 4) of each interval's coefficients.
+
+        `weights` (S, M or 1, n) are their information, `pulls` (S, M, n) weighted residuals.
+        """
         m = self.intervals
         for a in range(4):
-            self.gradient[a : a + m] += gradient[a]
+            self.gradient[a : a + m] += np.tensordot(rows[:, a], pulls, 1)
             for b in range(a + 1):
-                self.own[a - b, b : b + m] += weights[a, b]
+                both = rows[:, a] * rows[:, b]
+                if both.any():
+                    self.own[a - b, b : b + m] += np.tensordot(both, weights, 1)
 
     def by_joint(self) -> Array:
         """Lower band (4, nK) of joints one after the other, where nothing couples them."""
         return self.own.transpose(0, 2, 1).reshape(4, -1)
 
-    def banded(self, blocks: Array | None) -> Array:
-        """Lower band as `cholesky_banded` wants it, with `blocks` (4, n, n, K) that couple."""
-        n = self.own.shape[2]
-        band = np.zeros((4 * n, self.own[0].size))
+    def added_to(self, band: Array) -> Array:
+        """Add to a lower band (K, n, 4n) of all joints, which is returned.
+
+        Entry r of coefficient (k, j) is in row kn + j + r: so LAPACK wants it in memory.
+        """
+        n = band.shape[1]
         for d in range(4):
-            band[d * n] = self.own[d].ravel()
-            if blocks is None:
-                continue
-            for i in range(n):
-                for j in range(i + 1 if d == 0 else n):
-                    band[d * n + i - j, j::n] += blocks[d, i, j]
+            band[:, :, d * n] += self.own[d]
         return band
 
 
@@ -88,20 +91,26 @@ class Jerk:
 
 
 def couple_jerks(band: Array, precision: Array, relative: Array) -> None:
-    """Add what the jerks' precision between joints says to a lower band of all coefficients."""
-    n, m = len(precision), len(relative)
+    """Add what the jerks' precision between joints says to a lower band (K, n, 4n)."""
     if not precision.any():
         return
-    inverse = np.ascontiguousarray(1.0 / relative.T)
-    for i in range(n):
-        for j in range(i):
-            both = precision[i, j] * inverse[i] * inverse[j]
-            for d in range(4):
-                for b in range(4 - d):
-                    share = JERK[b + d] * JERK[b] * both
-                    band[d * n + i - j, j::n][b : b + m] += share
-                    if d:
-                        band[d * n + j - i, i::n][b : b + m] += share
+    inverse = 1.0 / relative
+    for start in range(0, len(inverse), STRETCH):
+        own = inverse[start : start + STRETCH]
+        couplings = own[:, :, None] * own[:, None] * precision
+        _add_couplings(band[start : start + len(own) + 3], couplings)
+
+
+def _add_couplings(band: Array, couplings: Array) -> None:
+    """Add precisions (M, n, n) of jerks to the lower band (M + 3, n, 4n) of their coefficients."""
+    m, n, _ = couplings.shape
+    for d in range(4):
+        share = np.zeros((m + 3, n, n))
+        for b in range(4 - d):
+            share[b : b + m] += (JERK[b + d] * JERK[b]) * couplings
+        for j in range(n):
+            first = 0 if d else j
+            band[:, j, d * n + first - j : (d + 1) * n - j] += share[:, j, first:]
 
 
 @dataclass(frozen=True)
@@ -154,6 +163,28 @@ def chain_state(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -
         R_all[i] = R
     x = parts
     return ChainState(R_all, x["p"], x["z"], x["wb"], x["dwb"], x["ab"], x["w"], x["dw"], x["a"])
+
+
+def carried(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
+    """Acceleration minus gravity, dw and w (3, 3, N) of the last of m links, along its own axes.
+
+    q, dq, ddq are (m, N).
+    """
+    head = _head(chain, len(q))
+    turns, offsets = joint_transforms(head, q)
+    own = np.zeros((3, 3, q.shape[1]))
+    own[0] -= gravity[:, None]
+    for i in range(head.n):
+        if i:
+            own[0] += cross(own[1], offsets[i]) + cross(own[2], cross(own[2], offsets[i]))
+        own = np.asarray(sum(turns[i, a] * own[:, a, None] for a in range(3)))
+        along, speed = head.axis[i][:, None], head.axis[i][:, None] * dq[i]
+        if head.prismatic[i]:
+            own[0] += along * ddq[i] + 2.0 * cross(own[2], speed)
+        else:
+            own[1] += along * ddq[i] + cross(own[2], speed)
+            own[2] += speed
+    return own
 
 
 @dataclass(frozen=True)
@@ -212,6 +243,15 @@ def felt(state: ChainState, x: Mounting) -> Array:
     w, dw = state.w[:, x.link], state.dw[:, x.link]
     f = state.a[:, x.link] + cross(dw, reach) + cross(w, cross(w, reach))
     return np.stack([np.einsum("can,an->cn", R, v) for v in (f, dw, w)])
+
+
+def felt_by(chain: Chain, gravity: Array, motion: Array, x: Mounting) -> Array:
+    """What `felt` says, (3, 3, N), by the motion (3, m, N) of the joints before an IMU alone."""
+    own = carried(chain, gravity, *motion)
+    _, dw, w = own
+    reach = np.repeat(x.lever[:, None], own.shape[2], axis=1)
+    own[0] += cross(dw, reach) + cross(w, cross(w, reach))
+    return np.asarray(np.tensordot(x.R, own, (0, 1)).transpose(1, 0, 2))
 
 
 def readings(x: Mounting, own: Array) -> Array:

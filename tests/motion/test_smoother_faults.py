@@ -213,6 +213,19 @@ def test_wrong_geometry_leaves_an_imu_out_and_says_so(joint: int, deg: float) ->
     assert (rms(got.ddq - c.truth) < 1.05 * alone(rig)).all()
 
 
+@pytest.mark.parametrize(("joints", "counts", "layout"), [(2, 2**17, "two"), (6, 4096, "two")])
+def test_a_healthy_imu_is_kept_however_fine_the_encoders(
+    joints: int, counts: int, layout: str
+) -> None:
+    """Jolts that coarse knots cannot follow are no contradiction."""
+    rig = Rig(joints, counts, layout)
+    c = recorded(rig)
+    got = smoothed_motion(c.recording, c.robot, c.stage)
+    assert got.imus == ("imu_a", "imu_b")
+    assert not got.notes
+    assert (rms(got.ddq - c.truth) < 0.5 * alone(rig)).all()
+
+
 def test_a_badly_fitting_imu_is_named() -> None:
     c = recorded(Rig(2, COARSE))
     position = c.robot.chain.position.copy()

@@ -255,16 +255,18 @@ class InertiaEquations:
         for block in blocks(motion.samples, motion.rate_hz):
             for j, joint in enumerate(self.joints):
                 rows = usable[block, j] & (self.surfaces[j] is not None)
-                joint.add(H[block, j][rows], y[block, j][rows])
+                joint.add(H[block, j], y[block, j], rows)
         for j, surface in enumerate(self.surfaces):
             rows = usable[:, j]
             if surface is None or not rows.any():
                 continue
             assert motion.tau is not None
             self.torque_squares[j] += float(np.sum(motion.tau[rows, j] ** 2))
-            F = surface.columns(motion.q[rows, j], motion.dq[rows, j])
+            found = surface.columns(motion.q[rows, j], motion.dq[rows, j])
+            F = np.zeros((motion.samples, found.shape[1]))
+            F[rows] = found
             crossed = self._cross.get(j, np.zeros((H.shape[2], F.shape[1])))
-            self._cross[j] = crossed + H[rows, j].T @ F
+            self._cross[j] = crossed + H[:, j].T @ F
 
     def stage(self) -> RigidStage:
         """Solve, decide on the rotor coupling, and describe the result."""

@@ -9,7 +9,7 @@ memory:
 Each joint has its own factor, so joints are weighted by their noise without another pass, and the
 columns of links that it does not carry, being zero, cost nothing. What comes out depends on the
 rows and on how they are cut into blocks, not on where the blocks were reduced: signs are fixed and
-blocks merge pairwise in their order. The factors of blocks (about a second of motion each) are kept
+blocks merge in their order. The factors of blocks (about a second of motion each) are kept
 as well, merged pairwise when they become many: what one block says against all others gives
 standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
 small.
@@ -27,7 +27,7 @@ from scipy.linalg.lapack import dtpqrt
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MOST_BLOCKS = 400
+MOST_BLOCKS = 256
 WHITE_FLOOR = 0.05
 PANEL = 8  # columns that the blocked QR takes at once
 STRIP = 1024  # rows that it takes at once: they stay in cache
@@ -44,23 +44,21 @@ def triangular(rows: Array) -> Array:
 
 def _absorbed(factor: Array | None, H: Array, y: Array) -> Array:
     """Factor of the rows [H y] below those that `factor` (p + 1, p + 1) stands for."""
-    alive = np.append(_not_zero(H), bool(y.any()))
+    alive = np.empty(H.shape[1] + 1, dtype=np.bool_)
+    alive[:-1], alive[-1] = _not_zero(H), y.any()
     if factor is not None:
         alive |= factor.any(axis=0)
     chosen = np.flatnonzero(alive)
-    square = np.ix_(chosen, chosen)
     R = np.zeros((len(chosen), len(chosen)), order="F")
     if factor is not None:
-        R[:] = factor[square]
-    columns = H.T if len(chosen) > H.shape[1] else H.T[chosen[chosen < H.shape[1]]]
+        R[:] = factor[chosen[:, None], chosen]
+    columns = H.T if alive.all() else H.T[chosen[: len(chosen) - int(alive[-1])]]
     for start in range(0, len(y) if len(chosen) else 0, STRIP):
         strip = np.empty((len(chosen), min(STRIP, len(y) - start)))
         strip[: len(columns)] = columns[:, start : start + STRIP]
         strip[len(columns) :] = y[start : start + STRIP]
         R = _reduced(R, strip.T, 0)
-    full = np.zeros((len(alive), len(alive)))
-    full[square] = R
-    return _signed(full)
+    return _signed(R, chosen, len(alive))
 
 
 def _not_zero(H: Array) -> Mask:
@@ -82,10 +80,15 @@ def _reduced(R: Array, rows: Array, triangle: int) -> Array:
     return R
 
 
-def _signed(factor: Array) -> Array:
-    """The factor with no negative entry on its diagonal."""
-    factor[np.diag(factor) < 0] *= -1
-    return factor
+def _signed(R: Array, chosen: NDArray[np.intp], size: int) -> Array:
+    """R of the chosen columns in a factor (size, size) with no negative entry on its diagonal."""
+    flipped = np.flatnonzero(R.diagonal() < 0)
+    R[flipped] *= -1.0
+    if len(chosen) == size:
+        return np.ascontiguousarray(R)
+    full = np.zeros((size, size))
+    full[chosen[:, None], chosen] = R
+    return full
 
 
 def _merged(first: Array, second: Array) -> Array:
@@ -93,16 +96,13 @@ def _merged(first: Array, second: Array) -> Array:
     alive = np.flatnonzero(first.any(axis=0) | second.any(axis=0))
     if not len(alive):
         return first
-    square = np.ix_(alive, alive)
-    R, below = (np.asfortranarray(factor[square]) for factor in (first, second))
-    full = np.zeros_like(first)
-    full[square] = _reduced(R, below, len(alive))
-    return _signed(full)
+    R, below = (np.asfortranarray(factor[alive[:, None], alive]) for factor in (first, second))
+    return _signed(_reduced(R, below, len(alive)), alive, len(first))
 
 
-def _merged_pairs(level: list[Array]) -> list[Array]:
-    pairs = [_merged(*level[i : i + 2]) for i in range(0, len(level) - 1, 2)]
-    return pairs + level[2 * len(pairs) :]
+def _merged_pairs(factors: list[Array]) -> list[Array]:
+    pairs = [_merged(*factors[i : i + 2]) for i in range(0, len(factors) - 1, 2)]
+    return pairs + factors[2 * len(pairs) :]
 
 
 @dataclass
@@ -119,9 +119,14 @@ class Accumulator:
     filled: int = 1
     _total: Array | None = field(default=None, repr=False, compare=False)
 
-    def add(self, H: Array, y: Array) -> None:
-        """Add one block of rows H (N, p), y (N,); an empty one keeps the joints' blocks in step."""
+    def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
+        """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true.
+
+        An empty one keeps the joints' blocks in step.
+        """
         self._total = None
+        if where is not None and not where.all():
+            H, y = np.compress(where, H.T, axis=1).T, y[where]
         if self.blocks and self.filled < self.span:
             if len(y):
                 self.blocks[-1] = _absorbed(self.blocks[-1], H, y)
@@ -153,12 +158,10 @@ class Accumulator:
 
     @property
     def total(self) -> Array:
-        """Factor of all rows, merged in a fixed order."""
+        """Factor of all rows, from the blocks in their order."""
         if self._total is None:
-            level = self.blocks or [np.zeros((self.size + 1, self.size + 1))]
-            while len(level) > 1:
-                level = _merged_pairs(level)
-            self._total = level[0]
+            size = self.size + 1
+            self._total = triangular(np.vstack(self.blocks or [np.zeros((0, size))]))
         return self._total
 
     @property
@@ -340,13 +343,14 @@ def _jackknife(
 
 def _add_blocks(A: Array, s: Array, blocks: list[Array], extended: Array, sigma: float) -> None:
     """Add to A (G, p, p) and s (G, p) the normal matrices and scores of one joint's blocks."""
-    alive = np.flatnonzero(np.any([block.any(axis=0) for block in blocks], axis=0))
+    factors = np.stack(blocks)
+    alive = np.flatnonzero(factors.any(axis=(0, 1)))
     inner = alive[alive < len(extended) - 1]
-    square, last = np.ix_(inner, inner), len(inner)
-    for b, block in enumerate(blocks):
-        R = block[np.ix_(alive, alive)] / sigma
-        A[b][square] += R[:, :last].T @ R[:, :last]
-        s[b, inner] += R[:, :last].T @ (R @ extended[alive])
+    R = factors[:, alive[:, None], alive] / sigma
+    left = R[:, :, : len(inner)].transpose(0, 2, 1)
+    count = np.arange(len(blocks))
+    A[np.ix_(count, inner, inner)] += left @ R[:, :, : len(inner)]
+    s[np.ix_(count, inner)] += (left @ (R @ extended[alive])[:, :, None])[:, :, 0]
 
 
 def _downdated(normal: Array, A: Array, bread: Array, s: Array) -> Array:

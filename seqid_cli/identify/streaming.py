@@ -30,11 +30,12 @@ from seqid_cli.model.torque import sliding
 from seqid_cli.motion.block_filter import BlockLowpass
 from seqid_cli.motion.blocks import joined_motions, make_plan, motion_blocks, part_of
 from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filtering import runs
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.survey import SurveyedLog, open_surveyed
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.base import Basis, base_regressor
+from seqid_cli.robot.base import Basis, base_regressor, loaded_columns
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -117,11 +118,12 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
     lowpass = BlockLowpass(cutoff.hz, plan.kept_rate_hz)
     reach = lowpass.memory + lowpass.settling  # of the low-pass, once
-    count = int(np.clip(-(-4 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
+    count = int(np.clip(-(-8 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     parts = motion_blocks(log.blocks(), plan)
+    columns = _Columns(equations)
     moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
     for motion, start, stop in overlapping(parts, count * CHUNK, 2 * reach):
-        _add_part(equations, motion, start, stop, reach)
+        _add_part(columns, motion, start, stop, reach)
         moving |= motion.moving.any(axis=0)
         usable |= bool(motion.usable.any())
         last = motion
@@ -130,12 +132,13 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     return replace(last, moving=moving[None])
 
 
-def _add_part(equations: Equations, motion: Motion, start: int, stop: int, reach: int) -> None:
+def _add_part(columns: _Columns, motion: Motion, start: int, stop: int, reach: int) -> None:
     """Add the rows of samples [start, stop) of a part; the others are there for the filters."""
+    equations = columns.equations
     usable = sliding(motion, equations.slowest)
     y = equations.right_side(motion)
     low, high = max(0, start - reach), min(motion.samples, stop + reach)
-    H = _columns(equations, part_of(motion, low, high))
+    H = columns.of(part_of(motion, low, high))
     for first in range(start, stop, CHUNK):
         end = min(first + CHUNK, stop)
         where = slice(first, end)
@@ -144,15 +147,28 @@ def _add_part(equations: Equations, motion: Motion, start: int, stop: int, reach
         )
 
 
-def _columns(equations: Equations, motion: Motion) -> Array:
-    """Filtered base regressor and coupling column (N, n, b + 1)."""
-    robot, basis = equations.robot, equations.basis
-    H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq, spare=1)
-    rows = H.transpose(1, 2, 0).reshape(-1, motion.samples)
-    assert isinstance(motion.lowpass, BlockLowpass)
-    motion.lowpass.filter_rows(rows, motion.valid, only=np.flatnonzero(rows.any(axis=1)))
-    H[:, :, -1] = equations.coupling_column(motion)
-    return H
+class _Columns:
+    """Filtered base regressors and coupling columns, in the same memory where they are as long."""
+
+    def __init__(self, equations: Equations) -> None:
+        self.equations = equations
+        loaded = loaded_columns(equations.robot, equations.basis)
+        self._loaded = np.pad(loaded, ((0, 0), (0, 1)))
+        self._room = np.zeros((*self._loaded.shape, 0))
+
+    def of(self, motion: Motion) -> Array:
+        """(N, n, b + 1), valid until the next."""
+        robot, basis = self.equations.robot, self.equations.basis
+        if self._room.shape[2] != motion.samples:
+            self._room = np.zeros((*self._loaded.shape, motion.samples))
+        state = motion.q, motion.dq, motion.ddq
+        H = base_regressor(robot, basis, *state, spare=1, out=self._room)
+        rows = self._room.reshape(-1, motion.samples)
+        assert isinstance(motion.lowpass, BlockLowpass)
+        for start, stop in runs(self._loaded.ravel(), len(rows)):
+            motion.lowpass.filter_rows(rows[start:stop], motion.valid)
+        H[:, :, -1] = self.equations.coupling_column(motion)
+        return H
 
 
 def _cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tuple[Cutoff, Array]:

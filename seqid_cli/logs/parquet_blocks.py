@@ -38,6 +38,8 @@ def read_tables(
                     rows, row_groups=[group], columns=list(columns), use_threads=False
                 ):
                     yield pa.Table.from_batches([batch])
+                    del batch
+                pa.default_memory_pool().release_unused()  # or it keeps some row groups' worth
     except ARROW_ERRORS as error:
         raise parquet.damaged(path, error) from error
 

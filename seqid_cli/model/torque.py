@@ -181,7 +181,8 @@ def sliding(motion: Motion, slowest: Array) -> Mask:
     At rest friction takes any value up to stiction; such samples, and those that the filter mixes
     with them, say nothing about the model.
     """
-    mask: Mask = (_slowest_near(motion) >= slowest) & motion.usable[:, None]
+    near = _slowest_near(motion)
+    mask: Mask = (near >= slowest) & (near > 0.0) & motion.usable[:, None]
     return mask
 
 

@@ -22,6 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm
 
 from seqid_cli.motion.filtering import ORDER, Lowpass, _sections, runs
 
@@ -31,7 +32,7 @@ Wide = NDArray[np.longdouble]
 
 STATES = ORDER
 LENGTH = 32  # samples per block: longer ones cost more products, shorter ones more steps
-GROUP = 16  # blocks whose states are taken forward together
+GROUP = 16  # blocks whose states are found together
 NEGLIGIBLE = 1e-13
 REACH = 64  # samples more than the memory, for what grows before it decays
 # Of the rate: below, what rounding leaves in the states of blocks exceeds 1e-12 of the signal.
@@ -100,32 +101,48 @@ class BlockLowpass(Lowpass):
 class _Room:
     """Arrays used again and again: fresh memory costs as much as the filter."""
 
-    blocks: Array  # (c, b, LENGTH + 2 m): samples, then both states, b whole groups of blocks
+    wide: Array  # (c, b LENGTH): samples, b whole groups of blocks
     out: Array  # (c b, LENGTH)
     added: Array  # (c b, 2 m): what each block adds to both states
-    local: Array  # (GROUP + 1, c groups, m)
+    states: Array  # (c b, 2 m): both states before each block
 
     @classmethod
     def of(cls, channels: int, length: int) -> _Room:
         """Make room for signals (channels, length)."""
-        groups = -(-length // (LENGTH * GROUP))
-        count = groups * GROUP
+        count = -(-length // (LENGTH * GROUP)) * GROUP
         return cls(
-            np.empty((channels, count, LENGTH + 2 * STATES)),
+            np.empty((channels, count * LENGTH)),
             np.empty((channels * count, LENGTH)),
             np.empty((channels * count, 2 * STATES)),
-            np.zeros((GROUP + 1, channels * groups, STATES)),
+            np.empty((channels * count, 2 * STATES)),
         )
 
     def part(self, channels: int) -> _Room:
         """The room of the first signals only."""
-        count = channels * self.blocks.shape[1]
+        count = channels * (self.wide.shape[1] // LENGTH)
         return _Room(
-            self.blocks[:channels],
-            self.out[:count],
-            self.added[:count],
-            self.local[:, : count // GROUP],
+            self.wide[:channels], self.out[:count], self.added[:count], self.states[:count]
         )
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """What a group's blocks add (GROUP m,) to the states in it, in one direction."""
+
+    within: Array  # (GROUP m, GROUP m): to the state before each block
+    after: Array  # (GROUP m, m): to the state behind the group
+    entering: Array  # (m, GROUP m): the state in front of the group to that before each block
+
+    @classmethod
+    def of(cls, powers: Array, *, back: bool) -> _Steps:
+        """Lay out the powers (GROUP + 1, m, m) of one block's step."""
+        within = np.zeros((GROUP, STATES, GROUP, STATES))
+        for j in range(GROUP):
+            for k in range(j) if back else range(j + 1, GROUP):
+                within[j, :, k] = powers[abs(k - j) - 1]
+        after = powers[:GROUP] if back else powers[GROUP - 1 :: -1]
+        entering = np.concatenate(powers[GROUP - 1 :: -1] if back else powers[:GROUP], axis=1)
+        return cls(within.reshape(GROUP * STATES, -1), after.reshape(-1, STATES), entering)
 
 
 @dataclass(frozen=True)
@@ -136,7 +153,9 @@ class _Kernel:
     adds: Array  # (L, 2 m): x to what it adds to s and z
     passed: Array  # (m, m): s to what it adds to z
     last: Array  # (L + m,): x, s to the last sample of one pass
-    powers: Array  # (GROUP + 1, m, m): A^(L k), transposed
+    over_group: Array  # (m, m): A^(L GROUP), transposed
+    ahead: _Steps
+    back: _Steps
     steady: Array  # (m,) state at x = 1
     memory: int
 
@@ -144,55 +163,55 @@ class _Kernel:
         """Filter (c, N) in place, forward and backward, prolonged by point reflection."""
         channels, count = rows.shape
         room = room.part(channels)
-        _lay(rows, pad, room)
-        blocks = room.blocks
-        flat = blocks.reshape(-1, LENGTH + 2 * STATES)
-        np.matmul(flat[:, :LENGTH], self.adds, out=room.added)
-        ahead = slice(LENGTH, LENGTH + STATES)
+        _lay(rows, pad, room.wide)
+        x, states = room.wide.reshape(-1, LENGTH), room.states
+        np.matmul(x, self.adds, out=room.added)
         # What lies in front of the signal is its first value: the filter starts in steady state.
-        start = blocks[:, 0, :1] * self.steady
-        self._states(room.added[:, :STATES], start, room.local, blocks[..., ahead], range(GROUP))
-        room.added[:, STATES:] += flat[:, ahead] @ self.passed
-        end = (blocks[:, -1, : LENGTH + STATES] @ self.last)[:, None] * self.steady
-        back = blocks[..., LENGTH + STATES :]
-        self._states(room.added[:, STATES:], end, room.local, back, range(GROUP - 1, -1, -1))
-        np.matmul(flat, self.both, out=room.out)
+        states[:, :STATES] = self._states(
+            self.ahead, room.added[:, :STATES], room.wide[:, :1] * self.steady
+        )
+        room.added[:, STATES:] += states[:, :STATES] @ self.passed
+        ends = room.wide[:, -LENGTH:] @ self.last[:LENGTH]
+        ends += states.reshape(channels, -1, 2 * STATES)[:, -1, :STATES] @ self.last[LENGTH:]
+        states[:, STATES:] = self._states(
+            self.back, room.added[:, STATES:], ends[:, None] * self.steady
+        )
+        np.matmul(x, self.both[:LENGTH], out=room.out)
+        dgemm(1.0, self.both[LENGTH:].T, states.T, 1.0, room.out.T, overwrite_c=True)
         wide = room.out.reshape(channels, -1)
         stop = wide.shape[1] - pad
         rows[:] = wide[:, stop - count : stop]
 
-    def _states(
-        self, added: Array, start: Array, local: Array, target: Array, order: range
-    ) -> None:
-        """Fill in the state before each block, from the start and what each block adds."""
-        added = added.reshape(-1, GROUP, STATES)
-        step, across = self.powers[1], self.powers[GROUP]
-        for k, at in enumerate(order):
-            np.matmul(local[k], step, out=local[k + 1])
-            local[k + 1] += added[:, at]
-        grown = local[GROUP].reshape(len(start), -1, STATES)
-        groups = grown.shape[1]
-        before, state = np.empty_like(grown), start
-        for g in range(groups) if order.step > 0 else range(groups - 1, -1, -1):
-            before[:, g] = state
-            state = state @ across + grown[:, g]
-        flat = before.reshape(-1, STATES)
-        grouped = target.reshape(len(start), groups, GROUP, STATES)
-        for k, at in enumerate(order):
-            grouped[:, :, at] = (local[k] + flat @ self.powers[k]).reshape(before.shape)
+    def _states(self, steps: _Steps, added: Array, start: Array) -> Array:
+        """States (c b, m) before each block, from the start (c, m) and what each block adds."""
+        grouped = np.ascontiguousarray(added).reshape(-1, GROUP * STATES)
+        grown = (grouped @ steps.after).reshape(len(start), -1, STATES)
+        ahead = steps is self.ahead
+        before = _scanned(start, grown if ahead else grown[:, ::-1], self.over_group)
+        before = before if ahead else before[:, ::-1]
+        found = grouped @ steps.within
+        found += before.reshape(-1, STATES) @ steps.entering
+        return found.reshape(-1, STATES)
 
 
-def _lay(rows: Array, pad: int, room: _Room) -> None:
-    """Put signals (c, N) and their reflections at the end of the blocks, the first value before."""
-    channels, count = rows.shape
-    wide = np.empty((channels, room.blocks.shape[1] * LENGTH))
+def _scanned(start: Array, added: Array, step: Array) -> Array:
+    """States x (c, g, m) before each of g steps x+ = x step + added (c, g, m), by doubling."""
+    states = np.concatenate([start[:, None], added[:, :-1]], axis=1)
+    distance = 1
+    while distance < states.shape[1]:
+        states[:, distance:] += states[:, :-distance] @ step
+        step, distance = step @ step, 2 * distance
+    return states
+
+
+def _lay(rows: Array, pad: int, wide: Array) -> None:
+    """Put signals (c, N) and their reflections at the end, the first value before."""
     stop = wide.shape[1] - pad
-    start = stop - count
+    start = stop - rows.shape[1]
     wide[:, start:stop] = rows
     np.subtract(2 * rows[:, :1], rows[:, pad:0:-1], out=wide[:, start - pad : start])
     np.subtract(2 * rows[:, -1:], rows[:, -2 : -2 - pad : -1], out=wide[:, stop:])
     wide[:, : start - pad] = wide[:, start - pad, None]
-    room.blocks[..., :LENGTH] = wide.reshape(channels, -1, LENGTH)
 
 
 @lru_cache(maxsize=64)
@@ -209,13 +228,16 @@ def _kernel(cutoff_hz: float, rate_hz: float) -> _Kernel:
     O, K = np.array(rows), np.array(steps[::-1]).T
     T_back, O_back, K_back = T.T, O[::-1], K[:, ::-1]
     over_block = _powers(A, LENGTH)[-1]
+    powers = _double(np.array([power.T for power in _powers(over_block, GROUP)]))
     slowest = float(np.abs(np.linalg.eigvals(_double(A))).max())
     return _Kernel(
         both=_double(np.concatenate([(T_back @ T).T, (T_back @ O).T, O_back.T])),
         adds=_double(np.concatenate([K, K_back @ T]).T),
         passed=_double((K_back @ O).T),
         last=_double(np.concatenate([T[-1], O[-1]])),
-        powers=_double(np.array([power.T for power in _powers(over_block, GROUP)])),
+        over_group=powers[GROUP],
+        ahead=_Steps.of(powers, back=False),
+        back=_Steps.of(powers, back=True),
         steady=_double(steady),
         memory=int(np.ceil(np.log(NEGLIGIBLE) / np.log(slowest))) + 1,
     )

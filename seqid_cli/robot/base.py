@@ -149,7 +149,14 @@ def standard_regressor(
 
 
 def base_regressor(
-    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, *, spare: int = 0
+    robot: Robot,
+    basis: Basis,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    spare: int = 0,
+    out: Array | None = None,
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
@@ -159,7 +166,9 @@ def base_regressor(
     basis : Basis
     q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
     spare : int
-        Columns of zeros to be filled by the caller.
+        Columns to be filled by the caller; zeros without `out`.
+    out : (n, b + spare, N) array, optional
+        Written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere.
 
     Returns
     -------
@@ -168,8 +177,10 @@ def base_regressor(
     """
     P, first_rotor = basis.representative, PER_LINK * robot.n
     kept = columns_by_link(robot.n, sorted(int(c) for c in basis.columns if c < first_rotor))
-    H = np.zeros((robot.n, basis.size + spare, len(q)))
-    alone = np.count_nonzero(P, axis=0) == 1
+    H = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
+    alone = (np.count_nonzero(P, axis=0) == 1) & P[:first_rotor].any(axis=0)
+    if out is not None:
+        H[:, np.flatnonzero(~alone)] = 0.0
     for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
         for column, c in enumerate(PER_LINK * i + kept[i]):
             for k in np.flatnonzero(P[c]):
@@ -184,6 +195,20 @@ def base_regressor(
         for i, k in zip(*np.nonzero(P[first_rotor:]), strict=True):
             H[:, k] += rotors[i] * P[first_rotor + i, k]
     return H.transpose(2, 0, 1)
+
+
+def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
+    """Tell where `base_regressor` can differ from zero.
+
+    Returns
+    -------
+    (n, b) bool array
+        False where a joint lies behind all links and rotors that a base parameter belongs to.
+    """
+    used = basis.representative != 0.0
+    last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))
+    behind: NDArray[np.intp] = np.where(used, last[:, None], -1).max(axis=0)
+    return np.arange(robot.n)[:, None] <= behind
 
 
 def base_parameters(

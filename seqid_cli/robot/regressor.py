@@ -16,19 +16,20 @@ each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .kinematics import LinkMotion, cross, link_motion
+from .kinematics import _fill_motion_matrix, cross, link_motion
 from .placement import skew
 from .types import Array, Chain
 
 PER_LINK = 10
 Kinds = NDArray[np.intp]
 Coupling = Literal["diagonal", "gyroscopic"]
-_BLOCK = 2048  # samples at a time: numpy call overhead against cache
+_BLOCK = 4096  # samples at a time: numpy call overhead against cache
 
 
 def torque_regressor(
@@ -56,7 +57,11 @@ def torque_regressor(
         Link-major columns in Pinocchio's parameter order, N m (N where prismatic) per unit.
     """
     kept = columns_by_link(chain.n, columns)
-    Y = np.zeros((chain.n, sum(len(kinds) for kinds in kept), len(q)))
+    Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
+    stop = 0
+    for i, kinds in enumerate(kept):
+        start, stop = stop, stop + len(kinds)
+        Y[i + 1 :, start:stop] = 0.0  # joints behind a link do not feel it
     for _ in link_blocks(chain, gravity, q, dq, ddq, kept, out=Y):
         pass
     return Y.transpose(2, 0, 1)
@@ -92,18 +97,17 @@ def link_blocks(
     largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
     room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
     starts = np.cumsum([0, *(len(kinds) for kinds in kept)])
+    walk = _Walk.along(chain, min(_BLOCK, len(q)))
     for start in range(0, len(q), _BLOCK):
         rows = slice(start, min(start + _BLOCK, len(q)))
-        motion = link_motion(
-            chain, gravity, *(np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
-        )
-        for i, screws in enumerate(_carried_screws(chain, motion)):
+        state = (np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
+        for i, link in enumerate(walk.links(gravity, *state)):
             if out is None:
                 shape = (i + 1, len(kept[i]), rows.stop - start)
                 block = room[: int(np.prod(shape))].reshape(shape)
             else:
                 block = out[: i + 1, starts[i] : starts[i + 1], rows]
-            _fill_link(block, kept[i], screws, motion, chain.axis[i], prismatic=chain.prismatic[i])
+            _fill_link(block, kept[i], link, chain.axis[i], prismatic=chain.prismatic[i])
             yield i, rows, block
 
 
@@ -153,14 +157,15 @@ def rotor_regressor(
     for i in range(n):
         Y[i, i] = gear_ratio[i] ** 2 * ddq[:, i]
     if coupling == "gyroscopic":
-        motion = link_motion(chain, np.zeros(3), q.T, dq.T, ddq.T)
-        for i, screws in enumerate(_carried_screws(chain, motion), start=1):
+        state = (np.ascontiguousarray(x.T) for x in (q, dq, ddq))
+        walk = _Walk.along(chain, len(q))
+        for i, link in enumerate(walk.links(np.zeros(3), *state), start=1):
             if i == n or chain.prismatic[i]:
                 continue
             z = (chain.rotation[i] @ chain.axis[i])[:, None]
-            moment = z * ddq[:, i] + cross(motion.w[i - 1], z) * dq[:, i]
-            Y[:i, i] = gear_ratio[i] * np.einsum("kjn,kn->jn", screws[0], moment)
-            Y[i, i] += gear_ratio[i] * (z * motion.dw[i - 1]).sum(axis=0)
+            moment = z * ddq[:, i] + cross(link.w, z) * dq[:, i]
+            Y[:i, i] = gear_ratio[i] * np.einsum("kjn,kn->jn", link.screws[0], moment)
+            Y[i, i] += gear_ratio[i] * (z * link.dw).sum(axis=0)
     return Y.transpose(2, 0, 1)
 
 
@@ -209,49 +214,151 @@ def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
     return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
 
 
-def _carried_screws(chain: Chain, motion: LinkMotion) -> Iterator[Array]:
-    """Yield per link i the screws (2, 3, i + 1, N) of joints 0..i in its frame: z, then l."""
-    samples = motion.w.shape[-1]
-    screws = np.empty((2, 3, 0, samples))
-    for i in range(chain.n):
-        previous = screws
-        screws = np.empty((2, 3, i + 1, samples))
-        if i:
-            if chain.prismatic[i]:
-                previous[1] += cross(previous[0], motion.p[i][:, None])  # no one reads it again
-            else:
-                carry = -skew(chain.position[i])
-                previous[1] += (carry @ previous[0].reshape(3, -1)).reshape(3, i, samples)
-            np.einsum("abn,sajn->sbjn", motion.R[i], previous, out=screws[:, :, :i])
-        screws[:, :, i] = 0.0
-        screws[int(chain.prismatic[i]), :, i] = chain.axis[i][:, None]
-        yield screws
+@dataclass(frozen=True)
+class _Link:
+    """What loads a link, in its frame, samples last; the next link but one uses the arrays again.
+
+    `rows` (36, N) holds, for one product with a constant matrix to carry all to the next link,
+    12 of `load`'s z, w, dw, 12 of `load`'s l, and 6 unused. `load` (2, 3, 4, N) makes the force of
+    mass and first moment: m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c).
+    `screws` (2, 3, i + 1, N) are those of joints 0..i: z, then l.
+    """
+
+    rows: Array
+    screws: Array
+
+    @property
+    def w(self) -> Array:
+        return self.rows[12:15]
+
+    @property
+    def dw(self) -> Array:
+        return self.rows[15:18]
+
+    @property
+    def load(self) -> Array:
+        return self.rows.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
 
 
-def _fill_link(
-    block: Array, kinds: Kinds, screws: Array, motion: LinkMotion, axis: Array, *, prismatic: bool
-) -> None:
+@dataclass(frozen=True)
+class _Walk:
+    """Walks along a chain, in the same arrays every time."""
+
+    chain: Chain
+    carriers: list[tuple[Array, Array]]
+    rows: Array  # (2, 36, N): of this link and the one before
+    screws: Array  # (2, 6, n N)
+
+    @classmethod
+    def along(cls, chain: Chain, samples: int) -> _Walk:
+        """Make room for so many samples at a time."""
+        places = zip(chain.rotation, chain.position, strict=True)
+        carriers = [_carriers(C, p) for C, p in places]
+        # Zeros, because mass and own component of the moment in z . (c x a) are never written.
+        rows, screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
+        return cls(chain, carriers, rows, screws)
+
+    def links(self, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
+        """Carry motion and screws from link to link; q, dq, ddq (n, M), M not above N."""
+        samples = q.shape[1]
+        rows, screws = self.rows[:, :, :samples], self.screws
+        rows[1, 12:30] = 0.0
+        rows[1, 18:30:4] = -gravity[:, None]  # the base, as the link before
+        for i, (to_motion, to_screws) in enumerate(self.carriers):
+            axis, new, old = self.chain.axis[i], i % 2, 1 - i % 2
+            motion = (to_motion @ rows[old, 12:30]).reshape(3, 3, samples)
+            carried = screws[new, :, : i * samples]
+            np.matmul(to_screws, screws[old, :, : i * samples], out=carried)
+            before = carried.reshape(2, 3, i, samples)
+            every = screws[new, :, : (i + 1) * samples].reshape(2, 3, i + 1, samples)
+            link = _Link(rows[new], every)
+            move = _slide if self.chain.prismatic[i] else _turn
+            move(motion, before, axis, q[i], dq[i], ddq[i])
+            link.rows[12:18] = motion[:2].reshape(6, samples)
+            _fill_load(link, motion[2])
+            every[:, :, i] = 0.0
+            every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
+            yield link
+
+
+def _carriers(C: Array, p: Array) -> tuple[Array, Array]:
+    """Matrices that carry (w, dw, a | H) (18,) and (z, l) (6,) to a frame fixed in the link before.
+
+    The frame is turned by C and placed at p: (9, 18) to w, dw and a there, (6, 6) to z and l.
+    """
+    to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
+    to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
+    point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`
+    to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
+    to_screws[:3, :3] = to_screws[3:, 3:] = C.T
+    to_screws[3:, :3] = -C.T @ skew(p)
+    return to_motion, to_screws
+
+
+def _turn(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
+    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that turns."""
+    cosine, sine = np.cos(q), np.sin(q)
+    _turn_back(motion, axis, cosine, sine)
+    _turn_back(screws, axis, cosine, sine)
+    w, dw, _ = motion
+    dw += (-skew(axis) @ w) * dq  # w x axis dq
+    for k in np.flatnonzero(axis):
+        dw[k] += axis[k] * ddq
+        w[k] += axis[k] * dq
+
+
+def _turn_back(vectors: Array, axis: Array, cosine: Array, sine: Array) -> None:
+    """See vectors (g, 3, ..., N) from a frame turned about an axis; most axes are coordinates."""
+    used = np.flatnonzero(axis)
+    if len(used) == 1:
+        u, v = vectors[:, used[0] - 2], vectors[:, used[0] - 1]
+        turned = sine * axis[used[0]]
+        from_u, from_v = turned * u, turned * v
+        u *= cosine
+        u += from_v
+        v *= cosine
+        v -= from_u
+        return
+    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * axis.reshape(
+        (1, 3) + (1,) * (vectors.ndim - 2)
+    )
+    across = np.einsum("ab,gb...->ga...", skew(axis), vectors)
+    vectors[:] = cosine * (vectors - along) + along - sine * across
+
+
+def _slide(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
+    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that slides."""
+    w, dw, a = motion
+    from_axis = -skew(axis)  # times x: x cross axis
+    faster = from_axis @ w
+    a += (from_axis @ dw) * q + cross(w, faster * q) + axis[:, None] * ddq + 2.0 * faster * dq
+    screws[1] += np.einsum("ab,bjn->ajn", from_axis, screws[0]) * q
+
+
+def _fill_load(link: _Link, a: Array) -> None:
+    """Fill `load` of a link from its w, dw and a (3, N)."""
+    turning, moving = link.load
+    np.copyto(moving[:, 0], a)
+    _fill_motion_matrix(moving[:, 1:], link.w, link.dw)
+    turning[1, 1], turning[2, 1] = -a[2], a[1]
+    turning[0, 2], turning[2, 2] = a[2], -a[0]
+    turning[0, 3], turning[1, 3] = -a[1], a[0]
+
+
+def _fill_link(block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool) -> None:
     """Fill the columns `kinds` of a link for its joint and all before: block (j, len(kinds), N)."""
     i = len(block) - 1
-    moments = kinds[(kinds >= 1) & (kinds < 4)] - 1
-    inertias = kinds[kinds >= 4] - 4
-    first = int(np.count_nonzero(kinds == 0))
-    last = first + len(moments)
-    if first:
-        for j in range(i):
-            np.einsum("kn,kn->n", screws[1, :, j], motion.a[i], out=block[j, 0])
-        _along(axis if prismatic else 0.0 * axis, motion.a[i][:, None], block[i, :1])
-    if len(moments):
-        M = _moment_matrix(motion.a[i], motion.H[i])
-        M = M if len(moments) == 3 else M[:, :, moments]
+    last = int(np.count_nonzero(kinds < 4))
+    if last:
+        load = link.load if last == 4 else link.load[:, :, kinds[:last]]
         for j in range(i):  # joint by joint: what is being summed stays in cache
-            np.einsum("skn,skcn->cn", screws[:, :, j], M, out=block[j, first:last])
-        _along(axis, M[int(prismatic)], block[i, first:last])
-    if len(inertias):
-        K = _inertia_matrix(motion.w[i], motion.H[i])
-        K = K if len(inertias) == 6 else K[:, inertias]
+            np.einsum("skn,skcn->cn", link.screws[:, :, j], load, out=block[j, :last])
+        _along(axis, load[int(prismatic)], block[i, :last])
+    if last < len(kinds):
+        K = _inertia_matrix(link.w, link.load[1, :, 1:])
+        K = K if len(kinds) - last == 6 else K[:, kinds[last:] - 4]
         for j in range(i):
-            np.einsum("kn,kcn->cn", screws[0, :, j], K, out=block[j, last:])
+            np.einsum("kn,kcn->cn", link.screws[0, :, j], K, out=block[j, last:])
         _along(0.0 * axis if prismatic else axis, K, block[i, last:])
 
 
@@ -264,17 +371,6 @@ def _along(axis: Array, rows: Array, out: Array) -> None:
     np.multiply(rows[used[0]], axis[used[0]], out=out)
     for k in used[1:]:
         out += axis[k] * rows[k]
-
-
-def _moment_matrix(a: Array, H: Array) -> Array:
-    """Build (2, 3, 3, N), rows of c for z and l: z . (c x a) = (a x z) . c, and l . H c."""
-    M = np.zeros((2, *H.shape))
-    A = M[0]
-    A[1, 0], A[2, 0] = -a[2], a[1]
-    A[0, 1], A[2, 1] = a[2], -a[0]
-    A[0, 2], A[1, 2] = -a[1], a[0]
-    M[1] = H
-    return M
 
 
 def _inertia_matrix(w: Array, H: Array) -> Array:

@@ -292,3 +292,41 @@ def test_columns_of_zeros_stay_columns_of_zeros(rows: int) -> None:
     kept = joint.with_fixed(7, 0.0).blocks[0]
     less = np.delete(full, 7, axis=1)
     np.testing.assert_allclose(kept.T @ kept, less.T @ less, atol=1e-12 * rows)
+
+
+def test_rows_can_be_chosen_by_a_mask() -> None:
+    rng = np.random.default_rng(23)
+    H, y, where = rng.normal(size=(90, 5)), rng.normal(size=90), rng.random(90) < 0.6
+    some, chosen = Accumulator(5), Accumulator(5)
+    some.add(H, y, where)
+    chosen.add(H[where], y[where])
+    np.testing.assert_array_equal(some.total, chosen.total)
+    assert some.samples == int(where.sum())
+
+
+def test_blocks_of_a_long_log_hold_the_same_number_of_rows() -> None:
+    """Up to the last one, or the jackknife would weigh the end of a log like its beginning."""
+    rng = np.random.default_rng(24)
+    joint = Accumulator(2)
+    for _ in range(5 * MOST_BLOCKS + 3):
+        joint.add(rng.normal(size=(3, 2)), rng.normal(size=3))
+    assert len(joint.blocks) > MOST_BLOCKS // 2
+    assert len(set(joint.rows[:-1])) == 1
+    assert 0 < joint.rows[-1] <= joint.rows[0]
+
+
+def test_columns_that_come_later_and_merged_factors_keep_the_gram_matrix() -> None:
+    rng = np.random.default_rng(25)
+    early, late = rng.normal(size=(2, 40, 20))
+    early[:, 5:9] = late[:, 12:] = 0.0
+    y = rng.normal(size=(2, 40))
+    one = Accumulator(20, span=2)
+    one.add(early, y[0])
+    one.add(late, y[1])
+    two = Accumulator(20)
+    two.add(early, y[0])
+    two.add(late, y[1])
+    assert (len(one.blocks), len(two.blocks)) == (1, 2)
+    full = np.column_stack([np.vstack([early, late]), y.ravel()])
+    for joint in (one, two, Accumulator(20) + two):
+        np.testing.assert_allclose(joint.total.T @ joint.total, full.T @ full, atol=1e-11)

@@ -10,6 +10,7 @@ import pytest
 from seqid_cli.robot.base import (
     base_parameters,
     base_regressor,
+    loaded_columns,
     parameter_unit,
     standard_names,
     standard_regressor,
@@ -234,3 +235,30 @@ def test_units_and_joints_follow_from_names() -> None:
     assert parameter_unit("m_12") == "kg"
     assert standard_names(2)[10:12] == ("m_2", "mx_2")
     assert standard_names(2)[20:] == ("Ia_1", "Ia_2")
+
+
+@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
+def test_loaded_columns_are_all_that_differ_from_zero(coupling: Coupling) -> None:
+    robot = arm_6r()
+    basis = base_parameters(robot, rotor=range(robot.n), coupling=coupling)
+    q, dq, ddq = states(np.random.default_rng(21), 40, robot.n)
+    H = base_regressor(robot, basis, q, dq, ddq)
+    loaded = loaded_columns(robot, basis)
+    assert loaded.shape == H.shape[1:]
+    assert not H[:, ~loaded].any()
+    assert loaded.sum() < loaded.size
+    again = np.zeros((robot.n, basis.size + 1, len(q)))
+    again[:, :-1][loaded] = np.nan  # what an earlier call left
+    written = base_regressor(robot, basis, q, dq, ddq, spare=1, out=again)
+    np.testing.assert_array_equal(written[:, :, :-1], H)
+    assert np.shares_memory(written, again)
+
+
+def test_more_samples_than_fit_a_block_have_no_seam() -> None:
+    robot = arm_6r()
+    basis = base_parameters(robot, rotor=[1])
+    q, dq, ddq = states(np.random.default_rng(22), 9000, robot.n)
+    H = base_regressor(robot, basis, q, dq, ddq)
+    chosen = [0, 4095, 4096, 8191, 8192, 8999]
+    alone = base_regressor(robot, basis, q[chosen], dq[chosen], ddq[chosen])
+    np.testing.assert_allclose(H[chosen], alone, rtol=0.0, atol=1e-12 * np.abs(alone).max())

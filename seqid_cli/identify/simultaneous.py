@@ -46,6 +46,7 @@ Array = NDArray[np.float64]
 
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
 SIGN_SHARE = 0.01  # width of the smoothed sign over the joint's fastest speed
+LEAST_WIDTH = 1e-6  # rad/s, of a joint that never moved
 POOR_SHARE = 0.25
 
 
@@ -187,7 +188,7 @@ class SimultaneousEquations:
             rmse=sigma,
             position_range=[float(x) for x in self.position[j]],
             speed_range=[0.0, fast],
-            sign_width=float(self.width[j]),
+            sign_width=max(float(self.width[j]), LEAST_WIDTH),
             directional=directional,
             positive=[(ahead @ values).tolist()],
             negative=[(back @ values).tolist()],

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics import Sample, joint_columns, position_columns
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
@@ -27,11 +27,11 @@ Array = NDArray[np.float64]
 
 SUSPICIOUS = 0.1  # of the torque's RMS left by the equations, from where a cause is looked for
 POOR = 0.6
-TURN = 2.0 * np.pi  # beyond which some position lies where they are in degrees
 SEEN = 10.0  # encoder steps per second, of each joint that is to follow the equations
 MENDED = 0.5  # of the error, that a cause may leave
 SOUND = 0.35  # of the torque's RMS, that a mended fit may leave
-BETTER = 0.8  # of the next best cause's error
+BETTER = 0.8  # of another cause's error: less of a difference decides nothing
+RIVALS, MOST_ALIKE = 8, 3  # causes looked at closely, and joints that they may be of
 ROWS, FEW_ROWS = 900, 250  # of a fit, and of a first look at many
 SLIDES = 0.2  # of the RMS speed
 SIGMAS = 3.0
@@ -45,22 +45,19 @@ KINDS = ("axis_flipped", "position_zero", "joints_swapped")
 
 
 @dataclass(frozen=True)
-class Cause:
-    """A change to the log that mends the fit: of which kind, of which joints."""
-
-    code: str
-    joints: tuple[int, ...]
-    text: str
-    change: Callable[[Sample], Sample]
-    channel: str = "position"
-
-
-@dataclass(frozen=True)
 class Left:
     """What a fit leaves of the torque's RMS, and the number of columns that it can tell apart."""
 
     error: float
     columns: int
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A cause that mends a fit, and the error that it leaves."""
+
+    finding: Finding
+    error: float
 
 
 @dataclass(frozen=True)
@@ -109,10 +106,10 @@ def _structural(data: LogData, sample: Sample) -> Iterator[Finding]:
     if error < SUSPICIOUS:
         return
     free = _structural_error(robot, thin, own_law=True).error
-    causes = [*_causes(robot, thin), *_units(data)]
-    finding = _mending(robot, thin, left, _structural_error, causes, free=free)
-    if finding is not None:
-        yield finding
+    causes = [*causes_of(robot, thin), *units_of(data)]
+    mended = _mending(robot, thin, left, _structural_error, causes, free=free)
+    if mended is not None:
+        yield mended.finding
     elif error > POOR and all(sample.rms_speed(j) > SEEN * data.step[j] for j in sample.moving):
         yield found("model_mismatch", f"the equations leave {error:.0%} of the torque's RMS")
 
@@ -125,28 +122,38 @@ def _mending(
     causes: Sequence[Cause],
     *,
     free: float = np.inf,
-) -> Finding | None:
-    """Find the one change that mends a fit; None where none or several do.
+) -> Mended | None:
+    """Find the one change that mends a fit; None where none does, or too many.
 
-    It must leave half of the error. Where it gives the equations columns that they had not before
-    (gravity on a joint that hardly feels it, say), any free function would do better as well: then
-    it must leave half of what such functions leave, `free`.
+    Where several do as well, the inertials of a URDF decide. A cause must leave half of the error.
+    Where it gives the equations columns that they had not before (gravity on a joint that hardly
+    feels it, say), any free function would do better as well: then it must leave half of what such
+    functions leave, `free`.
     """
     few = _thinned(sample, FEW_ROWS)
     tried = [(measure(robot, cause.change(few)).error, cause) for cause in causes]
     tried.sort(key=lambda item: item[0])
-    cause = tried[0][1]
-    rivals = [other for _, other in tried if set(other.joints) != set(cause.joints)]
-    after = measure(robot, cause.change(sample))
+    best = [(measure(robot, cause.change(sample)), cause) for _, cause in tried[:RIVALS]]
+    best.sort(key=lambda item: item[0].error)
+    alike = [cause for after, cause in best if after.error < best[0][0].error / BETTER]
+    if len({frozenset(cause.joints) for cause in alike}) > MOST_ALIKE:
+        return None
+    if robot.nominal is not None:
+        alike.sort(key=lambda cause: _nominal_error(robot, cause.change(sample)).error)
+    cause = alike[0]
+    after = next(after for after, other in best if other is cause)
     most = min(before.error, free) if after.columns > before.columns else before.error
     if after.error > min(MENDED * most, SOUND):
-        return None
-    if rivals and after.error > BETTER * measure(robot, rivals[0].change(sample)).error:
         return None
     names = ", ".join(robot.joint_names[j] for j in cause.joints)
     fall = f"falls from {before.error:.1%} to {after.error:.1%}"
     text = f"{cause.text}; the equations' error {fall}"
-    return found(cause.code, text, joint=names, channel=cause.channel)
+    others = [other for other in alike if set(other.joints) != set(cause.joints)]
+    if others:
+        rivals = [f"{robot.joint_names[other.joints[0]]} {other.text}" for other in others]
+        text += f" (as well if {', or '.join(rivals)})"
+    finding = found(cause.code, text, joint=names, channel=cause.channel)
+    return Mended(finding, after.error)
 
 
 def _thinned(sample: Sample, count: int) -> Sample:
@@ -182,104 +189,6 @@ def _structural_error(robot: Robot, sample: Sample, *, own_law: bool = False) ->
     y = (tau / size)[sliding]
     theta, _, rank, _ = np.linalg.lstsq(W, y, rcond=1e-8)
     return Left(float(np.sqrt(np.mean((y - W @ theta) ** 2))), int(rank))
-
-
-def _causes(robot: Robot, sample: Sample) -> Iterator[Cause]:
-    far = np.abs(sample.q).max(axis=0) > TURN  # less in degrees is no motion to speak of
-    turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
-    degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
-    for joints in (group for group in degrees if far[list(group)].any()):
-        yield Cause("position_in_degrees", joints, "is in degrees", _in_radians(joints))
-    for j in range(robot.n):
-        yield Cause("axis_flipped", (j,), "turns the other way round", _flipped(j))
-        yield Cause("sign_mismatch", (j,), "its torque is reversed", _flipped(j, motion=False))
-        yield Cause("sign_mismatch", (j,), "its position is reversed", _flipped(j, torque=False))
-        if not robot.joints[j].prismatic:
-            for turns, angle in (("a quarter", 0.5), ("minus a quarter", -0.5), ("half a", 1.0)):
-                text = f"its zero is {turns} turn off"
-                yield Cause("position_zero", (j,), text, _shifted(j, angle * np.pi))
-    # Exchanging a joint that stands with one that moves changes what is compared.
-    for a, b in combinations(sample.moving, 2):
-        yield Cause("joints_swapped", (a, b), "are exchanged", _swapped(a, b, tau=True))
-        yield Cause("joints_swapped", (a, b), "have exchanged positions", _swapped(a, b, tau=False))
-        yield Cause("joints_swapped", (a, b), "have exchanged torques", _swapped_torques(a, b))
-
-
-def _units(data: LogData) -> Iterator[Cause]:
-    """Yield efforts that are the other quantity, where the robot file gives the drives' data."""
-    effort, joints = data.effort(), data.robot.joints
-    factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in joints])
-    if effort is None or not factor.all():
-        return
-    every, current = tuple(range(len(joints))), effort[0] == "current"
-    code = "effort_is_torque" if current else "effort_is_current"
-    text = "carry torque, not current" if current else "carry current, not torque"
-    scale = 1.0 / factor if current else factor
-    yield Cause(
-        code, every, text, lambda sample: replace(sample, tau=sample.tau * scale), effort[0]
-    )
-
-
-def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Callable[[Sample], Sample]:
-    def change(sample: Sample) -> Sample:
-        sign = np.ones(sample.q.shape[1])
-        sign[j] = -1.0
-        moved, driven = sign if motion else 1.0, sign if torque else 1.0
-        return replace(
-            sample,
-            q=sample.q * moved,
-            dq=sample.dq * moved,
-            ddq=sample.ddq * moved,
-            tau=sample.tau * driven,
-            direction=sample.direction * moved,
-        )
-
-    return change
-
-
-def _in_radians(joints: tuple[int, ...]) -> Callable[[Sample], Sample]:
-    def change(sample: Sample) -> Sample:
-        factor = np.ones(sample.q.shape[1])
-        factor[list(joints)] = np.pi / 180.0
-        return replace(sample, q=sample.q * factor, dq=sample.dq * factor, ddq=sample.ddq * factor)
-
-    return change
-
-
-def _shifted(j: int, angle: float) -> Callable[[Sample], Sample]:
-    def change(sample: Sample) -> Sample:
-        shift = np.zeros(sample.q.shape[1])
-        shift[j] = angle
-        return replace(sample, q=sample.q + shift)
-
-    return change
-
-
-def _swapped(a: int, b: int, *, tau: bool) -> Callable[[Sample], Sample]:
-    def change(sample: Sample) -> Sample:
-        order = list(range(sample.q.shape[1]))
-        order[a], order[b] = b, a
-        moving = tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving))
-        return replace(
-            sample,
-            q=sample.q[:, order],
-            dq=sample.dq[:, order],
-            ddq=sample.ddq[:, order],
-            direction=sample.direction[:, order],
-            tau=sample.tau[:, order] if tau else sample.tau,
-            moving=moving,
-        )
-
-    return change
-
-
-def _swapped_torques(a: int, b: int) -> Callable[[Sample], Sample]:
-    def change(sample: Sample) -> Sample:
-        order = list(range(sample.q.shape[1]))
-        order[a], order[b] = b, a
-        return replace(sample, tau=sample.tau[:, order])
-
-    return change
 
 
 def _weights(robot: Robot, sample: Sample) -> list[Weight]:
@@ -337,20 +246,22 @@ def _nominal(robot: Robot, sample: Sample) -> tuple[Array, Array]:
     return gravity, inverse_dynamics(chain, g, phi, sample.q, sample.dq, sample.ddq) - gravity
 
 
-def _nominal_error(robot: Robot, sample: Sample) -> Left:
-    """RMS that the URDF's inertials and friction leave of the torques of loaded joints."""
+def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Left:
+    """RMS that the URDF's inertials and friction leave of the torques, each as a share of its own.
+
+    With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
+    """
     gravity, inertia = _nominal(robot, sample)
-    rms = gravity.std(axis=0)
     columns = joint_columns(robot, sample)
-    total, size = 0.0, 0.0
+    shares = []
     for j in sample.moving:
-        if rms[j] >= LOADED * float(rms[list(sample.moving)].max()):
-            own = columns[:, j, 4 * j : 4 * j + 4]
-            y = sample.tau[:, j] - gravity[:, j] - inertia[:, j]
-            left = y - own @ np.linalg.lstsq(own, y, rcond=1e-8)[0]
-            total += float(np.mean(left**2))
-            size += float(np.var(sample.tau[:, j]))
-    return Left(float(np.sqrt(total / max(size, 1e-300))), 0)
+        own = columns[:, j, 4 * j : 4 * j + 4]
+        y = sample.tau[:, j] - (0.0 if scaled else gravity[:, j] + inertia[:, j])
+        X = np.column_stack([own, gravity[:, j], inertia[:, j]]) if scaled else own
+        X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
+        left = y - X @ np.linalg.lstsq(X, y, rcond=1e-8)[0]
+        shares.append(float(np.mean(left**2)) / max(float(np.var(sample.tau[:, j])), 1e-300))
+    return Left(float(np.sqrt(np.mean(shares))), 0)
 
 
 def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[Finding]:
@@ -359,10 +270,12 @@ def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[Fin
     if not off:
         return
     thin = _thinned(sample, ROWS)
-    before, causes = _nominal_error(data.robot, thin), [*_causes(data.robot, thin)]
+    before, causes = _nominal_error(data.robot, thin), [*causes_of(data.robot, thin)]
     mended = _mending(data.robot, thin, before, _nominal_error, causes)
-    if mended is not None:
-        yield mended
+    unit = _nominal_error(data.robot, thin, scaled=True).error
+    pulls = all(w.ratio > SIGMAS * w.error for w in off)  # gravity acts, in the right direction
+    if mended is not None and not (pulls and unit < mended.error / BETTER):
+        yield mended.finding
         return
     effort = data.effort()
     for w in off:

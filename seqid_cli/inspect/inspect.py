@@ -12,7 +12,8 @@ from seqid_cli.inspect.clock import clock_findings
 from seqid_cli.inspect.dynamics import friction_findings, sample_of
 from seqid_cli.inspect.geometry import geometry_findings
 from seqid_cli.inspect.guess import guess, stand_in
-from seqid_cli.inspect.imu_motion import FOLLOWS, Following, follow, motion_findings
+from seqid_cli.inspect.imu_fit import FOLLOWS
+from seqid_cli.inspect.imu_motion import Following, follow, motion_findings
 from seqid_cli.inspect.imus import imu_findings, layout_findings
 from seqid_cli.inspect.material import LogData, read_log
 from seqid_cli.inspect.moves import (
@@ -62,8 +63,11 @@ _FOLLOW_UP = (
         {"position_limits", "speed_limit", "velocity_inconsistent", "encoder_resolution"},
     ),
     ({"torque_zero", "torque_constant_value"}, {"torque_echo"}),
-    ({"torque_echo"}, {"torque_saturated", "torque_quantised"}),
+    ({"torque_echo"}, {"torque_saturated", "torque_quantised", "torque_stuck"}),
+    ({"gyro_in_degrees"}, {"gyro_bias"}),
 )
+# What a clock that scatters makes of sound values.
+_UNEVEN = frozenset({"velocity_inconsistent", "speed_limit", "position_jump", "values_missing"})
 _STAGES = ("friction", "gravity", "imu-calib", "inertia")
 
 Progress = Callable[[int, str], None]
@@ -195,19 +199,21 @@ def _findings(data: LogData, following: list[Following]) -> Iterator[Finding]:
         own.append(found("salvaged", data.recording.partial))
     own += torque_findings(data)
     own += temperature_findings(data)
-    own += imu_findings(data)
+    if not any(finding.code in _SPOIL_ALL for finding in own):
+        own += imu_findings(data)
     if not any(finding.code in _SPOIL_ALL for finding in own):
         positions = [*position_findings(data)]
         broken = frozenset(f.joint for f in positions if f.code in _SPOIL)
         velocities = velocity_findings(data, broken)
-        uneven = any(f.code == "jitter" for f in own)  # times nothing that a slope can be over
-        own += [f for f in velocities if not uneven or f.code != "velocity_inconsistent"]
+        own += velocities
         if not any(finding.code in _SPOIL_ALL for finding in own):
             own += [*positions, *fast_in_degrees(data)]
+        if any(f.code == "jitter" for f in own):  # slopes over such times mean nothing
+            own = [f for f in own if f.code not in _UNEVEN]
     own = _one_cause(own)
     if not any(finding.code in _SPOIL_ALL for finding in own):
         own += _of_dynamics(data, own, following)
-    yield from own
+    yield from _one_cause(own)
 
 
 def _of_dynamics(

@@ -21,6 +21,7 @@ JUMP_ACCELERATION = 1000.0  # rad/s^2 (m/s^2): beyond any arm
 JUMP_MOST = 0.05  # rad (m): at low rates the acceleration says little
 JUMP_STEPS = 8.0
 JUMP_NOISE = 6.0  # times what one in a hundred changes differs from those around it
+JUMPS = 16  # changes that may be jumps themselves
 JUMP_RANGE = 0.005  # of the position's range: smaller ones do no harm
 ALONE = 0.3  # of a jump, that the samples before and after may move
 FROZEN_SAMPLES, FROZEN_S = 5, 0.01
@@ -172,11 +173,12 @@ def _least_jump(q: Array, step: float, usual: float) -> float:
     """Return the change between two samples that neither motion nor the log's own noise makes."""
     d = np.diff(q)
     padded = np.stack([np.roll(d, k) for k in (-2, -1, 0, 1, 2)])
-    uneven = np.abs(d - np.median(padded, axis=0))
+    uneven = np.sort(np.abs(d - np.median(padded, axis=0)))
+    usual_ones = uneven[: max(len(uneven) - JUMPS, 1)]
     return max(
         JUMP_STEPS * step,
         min(JUMP_ACCELERATION * usual**2, JUMP_MOST),
-        JUMP_NOISE * float(np.quantile(uneven, 0.99)),
+        JUMP_NOISE * float(np.quantile(usual_ones, 0.99)),
         JUMP_RANGE * float(np.quantile(q, 0.99) - np.quantile(q, 0.01)),
     )
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from seqid_cli.errors import InputError
-from seqid_cli.inspect.guess import Guess, guess
+from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspect import inspect_log
 from seqid_cli.inspect.report import JointSummary
 from seqid_cli.logs.presets import find_scheme, time_names
 from seqid_cli.logs.survey import Survey, survey
 from seqid_cli.robot.template import ImuTemplate, JointTemplate, RobotTemplate
-from seqid_cli.robot.urdf_joints import UrdfJoint, best_chain
+from seqid_cli.robot.urdf_joints import UrdfJoint, best_chain, check_urdf
 from seqid_cli.robot.urdf_text import UrdfText
 
 NEAR = 0.6
@@ -50,7 +50,11 @@ def propose(
     ------
     InputError
         A log cannot be read, or no joint is found in it.
+    ConfigError
+        The URDF is one that no other command could use.
     """
+    if urdf is not None:
+        check_urdf(urdf)
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
     reports = [inspect_log(path) for path in paths]
@@ -173,7 +177,7 @@ def _channels(
         channels["time"] = next(iter(times), "TODO")
     if find_scheme(joints, names) is not None:
         return channels, ()
-    patterns = dict(guessed.patterns) or {"position": "{name}.position"}
+    patterns = dict(guessed.patterns) or _defaults(guessed.joints, names)
     if all("{index" in pattern for pattern in patterns.values()):
         return {**channels, **patterns}, ()
     mapped = {key: _mapped(pattern, guessed.joints, joints) for key, pattern in patterns.items()}
@@ -182,11 +186,28 @@ def _channels(
     return {**channels, **patterns}, rename
 
 
+def _defaults(joints: tuple[str, ...], names: Sequence[str]) -> dict[str, str]:
+    """Return the default names of columns, of the quantities that the log has."""
+    return {
+        quantity: f"{{name}}.{quantity}"
+        for quantity in WORDS
+        if quantity == "position" or all(f"{joint}.{quantity}" in names for joint in joints)
+    }
+
+
 def _mapped(pattern: str, log: tuple[str, ...], joints: tuple[str, ...]) -> str:
-    """Write the log's names by those of the URDF, where they only have something around them."""
+    """Write the log's names by those of the URDF, where they only have something around them.
+
+    Or by the number of the joint, where it is all that tells the log's names apart.
+    """
     for prefix, suffix in {_around(a, b) for a, b in zip(log, joints, strict=False)}:
         if all(a == f"{prefix}{b}{suffix}" for a, b in zip(log, joints, strict=True)):
             return pattern.replace("{name}", f"{prefix}{{name}}{suffix}")
+    for key, first in (("{index}", 1), ("{index0}", 0)):
+        for match in re.finditer("[0-9]+", log[0]):
+            before, after = log[0][: match.start()], log[0][match.end() :]
+            if all(name == f"{before}{k + first}{after}" for k, name in enumerate(log)):
+                return pattern.replace("{name}", f"{before}{key}{after}")
     return ""
 
 

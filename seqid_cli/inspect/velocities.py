@@ -31,15 +31,18 @@ def velocity_findings(data: LogData, broken: frozenset[str] = frozenset()) -> It
     names = data.robot.joint_names
     sound = [j for j in range(data.robot.n) if names[j] not in broken]
     choices = [_windows(data, seconds) for seconds in WINDOWS_S]
-    dead = {j: seconds for j in sound if (seconds := _dead_s(data, choices, j))}
+    # The shortest windows that show as many joints as any; max takes the first of equals.
+    windows = max(choices, key=lambda choice: len(_judged(choice, data, sound)))
+    travel, integral, counts = windows.travel, windows.integral, windows.counts(data)
+    moving = _judged(windows, data, sound)
+    crossed = _crossed(travel, integral, counts, moving)
+    paired = {j for pair in crossed for j in pair}
+    alone = [j for j in sound if j not in paired]
+    dead = {j: seconds for j in alone if (seconds := _dead_s(data, choices, j))}
     for j, seconds in dead.items():
         text = f"stands still for {seconds:.2g} s in which its velocity moves it"
         yield found("position_stuck", text, joint=names[j], channel="position")
-    # The shortest windows that show as many joints as any; max takes the first of equals.
-    windows = max(choices, key=lambda choice: len(_judged(choice, data, sound)))
-    judged = [j for j in _judged(windows, data, sound) if j not in dead]
-    travel, integral = windows.travel, windows.integral
-    counts = windows.counts(data)
+    judged = [j for j in moving if j not in dead]
     fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in judged}
     shared = _time_unit({j: gain for j, (gain, r, _) in fits.items() if abs(r) > CORRELATED})
     if shared:
@@ -49,12 +52,11 @@ def velocity_findings(data: LogData, broken: frozenset[str] = frozenset()) -> It
             channel="t",
         )
         return
-    crossed = _crossed(travel, integral, counts, judged)
     for a, b in crossed:
         text = f"the velocity of {names[a]} fits the position of {names[b]} and the other way round"
         yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="velocity")
     for j in judged:
-        if not any(j in pair for pair in crossed):
+        if j not in paired:
             yield from _verdict(data, j, *fits[j])
 
 

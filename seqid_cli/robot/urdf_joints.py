@@ -1,4 +1,9 @@
-"""Joints of a URDF in the order of its chains, with their limits; text only, no Pinocchio."""
+"""Joints of a URDF in the order of its chains, with their limits; text only, no Pinocchio.
+
+Pinocchio refuses revolute and prismatic joints without a complete <limit>, which plays no part in
+the dynamics and which hand-made files lack, and links that are named as a joint is, which URDF
+allows; `readable` mends both.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
+from ..errors import ConfigError
 from .urdf_text import MOVABLE, UrdfText
+
+WIDE = "1e9"
+_NUMBERS = {
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity"),
+}
 
 
 @dataclass(frozen=True)
@@ -50,6 +63,106 @@ def best_chain(
 ) -> tuple[UrdfJoint, ...]:
     """Return the chain of the largest total worth, the first of equals; empty where none."""
     return max(chains(urdf), key=lambda chain: sum(map(worth, chain)), default=())
+
+
+def readable(raw: bytes) -> bytes:
+    """Mend what readers of URDFs refuse and what plays no part in the dynamics.
+
+    Every revolute and prismatic joint that lacks part of its <limit> gets a wide one; a link that
+    shares its name with a joint is renamed. The text is returned as it is where nothing is to do.
+    """
+    root = ElementTree.fromstring(raw)
+    joints = root.findall("joint")
+    changed = [_limited(joint) for joint in joints]
+    changed.append(_links_renamed(root, {joint.get("name", "") for joint in joints}))
+    return ElementTree.tostring(root) if any(changed) else raw
+
+
+def _limited(joint: ElementTree.Element) -> bool:
+    """Complete a joint's <limit>; whether something lacked."""
+    if joint.get("type") not in ("revolute", "prismatic"):
+        return False
+    limit = joint.find("limit")
+    needed = {"effort": WIDE, "velocity": WIDE}
+    if limit is None:
+        limit = ElementTree.SubElement(joint, "limit")
+        needed = {"lower": f"-{WIDE}", "upper": WIDE, **needed}
+    lacking = {key: value for key, value in needed.items() if key not in limit.attrib}
+    limit.attrib.update(lacking)
+    return bool(lacking)
+
+
+def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
+    """Rename links that are named as a joint is; whether there were any."""
+    links = {link.get("name", "") for link in root.findall("link")}
+    new = {name: f"{name}/link" for name in links & joints}
+    while set(new.values()) & (links | joints):
+        new = {name: f"{text}/" for name, text in new.items()}
+    for link in root.findall("link") if new else ():
+        link.set("name", new.get(link.get("name", ""), link.get("name", "")))
+    for end in root.findall("joint/*") if new else ():
+        if end.tag in ("parent", "child"):
+            end.set("link", new.get(end.get("link", ""), end.get("link", "")))
+    return bool(new)
+
+
+def check_urdf(urdf: UrdfText) -> None:
+    """Check what a reader of URDFs would refuse in words that do not say where.
+
+    Raises
+    ------
+    ConfigError
+        Links named twice, joints between links that are not there, links with two parents, loops,
+        no or several roots, numbers that are none; naming the file, the joint or link.
+    """
+    root = ElementTree.fromstring(urdf.raw)
+    links = [link.get("name", "") for link in root.findall("link")]
+    parents: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        _check_joint(joint, links, parents, str(urdf.path))
+    twice = next((name for name in links if links.count(name) > 1), None)
+    if twice is not None:
+        raise _refused(urdf, f"two links are named {twice!r}", "Rename or remove one of them.")
+    if not links:
+        raise _refused(urdf, "it has no links", "Name the URDF that describes the arm.")
+    roots = [name for name in links if name not in parents]
+    if len(roots) != 1:
+        found = f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "a loop, no root"
+        raise _refused(urdf, f"it has {found}", "All links must hang in one tree from one root.")
+
+
+def _check_joint(
+    joint: ElementTree.Element, links: list[str], parents: dict[str, str], where: str
+) -> None:
+    name = joint.get("name", "")
+    for which in ("parent", "child"):
+        if _link(joint, which) not in links:
+            text = f"joint {name!r}: its {which} link {_link(joint, which)!r} is not in the URDF"
+            raise ConfigError(text, where=where, hint="Add the link, or correct its name.")
+    child = _link(joint, "child")
+    if child in parents:
+        text = f"link {child!r} is the child of two joints, {parents[child]!r} and {name!r}"
+        hint = "Links must form a tree: cut loops open, and model the closing joint apart."
+        raise ConfigError(text, where=where, hint=hint)
+    parents[child] = name
+    for tag, keys in _NUMBERS.items():
+        element = joint.find(tag)
+        for key in keys if element is not None else ():
+            text = element.get(key, "") if element is not None else ""
+            if not all(_is_number(word) for word in text.split()):
+                message = f"joint {name!r}: <{tag} {key}={text!r}> is not finite numbers"
+                raise ConfigError(message, where=where, hint="Correct the number in the URDF.")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _refused(urdf: UrdfText, message: str, hint: str) -> ConfigError:
+    return ConfigError(message, where=str(urdf.path), hint=hint)
 
 
 def _drives(urdf: UrdfText, name: str) -> bool:

@@ -125,6 +125,72 @@ def test_mimic_and_fixed_joints_and_other_branches_are_left_out(rig: Rig) -> Non
     assert "lacks, locked at zero: left" in (rig.folder / "new.toml").read_text()
 
 
+def test_joints_of_other_names_are_told_apart_by_their_number(rig: Rig) -> None:
+    log = log_with(rig.folder, {f"{name}.": f"axis{k + 1}." for k, name in enumerate(SIX)})
+    assert rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml").code == 0
+    document = tomllib.loads((rig.folder / "new.toml").read_text())
+    assert [joint["name"] for joint in document["joint"]] == list(SIX)
+    assert document["channels"] == {
+        "position": "axis{index}.position",
+        "current": "axis{index}.current",
+    }
+    completed(rig.folder / "new.toml")
+    done = rig.run("inspect", log, "-r", "new.toml", "--json")
+    assert json.loads(done.out)["findings"] == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"<limit[^>]*/>", ""),
+        (r' effort="[^"]*"', ""),
+        (r'"elbow_link"', '"elbow"'),
+        (r"</robot>", "<!-- <xacro:arm prefix=''/> --></robot>"),
+        (r"</link>", '<visual><geometry><mesh filename="package://a/b.dae"/></geometry></visual></link>'),
+        (r'type="revolute"', 'type="continuous"'),
+        (r"(?s)<inertial>.*?</inertial>", ""),
+        (r'<link name="base_link"/>', '<link name="world"/><link name="base_link"/>'
+         '<joint name="free" type="floating"><parent link="world"/>'
+         '<child link="base_link"/></joint>'),
+    ],
+    ids=["no limits", "no effort", "link named as joint", "comment", "mesh", "continuous",
+         "no inertials", "floating"],
+)  # fmt: skip
+def test_unusual_urdfs_lead_to_a_file_that_is_accepted(rig: Rig, old: str, new: str) -> None:
+    log = log_with(rig.folder, {})
+    text = (rig.folder / "arm.urdf").read_text()
+    assert re.search(old, text)
+    (rig.folder / "arm.urdf").write_text(re.sub(old, new, text))
+    assert rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml").code == 0
+    assert load_robot(completed(rig.folder / "new.toml")).joint_names == SIX
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (r"</robot>", '<link name="elbow_link"/></robot>', "two links are named 'elbow_link'"),
+        (r"</robot>", '<link name="other"/></robot>', "2 root links"),
+        (r'child link="elbow_link"', 'child link="elbo"', "its child link 'elbo'"),
+        (r'upper="[^"]*"', 'upper="pi"', "<limit upper='pi'>"),
+        (r"</robot>", '<joint name="back" type="fixed"><parent link="wrist_3_link"/>'
+         '<child link="base_link"/></joint></robot>', "a loop"),
+        (r"</robot>", '<xacro:arm prefix=""/></robot>', "xacro"),
+    ],
+)  # fmt: skip
+def test_urdfs_that_nobody_can_use_are_refused_in_one_message(
+    rig: Rig, old: str, new: str, message: str
+) -> None:
+    log = log_with(rig.folder, {})
+    text = (rig.folder / "arm.urdf").read_text()
+    assert re.search(old, text)
+    (rig.folder / "arm.urdf").write_text(re.sub(old, new, text, count=1))
+    done = rig.run("init", log, "--urdf", "arm.urdf", "-o", "new.toml")
+    assert done.code == 2
+    assert message in done.err
+    assert "hint:" in done.err
+    assert not (rig.folder / "new.toml").exists()
+
+
 def test_an_existing_file_is_kept_unless_forced(rig: Rig) -> None:
     log = log_with(rig.folder, {})
     (rig.folder / "new.toml").write_text("mine")

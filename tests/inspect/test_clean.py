@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -39,13 +38,13 @@ def codes(path: Path, robot_file: Path | None) -> set[str]:
 
 
 def logs_of(*folders: Path) -> list[Path]:
-    """Return all logs, of a long row of like ones every third."""
+    """Return all logs, of a long row of like ones every fourth."""
     files = expand([str(folder) for folder in folders])
-    return files[::3] if len(files) > MANY else files
+    return files[::4] if len(files) > MANY else files
 
 
-def ids(paths: Iterable[Path]) -> list[str]:
-    return [f"{path.parent.name}/{path.stem}" for path in paths]
+def name_of(path: Path) -> str:
+    return f"{path.parent.name}/{path.stem}"
 
 
 @pytest.mark.parametrize(
@@ -70,11 +69,17 @@ def test_sample_logs_are_good_without_a_robot_file(rig: str) -> None:
 
 
 RECORDED = sorted(DATA.glob("*/*.parquet")) if DATA.is_dir() else []
+# All of one kind are much alike: every fourth of them, and those with something wrong.
+CHOSEN = [
+    path
+    for k, path in enumerate(RECORDED)
+    if path.parent.name != "ur10e_innopolis" or k % 4 == 0 or name_of(path) in TRUE
+]
 
 
-@pytest.mark.parametrize("path", RECORDED, ids=ids(RECORDED))
+@pytest.mark.parametrize("path", CHOSEN, ids=[name_of(path) for path in CHOSEN])
 def test_findings_on_recorded_logs_are_true(path: Path) -> None:
-    expected = TRUE.get(f"{path.parent.name}/{path.stem}", set())
+    expected = TRUE.get(name_of(path), set())
     assert codes(path, path.parent / "robot.toml") == expected
     if expected or path.parent.name != "ur10e_innopolis":
         alone = codes(path, None)  # the model's part is missing then

@@ -1,0 +1,229 @@
+"""The motion of a link fitted to the readings of an IMU, for a range of time shifts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.motion.motion import Motion
+from seqid_cli.robot.kinematics import link_motion
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+LARGEST_S, GRID = 0.06, 25
+ROWS = 4000
+COARSE = 4  # of them, every so many for the first search
+BLOCKS = 8
+FEWEST = 200  # rows
+SIGMAS = 4.0
+FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its link
+WIDE = 0.2  # of the variance left, from where larger shifts are tried
+TURNS = 0.02  # rad/s RMS of a link, above which its motion says something
+MEMORY_S = 0.1
+FAR_S, FAR_STEP_S, FAR_ROWS = 2.0, 0.01, 800
+RCOND = 1e-6
+BLOCK = 32_768  # rows
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How an IMU's readings follow a link: share of variance left, delay [s] and its error."""
+
+    left: float
+    delay: float
+    delay_error: float
+    map: Array  # (K, p) readings from the features
+    map_error: float  # largest standard error of the map of specific force (angular velocity)
+    gain: float  # of all channels together: RMS of what the map makes over that of its features
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Readings against the motion of a link, for shifts of some samples either way."""
+
+    features: Array  # (N, p)
+    readings: Array  # (N, K) through the motion's filter
+    rows: NDArray[np.intp]  # that count
+    y: Array  # (R, K) their readings without the mean
+    total: float  # mean square of them, all channels
+    shifts: NDArray[np.intp]
+    left: Array  # mean square that each shift leaves
+
+    @property
+    def share(self) -> float:
+        """Share of the variance that the best shift leaves."""
+        return float(self.left.min()) / self.total
+
+
+def scan(robot: Robot, motion: Motion, values: Array, link: int, *, gyro: bool) -> Scan | None:
+    """Compare readings (N, K) with the motion of a link; None where it rests."""
+    features = _features(robot, motion, link, gyro=gyro)
+    if features is None:
+        return None
+    readings = motion.lowpass(values, motion.valid)
+    shift = max(1, round(LARGEST_S * motion.rate_hz))
+    rows = np.flatnonzero(motion.usable)
+    rows = rows[(rows >= shift) & (rows < len(values) - shift)]
+    rows = rows[:: max(1, len(rows) // ROWS)]
+    if len(rows) < FEWEST:
+        return None
+    y = readings[rows] - readings[rows].mean(axis=0)
+    total = float(np.mean(y**2)) * y.shape[1]
+    if total == 0.0 or not np.isfinite(total):
+        return None
+    shifts = np.unique(np.rint(np.linspace(-shift, shift, GRID)).astype(np.intp))
+    few = slice(None, None, COARSE)
+    left = np.array([_left(features[rows[few] - s], y[few]) for s in shifts])
+    return Scan(features, readings, rows, y, total, shifts, left)
+
+
+def fit_link(robot: Robot, motion: Motion, values: Array, link: int, *, gyro: bool) -> Fit | None:
+    """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
+    tried = scan(robot, motion, values, link, gyro=gyro)
+    if tried is None:
+        return None
+    near, best = tried.share, int(tried.left.argmin())
+    if near > WIDE or best in (0, len(tried.left) - 1):
+        far = _far(motion, tried.readings, tried.features)
+        if near > FOLLOWS or far.left < 0.5 * near:
+            return far
+    return _fine(motion, tried)
+
+
+def _fine(motion: Motion, scan: Scan) -> Fit:
+    """Fit at the shift that is best to a fraction of a sample."""
+    rows, y, shifts, coarse = scan.rows, scan.y, scan.shifts, int(scan.left.argmin())
+    low, high = shifts[max(coarse - 1, 0)], shifts[min(coarse + 1, len(shifts) - 1)]
+    fine = np.arange(max(low - 1, shifts[0]), min(high + 1, shifts[-1]) + 1)
+    errors = np.array([_errors(scan.features[rows - s], y)[0] for s in fine])
+    left = errors.mean(axis=1)
+    best = int(left.argmin())
+    delay, error = _vertex(fine, errors, best, motion, rows)
+    X = scan.features[rows - fine[best]]
+    spacing = float(np.median(np.diff(rows))) / motion.rate_hz
+    fitted = _errors(X, y)[1]
+    return Fit(
+        float(left[best]) / scan.total,
+        delay,
+        error,
+        fitted,
+        _map_error(X, float(left[best]) / y.shape[1], MEMORY_S / spacing),
+        _gain(X, fitted),
+    )
+
+
+def _far(motion: Motion, readings: Array, features: Array) -> Fit:
+    """Look for a shift of up to two seconds, roughly, where none near zero fits."""
+    step = max(1, round(FAR_STEP_S * motion.rate_hz))
+    reach = min(round(FAR_S * motion.rate_hz), len(readings) // 4) // step * step
+    rows = np.flatnonzero(motion.usable)
+    rows = rows[(rows >= reach) & (rows < len(readings) - reach)]
+    rows = rows[:: max(1, len(rows) // FAR_ROWS)]
+    if len(rows) < FAR_ROWS // 4:
+        nothing = np.zeros((readings.shape[1], features.shape[1]))
+        return Fit(1.0, 0.0, np.inf, nothing, np.inf, 0.0)
+    y = readings[rows] - readings[rows].mean(axis=0)
+    shifts = np.arange(-reach, reach + 1, step)
+    left = np.array([_left(features[rows - s], y) for s in shifts])
+    best = int(left.argmin())
+    share = float(left[best]) / max(float(np.mean(y**2)) * y.shape[1], 1e-300)
+    X = features[rows - shifts[best]]
+    fitted = _errors(X, y)[1]
+    delay = float(shifts[best]) / motion.rate_hz
+    return Fit(share, delay, FAR_STEP_S / SIGMAS, fitted, np.inf, _gain(X, fitted))
+
+
+def _gain(X: Array, fitted: Array) -> float:
+    """Size of a map (K, p) on its features (N, p), however few directions these show."""
+    X = X - X.mean(axis=0)
+    return float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
+
+
+def _map_error(X: Array, variance: float, memory: float) -> float:
+    """Largest standard error of the first three columns of a map, per unit of the feature."""
+    X = X - X.mean(axis=0)
+    scale = np.maximum(X.std(axis=0), 1e-9)
+    _, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
+    if s[-1] < 1e-6 * s[0]:
+        seen = np.sum(Vt[s >= 1e-6 * s[0]] ** 2, axis=0)[:3]
+        if (seen < 1.0 - 1e-6).any():
+            return float(np.inf)  # a direction that this motion does not show
+    inverse = Vt.T / np.where(s >= 1e-6 * s[0], s, np.inf)
+    spread = np.sqrt(variance * max(memory, 1.0) * np.sum(inverse**2, axis=1)) / scale
+    return float(spread[:3].max())
+
+
+def _features(robot: Robot, motion: Motion, link: int, *, gyro: bool) -> Array | None:
+    """What the readings on a link are linear in (N, p), through the filter; None if it rests."""
+    starts = range(0, motion.samples, BLOCK)  # the motion of all links is far larger than of one
+    parts = [_of_block(robot, motion, link, slice(a, a + BLOCK), gyro=gyro) for a in starts]
+    squares = sum(turns for turns, _ in parts)
+    if float(np.sqrt(squares / motion.samples)) < TURNS:
+        return None
+    return np.asarray(motion.filtered(np.concatenate([columns for _, columns in parts])))
+
+
+def _of_block(
+    robot: Robot, motion: Motion, link: int, rows: slice, *, gyro: bool
+) -> tuple[float, Array]:
+    """Sum of squares of a link's angular velocity over some rows, and the features there."""
+    q, dq, ddq = motion.q[rows].T, motion.dq[rows].T, motion.ddq[rows].T
+    moved = link_motion(robot.chain, robot.gravity, q, dq, ddq)
+    w = moved.w[link].T
+    turns = float(np.sum(w**2))
+    if gyro:
+        return turns, w
+    products = np.stack([w[:, a] * w[:, b] for a in range(3) for b in range(a, 3)], axis=1)
+    return turns, np.hstack([moved.a[link].T, moved.dw[link].T, products])
+
+
+def _left(X: Array, y: Array) -> float:
+    """Squared error per sample that features (R, p) leave of readings (R, K)."""
+    return float(_errors(X, y)[0].mean())
+
+
+def _errors(X: Array, y: Array) -> tuple[Array, Array]:
+    """Squared errors (R,) that features (R, p) leave of readings (R, K), and the map (K, p)."""
+    X = X - X.mean(axis=0)
+    scale = np.maximum(X.std(axis=0), 1e-9)
+    X = X / scale
+    values, vectors = np.linalg.eigh(X.T @ X)
+    kept = values > RCOND**2 * values[-1]
+    theta = vectors[:, kept] @ ((X @ vectors[:, kept]).T @ y / values[kept, None])
+    return np.asarray(np.sum((y - X @ theta) ** 2, axis=1)), (theta / scale[:, None]).T
+
+
+def _vertex(
+    shifts: NDArray[np.intp], errors: Array, best: int, motion: Motion, rows: NDArray[np.intp]
+) -> tuple[float, float]:
+    """Delay [s] at the vertex of the parabola through the best shifts, and its error.
+
+    The error is the larger of what white noise leads to and of how the vertex moves when one of
+    `BLOCKS` parts of the log is left out: a coarse encoder's noise is far from white.
+    """
+    k = int(np.clip(best, 1, max(len(errors) - 2, 1)))
+    dt = 1.0 / motion.rate_hz
+    if len(errors) < 3 or best != k:
+        return float(shifts[best]) * dt, np.inf
+    near = errors[k - 1 : k + 2]
+    middle = float(near[1].mean())
+    offset, curvature = _parabola(near.mean(axis=1))
+    if curvature <= 0.0:
+        return float(shifts[best]) * dt, np.inf
+    parts = np.array([part.sum(axis=1) for part in np.array_split(near, BLOCKS, axis=1)])
+    without = np.array([_parabola(parts.sum(axis=0) - part)[0] for part in parts])
+    scatter = float(np.sqrt((BLOCKS - 1) * np.mean((without - without.mean()) ** 2)))
+    spacing = float(np.median(np.diff(rows))) * dt
+    memory = max(1.0, MEMORY_S / spacing)
+    white = float(np.sqrt(memory * middle / (curvature * len(rows))))
+    return (float(shifts[k]) + offset) * dt, max(white, scatter) * dt
+
+
+def _parabola(three: Array) -> tuple[float, float]:
+    """Vertex, from the middle one, and curvature of the parabola through three values."""
+    below, middle, above = (float(x) for x in three)
+    curvature = below - 2.0 * middle + above
+    return 0.5 * (below - above) / (curvature if curvature else np.inf), curvature

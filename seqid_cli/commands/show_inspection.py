@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from pathlib import Path
 
 from seqid_cli.commands.render import Screen, number, percent
 from seqid_cli.params.inspection_schema import InspectedLog, InspectionFile, InspectionFinding
@@ -13,6 +15,7 @@ _WORDS = {
     "faulty": "something is wrong: see the errors",
     "unreadable": "a log cannot be read",
 }
+SHOWN_JITTER = 0.01
 _SHOWN = 3  # logs that are shown in detail without -v
 
 
@@ -33,22 +36,40 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
 
 
 def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
-    columns = ("log", "verdict", "format", "s", "Hz", "jitter", "gaps", "moving", "serves")
+    folder = _common_folder([log.path for log in logs])
+    if folder:
+        screen.result(f"in {folder}:")
+    uneven = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
+    columns = ["log", "verdict", "format", "s", "Hz", "moving", "serves"]
     rows = [
-        (
-            log.path,
+        [
+            log.path.removeprefix(folder),
             log.verdict,
             log.format or "-",
             number(log.seconds, 4),
             number(log.rate_hz, 5),
-            percent(log.jitter),
-            str(len(log.gaps)),
             f"{sum(joint.moves for joint in log.joints)} of {len(log.joints)}",
             ", ".join(log.serves) or "-",
-        )
+        ]
         for log in logs
     ]
-    screen.table(columns, rows)
+    if uneven:
+        columns[5:5] = ["jitter", "gaps"]
+        for row, log in zip(rows, logs, strict=True):
+            row[5:5] = [percent(log.jitter), str(len(log.gaps))]
+    screen.table(columns, [tuple(row) for row in rows])
+
+
+def _common_folder(paths: Sequence[str]) -> str:
+    """Return the folder, with its separator, that several logs lie in; else nothing."""
+    if len(paths) < 2:
+        return ""
+    try:
+        folder = os.path.commonpath([Path(path).parent for path in paths])
+    except ValueError:  # absolute paths and relative ones, or several drives
+        return ""
+    start = f"{folder}{os.sep}"
+    return start if all(path.startswith(start) for path in paths) else ""
 
 
 def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:

@@ -150,8 +150,11 @@ def _mending(
     text = f"{cause.text}; the equations' error {fall}"
     others = [other for other in alike if set(other.joints) != set(cause.joints)]
     if others:
-        rivals = [f"{robot.joint_names[other.joints[0]]} {other.text}" for other in others]
-        text += f" (as well if {', or '.join(rivals)})"
+        rivals = [
+            f"{', '.join(robot.joint_names[j] for j in other.joints)}: {other.text}"
+            for other in others
+        ]
+        text += f" (as well with {'; or '.join(rivals)})"
     finding = found(cause.code, text, joint=names, channel=cause.channel)
     return Mended(finding, after.error)
 

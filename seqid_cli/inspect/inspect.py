@@ -64,12 +64,13 @@ _FOLLOW_UP = (
     ),
     ({"torque_zero", "torque_constant_value"}, {"torque_echo"}),
     ({"torque_echo"}, {"torque_saturated", "torque_quantised", "torque_stuck"}),
-    ({"gyro_in_degrees"}, {"gyro_bias"}),
 )
+_FOLLOW_UP_OF_MOTION = (({"gyro_in_degrees"}, {"gyro_bias"}),)
 # What a clock that scatters makes of sound values.
 _UNEVEN = frozenset({"velocity_inconsistent", "speed_limit", "position_jump", "values_missing"})
 _STAGES = ("friction", "gravity", "imu-calib", "inertia")
 
+Rules = tuple[tuple[set[str], set[str]], ...]
 Progress = Callable[[int, str], None]
 
 
@@ -210,10 +211,10 @@ def _findings(data: LogData, following: list[Following]) -> Iterator[Finding]:
             own += [*positions, *fast_in_degrees(data)]
         if any(f.code == "jitter" for f in own):  # slopes over such times mean nothing
             own = [f for f in own if f.code not in _UNEVEN]
-    own = _one_cause(own)
+    own = _one_cause(own, _FOLLOW_UP)
     if not any(finding.code in _SPOIL_ALL for finding in own):
         own += _of_dynamics(data, own, following)
-    yield from _one_cause(own)
+    yield from _one_cause(own, _FOLLOW_UP_OF_MOTION)
 
 
 def _of_dynamics(
@@ -249,7 +250,7 @@ def _with_imus(finding: Finding, data: LogData, following: list[Following]) -> F
     return replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
 
 
-def _one_cause(findings: list[Finding]) -> list[Finding]:
+def _one_cause(findings: list[Finding], rules: Rules) -> list[Finding]:
     """Leave out what another finding of the same joint already explains."""
     codes: dict[str, set[str]] = {}
     for finding in findings:
@@ -260,7 +261,7 @@ def _one_cause(findings: list[Finding]) -> list[Finding]:
         for finding in findings
         if not any(
             finding.code in follow_up and codes[finding.joint] & causes
-            for causes, follow_up in _FOLLOW_UP
+            for causes, follow_up in rules
             if finding.joint in codes
         )
     ]

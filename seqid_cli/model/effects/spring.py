@@ -3,7 +3,8 @@
     tau = k (q - q0) + k3 q^3
 
 k [N m/rad], q0 [rad] where it is slack, k3 [N m/rad^3] (a cable or hose stiffens; 0 unless
-`cubic`). A motor holds against a spring that pulls back with tau > 0 ahead of q0, so k > 0; a
+`cubic`; where it rubs it follows with hysteresis, which presliding_hysteresis shows as well). A
+motor holds against a spring that pulls back with tau > 0 ahead of q0, so k > 0; a
 counterbalance that helps away from its dead centre has k < 0. With the cubic term q0 is where the
 linear part vanishes. For compensators see Klimchik et al., "Identification of geometrical and
 elastostatic parameters of heavy industrial robots", ICRA 2013.
@@ -38,7 +39,7 @@ class Spring(Effect):
     family = "transmission"
     settings = (Setting("cubic", "1", low=0.0, high=1.0, continuous=False),)
     passes = 1
-    alike = ("torque_bias", "payload", "base_tilt")
+    alike = ("torque_bias", "payload", "base_tilt", "presliding_hysteresis")
     separate_by = (
         "slow sweeps of this joint over its whole range, both ways, with the other joints in two "
         "poses that turn gravity on it round: a spring does not follow"

@@ -107,11 +107,15 @@ def _beside_rest(finding: Finding, rest: Sequence[Unexplained]) -> Finding:
     if not share or CATALOGUE[finding.effect].wide:
         return finding
     unknown = share * (1.0 - finding.explains)
-    sure = finding.explains / max(finding.explains + unknown, 1e-12)
+    return _less_sure(finding, finding.explains / max(finding.explains + unknown, 1e-12))
+
+
+def _less_sure(finding: Finding, share: float) -> Finding:
+    """Both confidences times `share`."""
     return replace(
         finding,
-        confidence=sure * finding.confidence,
-        name_confidence=sure * finding.name_confidence,
+        confidence=share * finding.confidence,
+        name_confidence=share * finding.name_confidence,
     )
 
 
@@ -131,12 +135,7 @@ def _of_company(finding: Finding, before: Sequence[Finding], after: Sequence[Fin
     weightier, lesser = (_alike(finding, others) for others in (before, after))
     names = dict.fromkeys((*finding.confusable_with, *weightier, *lesser))
     share = REST if weightier else 1.0
-    return replace(
-        finding,
-        confidence=share * finding.confidence,
-        name_confidence=share * finding.name_confidence,
-        confusable_with=tuple(names),
-    )
+    return replace(_less_sure(finding, share), confusable_with=tuple(names))
 
 
 def _alike(finding: Finding, others: Sequence[Finding]) -> list[str]:

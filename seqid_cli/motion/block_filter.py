@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 
-from seqid_cli.motion.filtering import ORDER, Lowpass, _sections, runs
+from seqid_cli.motion.filtering import ORDER, SHORTEST, Lowpass, runs, sections
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,7 +37,6 @@ NEGLIGIBLE = 1e-13
 REACH = 64  # samples more than the memory, for what grows before it decays
 # Of the rate: below, what rounding leaves in the states of blocks exceeds 1e-12 of the signal.
 LOWEST = 0.0025 if np.finfo(np.longdouble).eps < 1e-18 else 0.006
-SHORTEST = 8  # samples of a run that is filtered at all
 TILE = 131_072  # values filtered together: what is made on the way stays in cache
 
 
@@ -52,20 +51,7 @@ class BlockLowpass(Lowpass):
         return _kernel(self.cutoff_hz, self.rate_hz).memory
 
     def __call__(self, values: Array, valid: Mask | None = None) -> Array:
-        """Filter along the first axis, each run of valid samples by itself.
-
-        Parameters
-        ----------
-        values : (N, ...) array
-            Samples in time order.
-        valid : (N,) bool array, optional
-            False where samples must not leak into others.
-
-        Returns
-        -------
-        (N, ...) array
-            Filtered values; samples outside valid runs are returned as they came.
-        """
+        """Filter along the first axis, as `Lowpass` does."""
         rows = np.array(values.reshape(len(values), -1).T, order="C")
         self.filter_rows(rows, valid)
         return np.ascontiguousarray(rows.T).reshape(values.shape)
@@ -217,7 +203,7 @@ def _lay(rows: Array, pad: int, wide: Array) -> None:
 @lru_cache(maxsize=64)
 def _kernel(cutoff_hz: float, rate_hz: float) -> _Kernel:
     """Build the matrices, in the longest floating point there is: low cut-offs cancel digits."""
-    A, B, C, D, steady = _state_space(_sections(cutoff_hz, rate_hz).astype(np.longdouble))
+    A, B, C, D, steady = _state_space(sections(cutoff_hz, rate_hz).astype(np.longdouble))
     responses, steps, rows = [D], [B], [C]
     for _ in range(LENGTH - 1):
         responses.append(np.longdouble(C @ steps[-1]))

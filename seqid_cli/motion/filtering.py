@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 ORDER = 4
+SHORTEST = 8  # samples of a run that is filtered at all
 # Central differences of eighth order: the error is below 1e-3 up to a tenth of the sampling rate.
 _FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 _SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
@@ -58,20 +59,21 @@ class Lowpass:
         """
         if not self.active:
             return values.copy()
-        sos = _sections(self.cutoff_hz, self.rate_hz)
+        sos = sections(self.cutoff_hz, self.rate_hz)
         result = values.copy()
         for start, stop in runs(valid, len(values)):
             pad = min(6 * self.settling, stop - start - 1)
-            if stop - start > 8:
+            if stop - start > SHORTEST:
                 piece = sosfiltfilt(sos, values[start:stop], axis=0, padtype="odd", padlen=pad)
                 result[start:stop] = piece
         return result
 
 
 @lru_cache(maxsize=64)
-def _sections(cutoff_hz: float, rate_hz: float) -> Array:
-    sections: Array = butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
-    return sections
+def sections(cutoff_hz: float, rate_hz: float) -> Array:
+    """Second-order sections (ORDER / 2, 6) of one pass."""
+    sos: Array = butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    return sos
 
 
 def runs(mask: Mask | None, length: int) -> list[tuple[int, int]]:

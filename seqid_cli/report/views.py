@@ -19,6 +19,15 @@ class Column:
     unit: str = ""
 
 
+VALUE_COLUMNS = (
+    Column("parameter"),
+    Column("value", numeric=True),
+    Column("std error", numeric=True),
+    Column("95 % interval", numeric=True),
+    Column("unit"),
+)
+
+
 @dataclass(frozen=True)
 class Table:
     """Rows of finished text; `caption` says what they are."""

@@ -15,7 +15,7 @@ from seqid_cli.report.collection import Collection, Diagnosed
 from seqid_cli.report.diagnosis_figures import against_floor, timeline, unexplained_curve
 from seqid_cli.report.judgement import known_effects
 from seqid_cli.report.sections.parameters import setting_units
-from seqid_cli.report.views import Absent, Column, Group, Section, Table
+from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Group, Section, Table
 from seqid_cli.report.words import (
     command,
     effect_at,
@@ -136,13 +136,6 @@ def _about(effect: str) -> str:
 
 
 def _parameters(item: FindingEntry) -> Table | None:
-    columns = (
-        Column("parameter"),
-        Column("value", numeric=True),
-        Column("std error", numeric=True),
-        Column("95 % interval", numeric=True),
-        Column("unit"),
-    )
     rows = [
         (
             value.name.replace("_", " "),
@@ -164,7 +157,7 @@ def _parameters(item: FindingEntry) -> Table | None:
     ]
     if not rows:
         return None
-    return Table(f"Parameters of {effect_at(item.effect, item.joint)}", columns, rows)
+    return Table(f"Parameters of {effect_at(item.effect, item.joint)}", VALUE_COLUMNS, rows)
 
 
 def _unexplained(parts: Sequence[UnexplainedPart]) -> list[str]:

@@ -11,7 +11,7 @@ from seqid_cli.report.friction_figures import (
     surface_figure,
 )
 from seqid_cli.report.torque_figures import Place
-from seqid_cli.report.views import Absent, Column, Figure, Group, Section, Table
+from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
 from seqid_cli.report.words import interval, number, percent, unit_text, with_error
 
 _CALL = "seqid friction LOG... -r robot.toml -o friction.json"
@@ -101,13 +101,6 @@ def _speeds(name: str, joint: FrictionJoint, place: Place) -> Table:
 
 
 def _terms(name: str, joint: FrictionJoint) -> Table:
-    columns = (
-        Column("parameter"),
-        Column("value", numeric=True),
-        Column("std error", numeric=True),
-        Column("95 % interval", numeric=True),
-        Column("unit"),
-    )
     rows = [
         (
             item.name,
@@ -117,4 +110,4 @@ def _terms(name: str, joint: FrictionJoint) -> Table:
         )
         for item in joint.parameters
     ]
-    return Table(f"Friction parameters of {name}", columns, rows)
+    return Table(f"Friction parameters of {name}", VALUE_COLUMNS, rows)

@@ -5,13 +5,13 @@ effect; model and effects are fitted anew under two accounts: the effect was the
 came after the file was identified (see `reidentify`). The account that explains the logs of all
 stages better is tried first; where these do not tell, the one that foretells the held-out logs
 better. The held-out logs decide. An effect that helps the training logs alone, or one joint at the
-expense of another, is refused, and said to be.
+expense of another, is refused, and said to be; one that has become idle is taken back at the end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -21,36 +21,18 @@ from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Tried
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.floor import noise_floor
-from seqid_cli.discover.heldout import (
-    LEAST_GAIN,
-    Gain,
-    HeldOutError,
-    gain,
-    held_out_error,
-)
+from seqid_cli.discover.heldout import LEAST_GAIN, HeldOutError, gain, held_out_error
 from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.reidentify import (
-    Key,
-    Material,
-    Refitted,
-    identity,
-    key_of,
-    refitted,
-    unique,
-)
+from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of, refitted
 from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.usable import usable_logs
+from seqid_cli.discover.withdraw import withdraw_idle
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.fitted import (
-    Fitted,
-    FittedEffect,
-    FittedTerm,
-    as_stage,
-    fitted_effects,
-)
+from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 
@@ -61,67 +43,6 @@ ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
 # Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
 TOLERATED, EXCHANGE = 0.05, 0.2
-
-
-@dataclass
-class Loop:
-    """The model as it grows, its error on the held-out logs, and what was tried."""
-
-    material: Material
-    held_out: tuple[Recording, ...]
-    model: Refitted
-    error: HeldOutError
-    rounds: list[Round]
-    refused: dict[Key, float]  # until so many effects have been added
-    rng: np.random.Generator
-
-    @property
-    def added(self) -> int:
-        """Number of effects added."""
-        return sum(r.accepted for r in self.rounds)
-
-    def judged(self, model: Refitted) -> HeldOutError:
-        """Error of a model on the held-out logs."""
-        return self._error(self.held_out, model.stages, model.effects)
-
-    def explained(self, model: Refitted) -> HeldOutError:
-        """Error of a model on all logs that it is to explain, each with the effects it had."""
-        logs = unique([log for logs in self.material.earlier.values() for log in logs])
-        fitted = {identity(log) for log in self.material.training}
-        before = [log for log in logs if identity(log) not in fitted and _drives(log)]
-        now = self._error(self.material.training, model.stages, model.effects)
-        if not before:
-            return now
-        return now.beside(self._error(before, model.stages, model.lasting))
-
-    def _error(
-        self, logs: Sequence[Recording], stages: Stages, effects: Sequence[Fitted]
-    ) -> HeldOutError:
-        whole = with_effects(Refitted(stages, tuple(effects)), self.material.robot)
-        motion = self.material.options.motion
-        return held_out_error(logs, self.material.robot, whole, options=motion, unexplained=True)
-
-
-@dataclass(frozen=True)
-class Account:
-    """A model with one effect more, when that effect came, and what the held-out logs say."""
-
-    model: Refitted
-    late: bool
-    error: HeldOutError
-    change: Gain  # at the joints of the effect
-    whole: Gain
-    losing: tuple[int, ...]  # joints that lose more than is tolerated
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the held-out logs agree."""
-        return self.helps and not self.losing
-
-    @property
-    def helps(self) -> bool:
-        """Whether the held-out logs agree, as far as the effect's own joints are concerned."""
-        return self.change.certain and self.whole.value > 0.0
 
 
 def refine(
@@ -169,6 +90,7 @@ def refine(
     loop = Loop(material, tuple(held_out), start, error, [], {}, rng)
     while loop.added < options.max_effects and _round(loop):
         pass
+    withdraw_idle(loop, error)
     if options.with_unexplained:
         _add_smooth(loop)
     return with_effects(loop.model, robot), _closed(loop, error, (*notes, *more))
@@ -184,10 +106,6 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
         for key in keys
         if (key[0], None if key[1] is None else robot.joint_names[key[1]]) in names
     )
-
-
-def _drives(log: Recording) -> bool:
-    return log.tau is not None
 
 
 def _investigated(loop: Loop) -> Investigation:
@@ -243,7 +161,7 @@ def _try(loop: Loop, tried: Tried, training_gain: float, *, kept: bool) -> bool:
 
 def _account(loop: Loop, tried: Tried, *, late: bool) -> Account:
     """The model with one effect more, that came late or was there all along."""
-    candidates = [*_candidates(loop.model.effects), tried.candidate]
+    candidates = [*candidates_of_model(loop.model.effects), tried.candidate]
     came = loop.model.late | ({tried.candidate.key} if late else set())
     model = refitted(loop.material, loop.model, candidates, late=came, kept=late)
     n = loop.material.robot.n
@@ -269,14 +187,6 @@ def _ordered(loop: Loop, accounts: list[Account]) -> list[Account]:
     if not (change.certain or change.loses):
         change = gain(first.error, second.error, range(n), loop.rng)
     return [second, first] if change.certain else [first, second]
-
-
-def _candidates(effects: Sequence[Fitted]) -> list[Candidate]:
-    return [
-        Candidate(f.effect, f.joint, dict(f.settings), below=f.effect.wide)
-        for f in effects
-        if isinstance(f, FittedEffect)
-    ]
 
 
 def _told(loop: Loop, candidate: Candidate, training_gain: float, account: Account) -> Round:
@@ -332,15 +242,6 @@ def _add_smooth(loop: Loop) -> None:
         )
         if change.certain:
             loop.model, loop.error = model, error
-
-
-def with_effects(model: Refitted, robot: Robot) -> Stages:
-    """The stages with the effects written into them."""
-    effects = [
-        as_stage(f, robot) if isinstance(f, FittedEffect) else f.term.to_stage(robot)
-        for f in model.effects
-    ]
-    return msgspec.structs.replace(model.stages, effects=effects)
 
 
 def _closed(loop: Loop, before: HeldOutError, notes: tuple[str, ...]) -> ClosedLoop:

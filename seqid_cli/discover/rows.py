@@ -17,11 +17,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
-from scipy.sparse import csr_array
 
+from seqid_cli.discover.sieve import Sieve
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import Lowpass, runs
-from seqid_cli.motion.motion import Motion
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,7 +36,6 @@ SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and 
 SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
 REACH_OUTSIDE = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 MOST_OUTSIDE = 0.6  # share of a log outside the identified friction, from which it counts all
-REACH = 6  # of the low-pass's settling: what lies further off weighs less than 1e-4 in all
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class Rows:
                 sieved.setdefault(joint, []).append(kept[self.used[number][:, joint]])
         return {joint: np.concatenate(values) for joint, values in sieved.items()}
 
-    def sieve(self, number: int, passes: int) -> csr_array:
+    def sieve(self, number: int, passes: int) -> Sieve:
         """Low-pass and choice of rows of one scene in one matrix (M, N).
 
         Where samples are valid it does what `Motion.filtered` does.
@@ -104,7 +101,7 @@ class Rows:
         key = (number, passes)
         if key not in self._sieves:
             motion = self.scenes[number].motion
-            self._sieves[key] = _sieve(motion, self.picked[number], passes)
+            self._sieves[key] = Sieve.of(motion, self.picked[number], passes)
         return self._sieves[key]
 
     @cached_property
@@ -113,7 +110,7 @@ class Rows:
         return {}
 
     @cached_property
-    def _sieves(self) -> dict[tuple[int, int], csr_array]:
+    def _sieves(self) -> dict[tuple[int, int], Sieve]:
         return {}
 
     def keep_sieves_of(self, other: Rows) -> None:
@@ -165,40 +162,6 @@ def extrapolated(scene: Scene) -> Mask:
         if simple or np.mean(outside[:, j]) > MOST_OUTSIDE:
             outside[:, j] = False
     return outside
-
-
-def _sieve(motion: Motion, picked: Index, passes: int) -> csr_array:
-    """Weights of all samples in every picked one after the low-pass, (M, N)."""
-    parts = [
-        _weights(motion.lowpass, picked, run, passes) for run in runs(motion.valid, motion.samples)
-    ]
-    weight = np.concatenate([part[0] for part in parts])
-    row, column = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
-    return csr_array((weight, (row, column)), shape=(len(picked), motion.samples))
-
-
-def _weights(
-    lowpass: Lowpass, picked: Index, run: tuple[int, int], passes: int
-) -> tuple[Array, Index, Index]:
-    """Weights, rows and samples of what is picked in one run of valid samples.
-
-    The low-pass of a short piece has it all: rows near the ends take its first and last rows, all
-    others its middle one.
-    """
-    start, samples = run[0], run[1] - run[0]
-    reach = REACH * lowpass.settling if lowpass.active else 0
-    length = min(samples, 3 * reach + 1)
-    response = np.eye(length)
-    for _ in range(passes):
-        response = lowpass(response)
-    row = np.flatnonzero((picked >= start) & (picked < run[1]))
-    at = picked[row, None] - start
-    piece = np.clip(at - length // 2, 0, samples - length)
-    column = at + np.arange(-reach, reach + 1)
-    inside = (column >= 0) & (column < samples)
-    weight = response[at - piece, np.clip(column - piece, 0, length - 1)]
-    rows = np.broadcast_to(row[:, None], column.shape)
-    return weight[inside], rows[inside], column[inside] + start
 
 
 def _moved(

@@ -64,8 +64,9 @@ class Search:
     def begin(cls, stage: Stage, base: Base, *, kept: bool, smooth: Sequence[Rival] = ()) -> Search:
         """Start with the base, and smooth functions where no effect is to be looked for.
 
-        A base that is not kept is as free as its folds can bear: where a freer one foretells what
+        Friction that is not kept is as free as its folds can bear: where freer one foretells what
         was left out no better, many parameters on few logs would only swallow what is looked for.
+        The rigid body and friction's broad terms stay free, for they may have swallowed it before.
         """
         rms = [np.sqrt(np.mean(y**2)) if len(y) else 1.0 for y in [*base.y, *stage.high.y]]
         noise = np.maximum(rms, 1e-12)
@@ -154,16 +155,14 @@ class Search:
 
     def _base_blocks(self) -> list[Block]:
         base, n = self.base, self.stage.rows.n
-        hold = 1.0 / self.inflation
-        rigid, friction, timing = base.bounds
-        held = np.vstack([hold * base.prior_rigid, np.diag(rigid)])
+        held = base.rigid_hold(self.inflation if self.kept else FREE_INFLATIONS[0])
         blocks = [Block(dict(enumerate(base.rigid)), held, lasting=True)]
         for j in range(n):
-            held = np.vstack([hold * base.prior_friction[j], np.diag(friction[j])])
+            held = base.friction_hold(j, self.inflation, free=not self.kept)
             blocks.append(Block({j: base.friction[j]}, held, lasting=True))
         for j in range(n):
             columns = base.timing[j] if self.timed[j] else self.stage.nothing[j]
-            blocks.append(Block({j: columns}, np.diag(timing[j]), lasting=True))
+            blocks.append(Block({j: columns}, np.diag(base.bounds[2][j]), lasting=True))
         return blocks
 
     def rms(self) -> Array:

@@ -87,11 +87,9 @@ class Proved:
         return Answer(self.name, asked, told, met, before, after, limit, self.seconds)
 
 
-def diagnosed(
-    logs: Sequence[Recording], robot: Robot, most: int, cutoff_hz: float | None = None
-) -> Diagnosis:
+def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> Diagnosis:
     """What the classical fit of these logs lacks on them."""
-    motion = MotionOptions(cutoff_hz=cutoff_hz)
+    motion = MotionOptions()
     friction, inertia = identify_simultaneous(logs, robot, options=motion, offset=True)
     options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
     return diagnose(logs, robot, Stages(friction=friction, inertia=inertia), options=options)
@@ -102,8 +100,8 @@ def ripple(
 ) -> Answer:
     """Whether a ripple of `order` is named at a joint, from a single log."""
     start = time.process_time()
-    cutoff_hz = 5.0 if len(robot.joint_names) > 1 else None
-    found = diagnosed(logs, robot, 6 if cutoff_hz else 4, cutoff_hz)
+    alone = len(robot.joint_names) == 1
+    found = diagnosed(logs, robot, 4 if alone else 6)
     seconds = time.process_time() - start
     name = robot.joint_names[joint]
     near = [
@@ -113,7 +111,7 @@ def ripple(
     ]
     asked = f"ripple of order {order:g}" if there else f"no line of order {order:g}: none named"
     met = bool(near) == there
-    if cutoff_hz is not None:  # above it the model is not judged, and there the lines are
+    if not alone:  # the lines lie above the cut-off, where the model is not judged
         return Answer(data, asked, _told(near), met, seconds=seconds)
     left = found.joints[name]
     sizes = (left.rmse, left.rmse_explained)

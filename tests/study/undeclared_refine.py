@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Stage
+from seqid_cli.discover.loop import with_effects
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refine import with_effects
 from seqid_cli.discover.reidentify import Material, Refitted, refitted
 from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.discover.rows import rows_of

@@ -162,8 +162,8 @@ def _not_of_shape(search: Search, events: list[Interval]) -> list[Interval]:
     """Events without those where accepted effects, large there, may only not have quite the shape.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect
-    shows is looked at a little around the event too, where it shows most in as short a time: shapes
-    are wrong where effects change sign.
+    shows is looked at a little around the event too, where it shows most in as short a time, and how
+    far it swings there: shapes are wrong where effects change sign.
     """
     if not search.accepted or not events:
         return events
@@ -182,7 +182,8 @@ def _of_shape(search: Search, event: Interval, residual: Array, effects: Array) 
     left = residual[inside][:, joints] / search.noise[joints]
     shown = effects[around][:, joints] / search.noise[joints]
     strongest = float(np.max(uniform_filter1d(np.mean(shown**2, axis=1), int(inside.sum()))))
-    return bool(np.mean(left**2) < BESIDE**2 * strongest)
+    swing = float(np.mean(np.ptp(shown[inside[around]], axis=0) ** 2))
+    return bool(np.mean(left**2) < BESIDE**2 * max(strongest, swing))
 
 
 def _again(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:

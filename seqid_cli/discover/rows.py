@@ -33,6 +33,8 @@ FOLDS_OF_ONE = 5
 MOST_ROWS = 40_000
 FEWEST_ROWS = 50  # of a joint, all logs together, that are worth looking at
 SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
+FEWEST_FOLDS = 3  # in which a joint must have rows
+LEAST_OF_FOLD = 0.02  # of a joint's rows, that a fold must have to count
 SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
 REACH_OUTSIDE = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 MOST_OUTSIDE = 0.6  # share of a log outside the identified friction, from which it counts all
@@ -145,6 +147,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         first += count
     kept = _moved(scenes, picked, used)
     folds = _folds(lengths, _fewest_folds(kept))
+    kept = _foretold(kept, block, folds)
     return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
 
 
@@ -180,6 +183,18 @@ def _moved(
     kept = [u & m for u, m in zip(used, moves, strict=True)]
     enough = sum(u.sum(axis=0) for u in kept) >= FEWEST_ROWS
     return tuple(u & enough for u in kept)
+
+
+def _foretold(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> tuple[Mask, ...]:
+    """Leave out joints that move in next to no folds: the others would foretell nothing of them."""
+    number = int(folds.max()) + 1
+    counts = np.zeros((number, used[0].shape[1]))
+    for u, b in zip(used, block, strict=True):
+        np.add.at(counts, folds[b], u)
+    share = counts / np.maximum(counts.sum(axis=0), 1)
+    enough = (share > LEAST_OF_FOLD).sum(axis=0) >= min(FEWEST_FOLDS, number)
+    enough |= not enough.any()
+    return tuple(u & enough for u in used)
 
 
 def _travel(q: Array, used: Mask) -> Array:

@@ -140,13 +140,16 @@ def test_a_joint_that_moves_in_one_log_only_has_folds_enough_in_it() -> None:
     assert len(np.unique(four.folds_of(0))) < 4 * FOLDS_OF_ONE
 
 
-def test_a_single_move_of_a_joint_does_not_count_beside_a_whole_log_of_it() -> None:
+def test_a_single_move_of_a_joint_does_not_count() -> None:
     q = wander(30.0, seed=2)
     settled = int(1.5 * RATE_HZ)
     q[settled:, 1] = q[settled, 1]
     alone = rows_of([scene_of(q)])
     both = rows_of([scene_of(wander(30.0, seed=1)), scene_of(q, log=1)])
-    assert alone.used[0][:, 1].any()
+    only = rows_of([scene_of(np.column_stack([q[:, 1], q[:, 1]]))])
+    assert not alone.used[0][:, 1].any()
+    assert alone.used[0][:, 0].any()
+    assert only.used[0][:, 1].any()  # there is nothing else to look at
     assert not both.used[1][:, 1].any()
     assert both.used[1][:, 0].any()
     assert both.used[0][:, 1].any()

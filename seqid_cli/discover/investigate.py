@@ -162,8 +162,8 @@ def _not_of_shape(search: Search, events: list[Interval]) -> list[Interval]:
     """Events without those where accepted effects, large there, may only not have quite the shape.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect
-    shows is looked at a little around the event too, where it shows most in as short a time, and how
-    far it swings there: shapes are wrong where effects change sign.
+    shows is looked at a little around the event too, where it shows most in as short a time, and
+    how far it swings there: shapes are wrong where effects change sign.
     """
     if not search.accepted or not events:
         return events

@@ -96,6 +96,18 @@ def refine(
     return with_effects(loop.model, robot), _closed(loop, error, (*notes, *more))
 
 
+def _had(loop: Loop, candidate: Candidate) -> bool:
+    """Whether the model has the very effect; a joint may have several ripples and lines."""
+    if candidate.effect.wide:
+        return False
+    kinds = [s.name for s in candidate.effect.settings if not s.continuous]
+    return any(
+        known.key == candidate.key
+        and all(known.settings[kind] == candidate.settings[kind] for kind in kinds)
+        for known in candidates_of_model(loop.model.effects)
+    )
+
+
 def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozenset[Key]:
     """Effects of the file that an earlier refinement found to have come late."""
     rounds = file.closed_loop.rounds if file.closed_loop is not None else []
@@ -123,7 +135,7 @@ def _round(loop: Loop) -> bool:
     if found.events:
         loop.material = replace(seen, training=quiet(seen.training, found.events))
     for tried in ordered:
-        if loop.added < loop.refused.get(tried.candidate.key, 0):
+        if loop.added < loop.refused.get(tried.candidate.key, 0) or _had(loop, tried.candidate):
             continue
         if loop.added >= loop.material.options.max_effects:
             break

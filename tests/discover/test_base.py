@@ -164,7 +164,7 @@ def test_broad_terms_of_a_surface_are_held_by_their_bounds_alone(scenes: list[Sc
     joint.positive = joint.negative = rng.normal(size=(7, 2)).tolist()
     joint.position_order = 6
     stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
-    surfaces = (FrictionSurface.from_stage(joint),) * 2
+    surfaces: list[FrictionSurface | None] = [FrictionSurface.from_stage(joint)] * 2
     wavy = [replace(s, model=replace(s.model, surfaces=surfaces)) for s in scenes]
     base = base_of(rows_of(wavy), stages)
     assert base.broad[0].tolist() == [0, 1, 2, 4, 6, 8, 10]

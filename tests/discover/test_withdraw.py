@@ -8,6 +8,7 @@ import pytest
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.loop import Loop
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refine import _had
 from seqid_cli.discover.reidentify import Key, Material, Refitted, refitted
 from seqid_cli.discover.results import Round
 from seqid_cli.discover.withdraw import IDLE, withdraw_idle
@@ -62,3 +63,11 @@ def test_where_all_is_better_nothing_is_tried(before: ParameterFile) -> None:
     bare = loop.judged(Refitted(before.stages, ()))
     withdraw_idle(loop, bare)
     assert all(r.accepted for r in loop.rounds)
+
+
+def test_an_effect_that_the_model_has_is_not_added_once_more(before: ParameterFile) -> None:
+    loop = looped(before, SPRING)
+    spring, drag = CATALOGUE["spring"], CATALOGUE["quadratic_drag"]
+    assert _had(loop, Candidate(spring, 0, {"cubic": 0.0}))
+    assert not _had(loop, Candidate(spring, 0, {"cubic": 1.0}))
+    assert not _had(loop, Candidate(drag, 0, {}))

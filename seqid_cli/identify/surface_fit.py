@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -27,6 +28,14 @@ from seqid_cli.model.friction import Scaling
 Array = NDArray[np.float64]
 
 MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
+
+
+@lru_cache(maxsize=4096)
+def _over_speed(u: float, order: int) -> Array:
+    """Chebyshev values (order + 1,) at a scaled speed; asked for again and again."""
+    values: Array = chebvander(np.array([u]), order)[0]
+    values.flags.writeable = False
+    return values
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ class Reduced:
 
     def misfit(self, D: Array) -> float:
         """Weighted squares left by surface coefficients D (m + 1, l + 1)."""
-        c = D @ chebvander(np.array([self.u]), D.shape[1] - 1)[0]
+        c = D @ _over_speed(self.u, D.shape[1] - 1)
         left = self.R[:, : len(c)] @ c - self.z
         return float(left @ left) + self.rest
 
@@ -100,7 +109,7 @@ def information(reduced: list[Reduced], m: int, l: int, smoothing: float = 0.0) 
 
 
 def _stacked(reduced: list[Reduced], m: int, l: int, smoothing: float) -> tuple[Array, Array]:
-    phi = [chebvander(np.array([item.u]), l)[0] for item in reduced]
+    phi = [_over_speed(item.u, l) for item in reduced]
     rows = [
         (item.R[:, : m + 1, None] * p[None, None, :]).reshape(len(item.z), -1)
         for item, p in zip(reduced, phi, strict=True)
@@ -140,7 +149,7 @@ def left_out_errors(data: list[SpeedData], reduced: list[Reduced], orders: Order
     """Evaluate Eq. 11 at every inner speed with a fit that has not seen it."""
     errors, frictions, noises = [], [], []
     for u, D in _leaving_out(reduced, orders):
-        phi = chebvander(np.array([u]), orders.velocity)[0]
+        phi = _over_speed(u, orders.velocity)
         for item, step1 in zip(data, reduced, strict=True):
             if step1.u == u:
                 fitted = chebvander(step1.scaling.x(item.q), orders.position) @ (D @ phi)
@@ -220,7 +229,7 @@ def _normal(reduced: list[Reduced], m: int, l: int) -> tuple[Array, Array]:
     size = (m + 1) * (l + 1)
     N, b = np.zeros((size, size)), np.zeros(size)
     for item in reduced:
-        phi = chebvander(np.array([item.u]), l)[0]
+        phi = _over_speed(item.u, l)
         R = item.R[:, : m + 1]
         N += np.kron(R.T @ R, np.outer(phi, phi))
         b += np.kron(R.T @ item.z, phi)

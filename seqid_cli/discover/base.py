@@ -23,8 +23,10 @@ from seqid_cli.identify.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.filtering import differentiate
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base import Basis, base_regressor, free_basis
+from seqid_cli.robot.base import Basis, base_regressor, free_basis, loaded_columns
+from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -151,7 +153,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     H, modelled, timing = [], [], []
     for scene in rows.scenes:
         motion = scene.motion
-        H.append(motion.filtered(base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)))
+        H.append(_filtered_regressor(motion, robot, basis))
         torque = modelled_filtered(scene)
         modelled.append(torque)
         timing.append(differentiate(torque, motion.rate_hz, motion.valid)[0])
@@ -192,6 +194,15 @@ def _broad(scene: Scene, stage: FrictionStage | None, joint: int) -> Index:
     kept = alone & (over_position <= BROAD[0]) & (over_speed <= BROAD[1])
     terms = np.flatnonzero(kept.ravel())
     return np.concatenate([terms, terms + kept.size]) if surface.directional else terms
+
+
+def _filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Array:
+    """Base regressor (N, n, b), low-passed; a joint's columns of links before it stay zero."""
+    H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
+    loaded = loaded_columns(robot, basis)
+    result = np.zeros_like(H)
+    result[:, loaded] = motion.filtered(H[:, loaded])
+    return result
 
 
 def modelled_filtered(scene: Scene) -> Array:

@@ -89,10 +89,15 @@ class TorqueModel:
             return np.zeros_like(q)
         chain = self.robot.chain
         torque = inverse_dynamics(chain, self.robot.gravity, self.phi, q, dq, ddq)
-        if self.rotor.any():
-            Y = rotor_regressor(chain, q, dq, ddq, gear_ratios(self.robot), self.coupling)
-            torque = torque + Y @ self.rotor
-        return torque
+        return torque + self.rotors(q, dq, ddq) if self.rotor.any() else torque
+
+    def rotors(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Torque (N, n) N m that turns the motors' rotors."""
+        if self.rotor is None or not self.rotor.any():
+            return np.zeros_like(q)
+        ratios = gear_ratios(self.robot)
+        Y = rotor_regressor(self.robot.chain, q, dq, ddq, ratios, self.coupling)
+        return Y @ self.rotor
 
     def predict(self, motion: Motion) -> Array:
         """Torque (N, n) N m, filtered like `motion.tau` so that both can be compared."""

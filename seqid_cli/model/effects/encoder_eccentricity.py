@@ -30,7 +30,7 @@ from seqid_cli.model.effects.effect import (
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.periodic import amplitude_and_phase
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.sensitivity import slopes
+from seqid_cli.model.effects.sensitivity import modelled_slopes
 from seqid_cli.model.effects.units import unit_of
 from seqid_cli.robot.base import gear_ratios
 from seqid_cli.robot.types import Robot
@@ -80,10 +80,7 @@ class EncoderEccentricity(MeasurementEffect):
             (cos, -sin * dp, -sin * ddp - cos * dp**2),
         )
 
-        def modelled(q: Array, dq: Array, ddq: Array) -> Array:
-            return scene.model.rigid(q, dq, ddq) + scene.model.friction(q, dq)
-
-        rates = slopes(scene, joint, "modelled", modelled)
+        rates = modelled_slopes(scene, joint)
         torque = np.stack(
             [
                 -sum(rate * x[:, None] for rate, x in zip(rates, error, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +72,21 @@ def slopes(scene: Scene, joint: int, name: str, torque: Torque) -> tuple[Array, 
     return scene.memo[key]
 
 
+def link_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
+    """Slopes of the torque that moves the links alone."""
+    return slopes(scene, joint, "links", partial(link_torque, scene))
+
+
+def modelled_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
+    """Slopes of all modelled torque: links, rotors and friction."""
+
+    def beside_links(q: Array, dq: Array, ddq: Array) -> Array:
+        return scene.model.rotors(q, dq, ddq) + scene.model.friction(q, dq)
+
+    both = link_slopes(scene, joint), slopes(scene, joint, "beside links", beside_links)
+    return tuple(one + other for one, other in zip(*both, strict=True))
+
+
 def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: Torque) -> Array:
     ahead, behind = list(motion), list(motion)
     ahead[which], behind[which] = motion[which].copy(), motion[which].copy()
@@ -86,11 +102,7 @@ def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:
     The motors stay where they are: rotors do not feel it.
     """
     speed, acceleration = differentiate(deviation, scene.motion.rate_hz, scene.motion.valid)
-
-    def links(q: Array, dq: Array, ddq: Array) -> Array:
-        return link_torque(scene, q, dq, ddq)
-
-    by_place, by_speed, by_acceleration = slopes(scene, joint, "links", links)
+    by_place, by_speed, by_acceleration = link_slopes(scene, joint)
     change: Array = (
         by_place * deviation[:, None]
         + by_speed * speed[:, None]

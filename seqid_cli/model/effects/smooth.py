@@ -115,7 +115,8 @@ def splines(x: Array, knots: Sequence[float]) -> Array:
     inner = np.asarray(knots, dtype=np.float64)
     full = np.concatenate([np.repeat(inner[0], DEGREE), inner, np.repeat(inner[-1], DEGREE)])
     held = np.clip(x, inner[0], inner[-1])
-    basis: Array = BSpline.design_matrix(held, full, DEGREE).toarray()
+    each = np.eye(len(inner) + DEGREE - 1)
+    basis: Array = BSpline(full, each, DEGREE)(held)
     return basis
 
 

@@ -124,7 +124,8 @@ def calibrated(
         source = CleanLogs.of(freed, scenes, left, truth)
         drawn = scenes_of(source.draw(rng), scenes[0].robot, stages, options=options.motion)
         rows = rows_of(drawn)
-        fresh = Search.begin(Stage(rows), base_of(rows, stages), kept=search.kept)
+        base = base_of(rows, stages)
+        fresh = Search.begin(Stage(rows), base, kept=search.kept, broad=search.broad)
         fresh_system = fresh.system()
         for tried in fresh.ranked(effects, fresh_system, refine=0):
             name = tried.candidate.effect.name

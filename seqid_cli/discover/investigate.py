@@ -2,7 +2,7 @@
 
 1. Scenes, rows and base columns; the search in both stances (see `search`).
 2. Which stance: the file is kept if its own parameters, with few changes, explain as much as free
-   ones do; otherwise the base is free.
+   ones do; otherwise the base is free. Where something is left, a broad base is tried as well.
 3. Short stretches that stand out against everything else the logs show are events: they are taken
    out, and the search begins anew.
 4. The same screening on clean data of this robot and these logs gives the level below which a gain
@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 CHANGED = 0.05  # relative excess over a free base from which the file counts as off
 CLEARLY = 0.7  # of what a joint's effects leave: smooth functions must leave less to replace them
 MOST = 0.8  # of what they explain: effects that do as much stay, and the rest is told beside them
+BY_EFFECTS = 0.5  # of what a broad base alone leaves: its effects must leave less
 WORTH = 0.08  # of the squared residual, by which they must be better
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 AROUND_S = 0.5
@@ -93,7 +94,13 @@ def investigate(
     scenes = scenes_of(logs, robot, stages, options=options.motion)
     rows, gates = rows_of(scenes), Gates()
     result, events = _without_events(rows, stages, gates, options)
-    dependences, stage = _dependences(result.search, gates), result.search.stage
+    dependences = _dependences(result.search, gates)
+    if any(d.quantities for d in dependences) and any(map(len, result.search.base.broad)):
+        other, own = _without_events(rows, stages, gates, options, broad=True)
+        if _explains_more(other.search, result.search):
+            result, events = other, own
+            dependences = _dependences(result.search, gates)
+    stage = result.search.stage
     if result.search.accepted or events or any(d.quantities for d in dependences):
         smooth = [d for d in dependences if d.quantities]
         before = [t.candidate for t in result.search.accepted]
@@ -131,7 +138,8 @@ def _judged(
     """Hold what was found against clean data; what is found instead, too."""
     gates = calibrated(logs, result.search, smooth, stages, options)
     if events and (min(e.score for e in events) < gates.event or not _stand_out(events, gates)):
-        result, events = _without_events(rows, stages, gates, options)
+        broad = result.search.broad
+        result, events = _without_events(rows, stages, gates, options, broad=broad)
     result = _again(result.search, gates, options)
     if {t.candidate.effect.name for t in result.search.accepted} - set(gates.clean):
         gates = gates.joined(calibrated(logs, result.search, smooth, stages, options))
@@ -139,18 +147,34 @@ def _judged(
     return result, events, gates
 
 
+def _explains_more(broad: Search, other: Search) -> bool:
+    """Whether effects beside a broad base leave clearly less than another search, at some joint.
+
+    And whether it is the effects that do: a broad base alone swallows what varies slowly.
+    """
+    least, bare, rest = broad.rms(), broad.bare[: broad.stage.rows.n], other.rms()
+    clearer = least**2 < CLEARLY * rest**2
+    by_effects = least**2 < BY_EFFECTS * bare**2
+    return bool(broad.accepted) and bool(np.any(clearer & by_effects))
+
+
 def _without_events(
-    rows: Rows, stages: Stages, gates: Gates, options: DiscoverOptions
+    rows: Rows, stages: Stages, gates: Gates, options: DiscoverOptions, *, broad: bool = False
 ) -> tuple[Searched, list[Interval]]:
     """Search; where events stand out in what is left, search anew without them."""
-    result = _both_stances(Stage(rows), base_of(rows, stages), gates, options)
+
+    def search(rows: Rows) -> Searched:
+        stage, base = Stage(rows), base_of(rows, stages)
+        return (_broad if broad else _both_stances)(stage, base, gates, options)
+
+    result = search(rows)
     left = result.search.system().left_out()[: rows.n]
     events = find_events(rows, left, gate=gates.event)
     events = _not_of_shape(result.search, events)
     if not _stand_out(events, gates):
         return result, []
     quiet = rows.without(event_masks(rows, events))
-    return _both_stances(Stage(quiet), base_of(quiet, stages), gates, options), events
+    return search(quiet), events
 
 
 def _stand_out(events: Sequence[Interval], gates: Gates) -> bool:
@@ -237,7 +261,9 @@ def _beside(
         return gates.passes(tried) and not taken & _below(tried, search.stage.rows.n)
 
     smooth = [rival for dependence in outside for rival in dependence.rivals]
-    fresh = Search.begin(search.stage, search.base, kept=search.kept, smooth=smooth)
+    fresh = Search.begin(
+        search.stage, search.base, kept=search.kept, broad=search.broad, smooth=smooth
+    )
     for tried in search.accepted:
         apart = tried.candidate.joint is None or not _below(tried, search.stage.rows.n)
         if apart and gates.passes(fresh.marginal(tried)):
@@ -285,13 +311,20 @@ def _both_stances(stage: Stage, base: Base, gates: Gates, options: DiscoverOptio
     return kept if kept.search.accepted and as_good else free
 
 
+def _broad(stage: Stage, base: Base, gates: Gates, options: DiscoverOptions) -> Searched:
+    """Search with the base free, friction's broad terms in any case."""
+    search = Search.begin(stage, base, kept=False, broad=True)
+    return _about_itself(_search(search, gates, options), gates, options)
+
+
 def _about_itself(found: Searched, gates: Gates, options: DiscoverOptions) -> Searched:
     """Search anew about the model that a search has found, where that is another."""
     for _ in range(RELINEARISED):
         if not found.search.accepted or moved(found.search) < MOVED:
             break
         stage, base = relinearised(found.search)
-        found = _search(Search.begin(stage, base, kept=False), gates, options)
+        begun = Search.begin(stage, base, kept=False, broad=found.search.broad)
+        found = _search(begun, gates, options)
     return found
 
 

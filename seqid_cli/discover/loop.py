@@ -29,6 +29,7 @@ class Loop:
     rounds: list[Round]
     refused: dict[Key, float]  # until so many effects have been added
     rng: np.random.Generator
+    broad: bool = False  # whether an effect was found beside a broad base
 
     @property
     def added(self) -> int:

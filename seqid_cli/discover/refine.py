@@ -29,6 +29,7 @@ from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of, refit
 from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.search import Search
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.discover.withdraw import withdraw_idle
 from seqid_cli.logs.recording import Recording
@@ -139,7 +140,7 @@ def _round(loop: Loop) -> bool:
             continue
         if loop.added >= loop.material.options.max_effects:
             break
-        added |= _try(loop, tried, search.marginal(tried).trial.relative, kept=search.kept)
+        added |= _try(loop, tried, search)
     loop.material = seen
     return added
 
@@ -156,26 +157,29 @@ def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Record
     return tuple(result)
 
 
-def _try(loop: Loop, tried: Tried, training_gain: float, *, kept: bool) -> bool:
+def _try(loop: Loop, tried: Tried, search: Search) -> bool:
     """Fit the model with one effect more; keep it if the held-out logs agree."""
-    accounts = _ordered(loop, [_account(loop, tried, late=late) for late in (kept, not kept)])
+    training_gain = search.marginal(tried).trial.relative
+    broad = loop.broad or search.broad
+    ways = (search.kept, not search.kept)
+    accounts = _ordered(loop, [_account(loop, tried, late=late, broad=broad) for late in ways])
     account = next((a for a in accounts if a.accepted), accounts[0])
     told = _told(loop, tried.candidate, training_gain, account)
     before = [r for r in loop.rounds if (r.effect, r.joint) == (told.effect, told.joint)]
     loop.rounds = [r for r in loop.rounds if r.accepted or r not in before] + [told]
     if account.accepted:
-        loop.model, loop.error = account.model, account.error
+        loop.model, loop.error, loop.broad = account.model, account.error, broad
     else:
         # A joint that loses may only lack an effect of its own: worth another try beside that.
         loop.refused[tried.candidate.key] = loop.added + 1 if account.helps else np.inf
     return account.accepted
 
 
-def _account(loop: Loop, tried: Tried, *, late: bool) -> Account:
+def _account(loop: Loop, tried: Tried, *, late: bool, broad: bool) -> Account:
     """The model with one effect more, that came late or was there all along."""
     candidates = [*candidates_of_model(loop.model.effects), tried.candidate]
     came = loop.model.late | ({tried.candidate.key} if late else set())
-    model = refitted(loop.material, loop.model, candidates, late=came, kept=late)
+    model = refitted(loop.material, loop.model, candidates, late=came, kept=late, broad=broad)
     n = loop.material.robot.n
     error = loop.judged(model)
     each = [gain(loop.error, error, [j], loop.rng) for j in range(n)]

@@ -126,6 +126,7 @@ def refitted(
     *,
     late: frozenset[Key],
     kept: bool,
+    broad: bool = False,
 ) -> Refitted:
     """Fit effects and model together.
 
@@ -140,10 +141,12 @@ def refitted(
         Those of them that the logs of the earlier stages do not have.
     kept : bool
         Whether the stages are right as they are, and only the effects are fitted.
+    broad : bool
+        Whether the broad terms of friction are free where they are not (see `search`).
     """
     stages = model.stages
     for _ in range(0 if kept else TURNS):
-        search = _fitted_search(material, stages, candidates, kept=False)
+        search = _fitted_search(material, stages, candidates, kept=False, broad=broad)
         found = Refitted(stages, tuple(_effects_of(material, search)), late)
         stages = _stages(material, found, search)
         candidates = [t.candidate for t in search.accepted]
@@ -158,12 +161,17 @@ def refitted(
 
 
 def _fitted_search(
-    material: Material, stages: Stages, candidates: Sequence[Candidate], *, kept: bool
+    material: Material,
+    stages: Stages,
+    candidates: Sequence[Candidate],
+    *,
+    kept: bool,
+    broad: bool = False,
 ) -> Search:
     """Base and effects fitted to the training logs, settings searched once more."""
     scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
     rows = rows_of(scenes)
-    search = Search.begin(Stage(rows), base_of(rows, stages), kept=kept)
+    search = Search.begin(Stage(rows), base_of(rows, stages), kept=kept, broad=broad)
     for candidate in candidates:
         search.add(search.stage.try_all(search.system(), [candidate])[0])
     search.polish()

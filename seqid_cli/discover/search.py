@@ -4,6 +4,9 @@ The search runs in one of two stances. *Refitted*: the base is free, so that onl
 absorb counts; right where the effect was there when the model was identified and has biased it.
 *Kept*: the base is held to the parameter file within its uncertainty; right where the arm has
 changed since, which a free base would swallow.
+
+A refitted base may be *broad* besides: the file's friction surface, which a loss under load has
+bent when it was identified, is free in its broad terms however little that foretells by itself.
 """
 
 from __future__ import annotations
@@ -59,19 +62,28 @@ class Search:
     energies: dict[tuple[str, int | None], float] = field(default_factory=dict)
     smooth: tuple[Rival, ...] = ()
     inflation: float = FREE_INFLATIONS[0]
+    broad: bool = False
 
     @classmethod
-    def begin(cls, stage: Stage, base: Base, *, kept: bool, smooth: Sequence[Rival] = ()) -> Search:
+    def begin(
+        cls,
+        stage: Stage,
+        base: Base,
+        *,
+        kept: bool,
+        broad: bool = False,
+        smooth: Sequence[Rival] = (),
+    ) -> Search:
         """Start with the base, and smooth functions where no effect is to be looked for.
 
-        Friction that is not kept is as free as its folds can bear: where freer one foretells what
+        A base that is not kept is as free as its folds can bear: where a freer one foretells what
         was left out no better, many parameters on few logs would only swallow what is looked for.
-        The rigid body and friction's broad terms stay free, for they may have swallowed it before.
+        With `broad` its rigid body and friction's broad terms are free in any case.
         """
         rms = [np.sqrt(np.mean(y**2)) if len(y) else 1.0 for y in [*base.y, *stage.high.y]]
         noise = np.maximum(rms, 1e-12)
         search = cls(stage, base, kept, noise, noise, [], (True,) * stage.rows.n)
-        search.smooth = tuple(smooth)
+        search.smooth, search.broad = tuple(smooth), broad and not kept
         search.inflation = (KEPT_INFLATIONS if kept else FREE_INFLATIONS)[0]
         search.settle()
         search._hold()
@@ -155,10 +167,10 @@ class Search:
 
     def _base_blocks(self) -> list[Block]:
         base, n = self.base, self.stage.rows.n
-        held = base.rigid_hold(self.inflation if self.kept else FREE_INFLATIONS[0])
+        held = base.rigid_hold(FREE_INFLATIONS[0] if self.broad else self.inflation)
         blocks = [Block(dict(enumerate(base.rigid)), held, lasting=True)]
         for j in range(n):
-            held = base.friction_hold(j, self.inflation, free=not self.kept)
+            held = base.friction_hold(j, self.inflation, free=self.broad)
             blocks.append(Block({j: base.friction[j]}, held, lasting=True))
         for j in range(n):
             columns = base.timing[j] if self.timed[j] else self.stage.nothing[j]

@@ -32,6 +32,7 @@ FLOOR_OF_WHITE = 0.05  # of the white-noise covariance, below which no direction
 RIDGE = 1e-9  # of a scaled column's square: keeps directions that these logs leave open harmless
 LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
 SHARED = 6.0  # folds that must share a gain; one of fewer must be larger by as much
+NEXT_TO_NOTHING = 1e-9  # of a candidate's longest column, below which one is rounding
 LEAST_LEFT = 1e-7  # of a candidate's square, below which the base absorbs all of it
 # Per fold, from all others: Z, A Z, the base's solution, its score on the fold, and B'X.
 Trained = tuple[Array, Array, Array, Array, Array]
@@ -400,6 +401,7 @@ def _single_gains(D: Array, d: Array, C: Array, trained: Sequence[Trained], wher
 def _inverse(S: Array, scale: Array) -> Array:
     """Inverse of a candidate's projected square; directions that the base absorbs give zero."""
     size = np.sqrt(np.maximum(np.diag(scale), 1e-300))
+    size = np.maximum(size, NEXT_TO_NOTHING * size.max())
     value, vector = np.linalg.eigh(S / np.outer(size, size))
     kept = value > LEAST_LEFT
     inverse = (vector[:, kept] / value[kept]) @ vector[:, kept].T

@@ -37,8 +37,8 @@ def withdraw_idle(loop: Loop, before: HeldOutError) -> None:
 
 def _try_without(loop: Loop, told: Round, key: Key) -> None:
     rest = [c for c in candidates_of_model(loop.model.effects) if c.key != key]
-    late = loop.model.late - {key}
-    model = refitted(loop.material, loop.model, rest, late=late, kept=key in loop.model.late)
+    late, kept = loop.model.late - {key}, key in loop.model.late
+    model = refitted(loop.material, loop.model, rest, late=late, kept=kept, broad=loop.broad)
     error = loop.judged(model)
     n = loop.material.robot.n
     touched = range(n) if key[1] is None else [key[1]]

@@ -8,8 +8,9 @@ memory:
 
 Each joint has its own factor, so joints are weighted by their noise without another pass, and the
 columns of links that it does not carry, being zero, cost nothing. What comes out depends on the
-rows and on how they are cut into blocks, not on where the blocks were reduced: signs are fixed and
-blocks merge in their order. The factors of blocks (about a second of motion each) are kept
+rows of a log and on how they are cut into blocks, not on where the log was reduced: signs are fixed
+and blocks merge in their order. Most blocks are reduced in the coordinates of earlier ones of the
+same log (see `factors`). The factors of blocks (about a second of motion each) are kept
 as well, merged pairwise when they become many: what one block says against all others gives
 standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
 small.
@@ -22,87 +23,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtpqrt
+
+from seqid_cli.identify.factors import (
+    ENOUGH,
+    Coordinates,
+    by_reflections,
+    merged,
+    merged_pairs,
+    not_zero,
+    triangular,
+)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_BLOCKS = 256
 WHITE_FLOOR = 0.05
-PANEL = 8  # columns that the blocked QR takes at once
-STRIP = 1024  # rows that it takes at once: they stay in cache
 RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, that counts as excited
-
-
-def triangular(rows: Array) -> Array:
-    """Triangular factor (p, p) of rows (N, p), diagonal not negative.
-
-    Columns of zeros give columns and rows of zeros.
-    """
-    return _absorbed(None, rows[:, :-1], rows[:, -1])
-
-
-def _absorbed(factor: Array | None, H: Array, y: Array) -> Array:
-    """Factor of the rows [H y] below those that `factor` (p + 1, p + 1) stands for."""
-    alive = np.empty(H.shape[1] + 1, dtype=np.bool_)
-    alive[:-1], alive[-1] = _not_zero(H), y.any()
-    if factor is not None:
-        alive |= factor.any(axis=0)
-    chosen = np.flatnonzero(alive)
-    R = np.zeros((len(chosen), len(chosen)), order="F")
-    if factor is not None:
-        R[:] = factor[chosen[:, None], chosen]
-    columns = H.T if alive.all() else H.T[chosen[: len(chosen) - int(alive[-1])]]
-    for start in range(0, len(y) if len(chosen) else 0, STRIP):
-        strip = np.empty((len(chosen), min(STRIP, len(y) - start)))
-        strip[: len(columns)] = columns[:, start : start + STRIP]
-        strip[len(columns) :] = y[start : start + STRIP]
-        R = _reduced(R, strip.T, 0)
-    return _signed(R, chosen, len(alive))
-
-
-def _not_zero(H: Array) -> Mask:
-    """Columns (p,) of H (N, p) that are not all zero; most show it in their first row."""
-    alive: Mask = H[0] != 0.0 if len(H) else np.zeros(H.shape[1], dtype=np.bool_)
-    rest = np.flatnonzero(~alive)
-    if len(rest) and len(H):
-        alive[rest] = (H.T[rest] != 0.0).any(axis=1)
-    return alive
-
-
-def _reduced(R: Array, rows: Array, triangle: int) -> Array:
-    """R (k, k) of R on top of rows (m, k), the last `triangle` of them upper trapezoidal.
-
-    Both must be Fortran-ordered and are used up.
-    """
-    panel = min(PANEL, len(R))
-    R, *_ = dtpqrt(triangle, panel, R, rows, overwrite_a=True, overwrite_b=True)
-    return R
-
-
-def _signed(R: Array, chosen: NDArray[np.intp], size: int) -> Array:
-    """R of the chosen columns in a factor (size, size) with no negative entry on its diagonal."""
-    flipped = np.flatnonzero(R.diagonal() < 0)
-    R[flipped] *= -1.0
-    if len(chosen) == size:
-        return np.ascontiguousarray(R)
-    full = np.zeros((size, size))
-    full[chosen[:, None], chosen] = R
-    return full
-
-
-def _merged(first: Array, second: Array) -> Array:
-    """Factor of the rows that two factors stand for."""
-    alive = np.flatnonzero(first.any(axis=0) | second.any(axis=0))
-    if not len(alive):
-        return first
-    R, below = (np.asfortranarray(factor[alive[:, None], alive]) for factor in (first, second))
-    return _signed(_reduced(R, below, len(alive)), alive, len(first))
-
-
-def _merged_pairs(factors: list[Array]) -> list[Array]:
-    pairs = [_merged(*factors[i : i + 2]) for i in range(0, len(factors) - 1, 2)]
-    return pairs + factors[2 * len(pairs) :]
 
 
 @dataclass
@@ -118,25 +55,50 @@ class Accumulator:
     span: int = 1
     filled: int = 1
     _total: Array | None = field(default=None, repr=False, compare=False)
+    _seen: Coordinates | None = field(default=None, repr=False, compare=False)
 
-    def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
+    def add(
+        self, H: Array, y: Array, where: Mask | None = None, *, loaded: Mask | None = None
+    ) -> None:
         """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true.
 
-        An empty one keeps the joints' blocks in step.
+        An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
+        next to each other, and if `loaded` (p,) tells which columns can differ from zero.
         """
         self._total = None
         if where is not None and not where.all():
             H, y = np.compress(where, H.T, axis=1).T, y[where]
-        if self.blocks and self.filled < self.span:
+        goes_on = bool(self.blocks) and self.filled < self.span
+        if len(y) or not goes_on:
+            factor = self._measured(H, y, not_zero(H, y, loaded))
+        if goes_on:
             if len(y):
-                self.blocks[-1] = _absorbed(self.blocks[-1], H, y)
+                self.blocks[-1] = merged(self.blocks[-1], factor)
             self.rows[-1] += len(y)
             self.filled += 1
             return
-        self.blocks.append(_absorbed(None, H, y))
+        self.blocks.append(factor)
         self.rows.append(len(y))
         self.filled = 1
         self._bound()
+
+    def _measured(self, H: Array, y: Array, alive: Mask) -> Array:
+        """Factor of new rows; those that earlier ones are no measure for join the measure."""
+        factor = None if self._seen is None else self._seen.reduced(H, y, alive)
+        if factor is not None:
+            return factor
+        factor = by_reflections(H, y, alive)
+        if len(y) >= ENOUGH * np.count_nonzero(alive):
+            seen = self._seen
+            self._seen = Coordinates.of(factor) if seen is None else seen.joined(factor)
+        return factor
+
+    def _reduced(self, H: Array, y: Array, alive: Mask) -> Array:
+        """Factor of rows among which are those of the measure."""
+        factor = None if self._seen is None else self._seen.reduced(H, y, alive, whole=True)
+        if factor is not None:
+            return factor
+        return by_reflections(H, y, alive)
 
     def __add__(self, other: Accumulator) -> Accumulator:
         """The rows of both, those of `other` behind."""
@@ -152,7 +114,7 @@ class Accumulator:
         while len(self.blocks) > MOST_BLOCKS:
             if len(self.blocks) % 2 == 0:
                 self.filled += self.span
-            self.blocks = _merged_pairs(self.blocks)
+            self.blocks = merged_pairs(self.blocks)
             self.rows = [sum(self.rows[i : i + 2]) for i in range(0, len(self.rows), 2)]
             self.span *= 2
 
@@ -161,7 +123,9 @@ class Accumulator:
         """Factor of all rows, from the blocks in their order."""
         if self._total is None:
             size = self.size + 1
-            self._total = triangular(np.vstack(self.blocks or [np.zeros((0, size))]))
+            rows = np.vstack(self.blocks or [np.zeros((0, size))])
+            H, y = rows[:, :-1], rows[:, -1]
+            self._total = self._reduced(H, y, not_zero(H, y))
         return self._total
 
     @property
@@ -227,7 +191,11 @@ class Solution:
 
 
 def solve(
-    joints: Sequence[Accumulator], *, prior: Prior | None = None, iterations: int = 3
+    joints: Sequence[Accumulator],
+    *,
+    prior: Prior | None = None,
+    iterations: int = 3,
+    independent: float = 1.0,
 ) -> Solution:
     """Solve for all joints together, each weighted by its own residual.
 
@@ -239,6 +207,9 @@ def solve(
         Knowledge from earlier stages.
     iterations : int
         Rounds of reweighting by residual RMS.
+    independent : float
+        Share of the samples that count as independent beside the prior: low-passed noise does not
+        say more where there are more samples of it.
 
     Returns
     -------
@@ -252,7 +223,8 @@ def solve(
     sigma = np.maximum(floors, 1e-12)
     theta = np.zeros(size)
     for _ in range(iterations):
-        stack = [totals[k] / sigma[k] for k in used]
+        scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
+        stack = [totals[k] / scale[k] for k in used]
         if prior is not None:
             stack.append(prior.factor)
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
@@ -263,8 +235,8 @@ def solve(
         sigma = np.maximum(left, 1e-12)
     rank = basis.shape[1]
     bread = basis @ basis.T
-    covariance = _jackknife(joints, used, sigma, theta, factor, bread)
-    covariance += _prior_part(factor, [totals[k] / sigma[k] for k in used], bread)
+    covariance = _jackknife(joints, used, scale, theta, factor, bread)
+    covariance += _prior_part(factor, [totals[k] / scale[k] for k in used], bread)
     # A direction in which the blocks happen to agree is not known better than white noise allows.
     covariance += WHITE_FLOOR * bread
     determined = _determined(factor, basis)

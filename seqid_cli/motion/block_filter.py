@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 
+from seqid_cli import compiled
 from seqid_cli.motion.filtering import ORDER, SHORTEST, Lowpass, runs, sections
 
 Array = NDArray[np.float64]
@@ -37,6 +38,7 @@ NEGLIGIBLE = 1e-13
 REACH = 64  # samples more than the memory, for what grows before it decays
 # Of the rate: below, what rounding leaves in the states of blocks exceeds 1e-12 of the signal.
 LOWEST = 0.0025 if np.finfo(np.longdouble).eps < 1e-18 else 0.006
+LONGEST = 1 << 19  # samples: compiled loops hold 128 bytes for each
 TILE = 131_072  # values filtered together: what is made on the way stays in cache
 
 
@@ -48,7 +50,7 @@ class BlockLowpass(Lowpass):
         """Samples after which one pass of the filter has forgotten what was before (to 1e-13)."""
         if not self.active:
             return 0
-        return _kernel(self.cutoff_hz, self.rate_hz).memory
+        return _kernel(self.cutoff_hz, self.rate_hz, self.every).memory
 
     def __call__(self, values: Array, valid: Mask | None = None) -> Array:
         """Filter along the first axis, as `Lowpass` does."""
@@ -57,16 +59,52 @@ class BlockLowpass(Lowpass):
         return np.ascontiguousarray(rows.T).reshape(values.shape)
 
     def filter_rows(
-        self, rows: Array, valid: Mask | None = None, *, only: NDArray[np.intp] | None = None
+        self,
+        rows: Array,
+        valid: Mask | None = None,
+        *,
+        only: NDArray[np.intp] | None = None,
+        use_compiled: bool | None = None,
     ) -> None:
-        """Filter signals (c, N) in place, samples last; `only` those so numbered."""
+        """Filter signals in place, samples last, each run of valid samples by itself.
+
+        Parameters
+        ----------
+        rows : (c, N) array
+        valid : (N,) bool array, optional
+            False where samples must not leak into others; these stay as they are.
+        only : array of int, optional
+            Numbers of the signals to filter; all by default.
+        use_compiled : bool, optional
+            Whether compiled loops do it; by default where these signals alone repay loading them.
+        """
         if not self.active:
             return
-        if self.cutoff_hz < LOWEST * self.rate_hz:
+        count = len(rows) if only is None else len(only)
+        saved = count * rows.shape[1] * compiled.FILTER_S
+        wanted = compiled.worth(saved) if use_compiled is None else use_compiled
+        able = rows.flags.c_contiguous and rows.dtype == np.float64 and rows.shape[1] <= LONGEST
+        if wanted and able and compiled.available():
+            self._filter_compiled(rows, valid, np.arange(count) if only is None else only)
+        elif self.cutoff_hz < LOWEST * self.rate_hz:
             chosen = slice(None) if only is None else only
             rows[chosen] = super().__call__(rows[chosen].T, valid).T
-            return
-        kernel = _kernel(self.cutoff_hz, self.rate_hz)
+        else:
+            self._filter_blocks(rows, valid, only)
+
+    def _filter_compiled(self, rows: Array, valid: Mask | None, which: NDArray[np.intp]) -> None:
+        from seqid_cli.motion.filter_compiled import both_ways
+
+        sos = sections(self.cutoff_hz, self.rate_hz, self.every)
+        for start, stop in runs(valid, rows.shape[1]):
+            if stop - start > SHORTEST:
+                pad = min(6 * self.settling, stop - start - 1)
+                both_ways(rows, which.astype(np.int64), start, stop, sos, pad)
+
+    def _filter_blocks(
+        self, rows: Array, valid: Mask | None, only: NDArray[np.intp] | None
+    ) -> None:
+        kernel = _kernel(self.cutoff_hz, self.rate_hz, self.every)
         count = len(rows) if only is None else len(only)
         for start, stop in runs(valid, rows.shape[1]):
             if stop - start > SHORTEST:
@@ -201,9 +239,10 @@ def _lay(rows: Array, pad: int, wide: Array) -> None:
 
 
 @lru_cache(maxsize=64)
-def _kernel(cutoff_hz: float, rate_hz: float) -> _Kernel:
+def _kernel(cutoff_hz: float, rate_hz: float, every: int) -> _Kernel:
     """Build the matrices, in the longest floating point there is: low cut-offs cancel digits."""
-    A, B, C, D, steady = _state_space(sections(cutoff_hz, rate_hz).astype(np.longdouble))
+    design = sections(cutoff_hz, rate_hz, every).astype(np.longdouble)
+    A, B, C, D, steady = _state_space(design)
     responses, steps, rows = [D], [B], [C]
     for _ in range(LENGTH - 1):
         responses.append(np.longdouble(C @ steps[-1]))

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 from scipy.signal import butter, sosfiltfilt
 
+from seqid_cli.motion.matched import thinned_sections
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -27,10 +29,15 @@ _SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
 
 @dataclass(frozen=True)
 class Lowpass:
-    """Zero-phase low-pass at `cutoff_hz` for signals sampled at `rate_hz`."""
+    """Zero-phase low-pass at `cutoff_hz` for signals sampled at `rate_hz`.
+
+    Where they are every `every`-th sample of a log, the filter has the response that it has at the
+    log's own rate.
+    """
 
     cutoff_hz: float
     rate_hz: float
+    every: int = 1
 
     @property
     def active(self) -> bool:
@@ -59,7 +66,7 @@ class Lowpass:
         """
         if not self.active:
             return values.copy()
-        sos = sections(self.cutoff_hz, self.rate_hz)
+        sos = sections(self.cutoff_hz, self.rate_hz, self.every)
         result = values.copy()
         for start, stop in runs(valid, len(values)):
             pad = min(6 * self.settling, stop - start - 1)
@@ -70,8 +77,10 @@ class Lowpass:
 
 
 @lru_cache(maxsize=64)
-def sections(cutoff_hz: float, rate_hz: float) -> Array:
+def sections(cutoff_hz: float, rate_hz: float, every: int = 1) -> Array:
     """Second-order sections (ORDER / 2, 6) of one pass."""
+    if every > 1:
+        return thinned_sections(ORDER, cutoff_hz, rate_hz * every, every)
     sos: Array = butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
     return sos
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from .regressor import (
     PER_LINK,
     Coupling,
+    by_compiled_loops,
     columns_by_link,
     gravity_regressor,
     link_blocks,
@@ -157,6 +158,7 @@ def base_regressor(
     *,
     spare: int = 0,
     out: Array | None = None,
+    use_compiled: bool | None = None,
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
@@ -169,17 +171,31 @@ def base_regressor(
         Columns to be filled by the caller; zeros without `out`.
     out : (n, b + spare, N) array, optional
         Written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere.
+    use_compiled : bool, optional
+        Whether compiled loops do it; by default where these samples alone repay loading them.
 
     Returns
     -------
     (N, n, b + spare) array
         Each column contiguous in memory.
     """
-    P, first_rotor = basis.representative, PER_LINK * robot.n
-    kept = columns_by_link(robot.n, sorted(int(c) for c in basis.columns if c < first_rotor))
     H = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
-    alone = (np.count_nonzero(P, axis=0) == 1) & P[:first_rotor].any(axis=0)
-    if out is not None:
+    if by_compiled_loops(q, H, use_compiled):
+        _fill_compiled(robot, basis, q, dq, ddq, H, fresh=out is None)
+    else:
+        _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
+    _add_rotors(robot, basis, q, dq, ddq, H)
+    return H.transpose(2, 0, 1)
+
+
+def _fill_links(
+    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array, *, fresh: bool
+) -> None:
+    """Fill H (n, b, N) with what the links give, block by block."""
+    P = basis.representative[: PER_LINK * robot.n]
+    kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
+    alone = (np.count_nonzero(basis.representative, axis=0) == 1) & P.any(axis=0)
+    if not fresh:
         H[:, np.flatnonzero(~alone)] = 0.0
     for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
         for column, c in enumerate(PER_LINK * i + kept[i]):
@@ -189,12 +205,43 @@ def base_regressor(
                     np.multiply(block[:, column], P[c, k], out=target)
                 else:
                     target += P[c, k] * block[:, column]
-    if P[first_rotor:].any():
-        ratio = gear_ratios(robot)
+
+
+def _fill_compiled(
+    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array, *, fresh: bool
+) -> None:
+    """Fill H (n, b, N) with what the links give by compiled loops."""
+    from .regressor_compiled import Targets, fill
+
+    links = PER_LINK * robot.n
+    P = basis.representative
+    if not fresh:
+        H[:, np.flatnonzero(P[links:].any(axis=0))] = 0.0
+    source, column = np.nonzero(P[:links])
+    link = source // PER_LINK
+    behind = np.array([link[:c][column[:c] == k].max(initial=-1) for c, k in enumerate(column)])
+    first = np.searchsorted(link, np.arange(robot.n + 1))
+    targets = Targets(
+        first.astype(np.int64),
+        (source % PER_LINK).astype(np.int64),
+        column.astype(np.int64),
+        P[source, column],
+        behind.astype(np.int64),
+    )
+    fill(robot.chain, robot.gravity, q, dq, ddq, targets, H)
+
+
+def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array) -> None:
+    """Add to H (n, b, N) what rotors give that are parameters."""
+    P = basis.representative[PER_LINK * robot.n :]
+    ratio = gear_ratios(robot)
+    if basis.coupling == "diagonal":
+        for i, k in zip(*np.nonzero(P), strict=True):
+            H[i, k] += ratio[i] ** 2 * ddq[:, i] * P[i, k]
+    elif P.any():
         rotors = rotor_regressor(robot.chain, q, dq, ddq, ratio, basis.coupling).transpose(2, 1, 0)
-        for i, k in zip(*np.nonzero(P[first_rotor:]), strict=True):
-            H[:, k] += rotors[i] * P[first_rotor + i, k]
-    return H.transpose(2, 0, 1)
+        for i, k in zip(*np.nonzero(P), strict=True):
+            H[:, k] += rotors[i] * P[i, k]
 
 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -16,7 +17,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from seqid_cli.identify.least_squares import Accumulator, triangular
+from seqid_cli import compiled
+from seqid_cli.identify.factors import triangular
+from seqid_cli.identify.least_squares import Accumulator
 from seqid_cli.motion.block_filter import REACH, BlockLowpass
 from seqid_cli.robot.base import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
@@ -29,6 +32,7 @@ Job = Callable[[], object]
 
 HEAD = ["", "CPU", "unit", "faster", "largest difference"]
 CHUNK = 65_536
+WAYS = {"": False, ", compiled": True} if compiled.available() else {"": False}
 
 
 def study(*, quick: bool = False) -> str:
@@ -50,31 +54,40 @@ def _cpu(jobs: list[Job], rounds: int) -> list[float]:
 
 
 def _filter(rounds: int, *, quick: bool) -> list[list[str]]:
-    """Zero-phase low-pass of 14 channels, whole or in chunks."""
-    samples = CHUNK if quick else 8 * CHUNK
-    rows = np.cumsum(np.random.default_rng(0).normal(size=(14, samples)), axis=1)
+    """Zero-phase low-pass, in chunks, of 14 channels and of 190 columns of a regressor."""
+    found = []
+    for channels, chunks in ((14, 8), (190, 1)):
+        found += _filter_of(rounds, channels, CHUNK if quick else chunks * CHUNK)
+    return found
+
+
+def _filter_of(rounds: int, channels: int, samples: int) -> list[list[str]]:
+    rows = np.cumsum(np.random.default_rng(0).normal(size=(channels, samples)), axis=1)
     sos, lowpass = butter(4, 20.0, fs=1000.0, output="sos"), BlockLowpass(20.0, 1000.0)
     reach = lowpass.memory + REACH
 
     def whole() -> Array:
         return np.asarray(sosfiltfilt(sos, rows, padtype="odd", padlen=6 * lowpass.settling))
 
-    def chunks() -> Array:
-        out = np.empty_like(rows)
+    out = np.empty_like(rows)
+
+    def chunks(*, use_compiled: bool) -> Array:
         for start in range(0, samples, CHUNK):
             low = max(0, start - reach)
             part = rows[:, low : start + CHUNK + reach].copy()
-            lowpass.filter_rows(part)
+            lowpass.filter_rows(part, use_compiled=use_compiled)
             out[:, start : start + CHUNK] = part[:, start - low : start - low + CHUNK]
         return out
 
-    theirs, ours = _cpu([whole, chunks], rounds)
-    error = float(np.abs(whole() - chunks()).max() / np.abs(rows).max())
+    of, unit = f"low-pass, {channels} signals", "ns/value"
+    jobs = {f"in chunks{how}": partial(chunks, use_compiled=use) for how, use in WAYS.items()}
+    theirs, *ours = _cpu([whole, *jobs.values()], rounds)
     per = 1e9 / rows.size
-    return [
-        ["low-pass: sosfiltfilt on all", f"{theirs * per:.1f}", "ns/value", "1.0", ""],
-        _result("low-pass: in chunks", ours * per, "ns/value", theirs / ours, error),
-    ]
+    found = [[f"{of}: sosfiltfilt on all", f"{theirs * per:.1f}", unit, "1.0", ""]]
+    for (name, job), cpu in zip(jobs.items(), ours, strict=True):
+        error = float(np.abs(whole() - job()).max() / np.abs(rows).max())
+        found.append(_result(f"{of}: {name}", cpu * per, unit, theirs / cpu, error))
+    return found
 
 
 def _regressor(rounds: int) -> list[list[str]]:
@@ -92,69 +105,80 @@ def _regressor(rounds: int) -> list[list[str]]:
             out[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])
         return out
 
-    def batch() -> Array:
-        return torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    def batch(*, use_compiled: bool) -> Array:
+        gravity = robot.gravity
+        return torque_regressor(robot.chain, gravity, q, dq, ddq, use_compiled=use_compiled)
 
-    def needed() -> Array:
-        return base_regressor(robot, basis, q, dq, ddq)
+    def needed(*, use_compiled: bool) -> Array:
+        return base_regressor(robot, basis, q, dq, ddq, use_compiled=use_compiled)
 
     def selected() -> Array:
         return np.asarray(loop()[:, :, basis.columns])
 
-    theirs, ours, theirs_needed, ours_needed = _cpu([loop, batch, selected, needed], rounds)
-    error = float(np.abs(loop() - batch()).max() / np.abs(batch()).max())
-    per = 1e6 / len(q)
-    return [
-        ["regressor: Pinocchio, sample by sample", f"{theirs * per:.2f}", "us/sample", "1.0", ""],
-        _result("regressor: batched", ours * per, "us/sample", theirs / ours, error),
-        _result(
-            "regressor: batched, base columns",
-            ours_needed * per,
-            "us/sample",
-            theirs_needed / ours_needed,
-            None,
-        ),
-    ]
+    every = {f"batched{how}": partial(batch, use_compiled=use) for how, use in WAYS.items()}
+    base = {
+        f"batched{how}, base columns": partial(needed, use_compiled=use)
+        for how, use in WAYS.items()
+    }
+    spent = _cpu([loop, selected, *every.values(), *base.values()], rounds)
+    per, unit = 1e6 / len(q), "us/sample"
+    found = [["regressor: Pinocchio, sample by sample", f"{spent[0] * per:.2f}", unit, "1.0", ""]]
+    for (name, job), cpu in zip(every.items(), spent[2:], strict=False):
+        error = float(np.abs(loop() - job()).max() / np.abs(job()).max())
+        found.append(_result(f"regressor: {name}", cpu * per, unit, spent[0] / cpu, error))
+    for name, cpu in zip(base, spent[2 + len(every) :], strict=True):
+        found.append(_result(f"regressor: {name}", cpu * per, unit, spent[1] / cpu, None))
+    return found
 
 
 def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
     """64 columns, 7 rows per sample, those of a joint without the links before it."""
     samples, width = (2_000 if quick else 20_000), 64
     rng = np.random.default_rng(2)
-    spread = np.logspace(0, -7, width)
-    mixing = np.linalg.qr(rng.normal(size=(width, width)))[0]
-    dense = rng.normal(size=(7 * samples // 4, width)) * spread @ mixing
     theta = rng.normal(size=width)
-    right = dense @ theta
-    rows = rng.normal(size=(7, samples, width))
-    for j in range(7):
-        rows[j, :, : 9 * j] = 0.0
-    y = np.einsum("jnp,p->jn", rows, theta)
-    stacked = rows.reshape(-1, width)
+    columns = rng.normal(size=(7, width, samples))  # as the regressor comes
+    loaded = np.arange(width) >= 9 * np.arange(7)[:, None]
+    columns[~loaded] = 0.0
+    rows = columns.transpose(0, 2, 1)
+    y = np.einsum("jnp,p->jn", rows, theta) + 0.1 * rng.normal(size=(7, samples))
+    stacked = np.ascontiguousarray(rows).reshape(-1, width)
 
     def theirs_job() -> Array:
         return np.asarray(np.linalg.lstsq(stacked, y.ravel(), rcond=None)[0])
 
     def ours_job() -> Array:
-        joints = [Accumulator(width) for _ in range(7)]
-        for start in range(0, samples, 1000):
-            part = slice(start, start + 1000)
-            for j, joint in enumerate(joints):
-                joint.add(rows[j, part], y[j, part])
+        joints = [
+            _accumulated(rows[j], y[j], loaded=columns_of) for j, columns_of in enumerate(loaded)
+        ]
         return triangular(np.vstack([joint.total for joint in joints]))
 
     theirs, ours = _cpu([theirs_job, ours_job], max(1, rounds // 3))
-    R = triangular(np.column_stack([dense, right]))
-    solved = np.linalg.solve(R[:-1, :-1], R[:-1, -1])
-    reference = np.linalg.lstsq(dense, right, rcond=None)[0]
-    errors = [float(np.linalg.norm(x - theta) / np.linalg.norm(theta)) for x in (solved, reference)]
-    per = 1e6 / samples
-    name = "least squares: R factors"
-    return [
+    per, name = 1e6 / samples, "least squares: R factors"
+    found = [
         ["least squares: lstsq", f"{theirs * per:.1f}", "us/sample", "1.0", ""],
         _result(name, ours * per, "us/sample", theirs / ours, None),
-        [f"{name}, condition 1e7", "", "", "", f"{errors[0]:.1e} (lstsq {errors[1]:.1e})"],
     ]
+    for power in (3, 7):
+        spread = np.logspace(0, -power, width)
+        mixing = np.linalg.qr(rng.normal(size=(width, width)))[0]
+        dense = rng.normal(size=(7 * samples // 4, width)) * spread @ mixing
+        R = _accumulated(dense, dense @ theta).total
+        solved = np.linalg.solve(R[:-1, :-1], R[:-1, -1])
+        reference = np.linalg.lstsq(dense, dense @ theta, rcond=None)[0]
+        size = np.linalg.norm(theta)
+        errors = [float(np.linalg.norm(x - theta) / size) for x in (solved, reference)]
+        told = f"{errors[0]:.1e} (lstsq {errors[1]:.1e})"
+        found.append([f"{name}, condition 1e{power}", "", "", "", told])
+    return found
+
+
+def _accumulated(H: Array, y: Array, *, loaded: NDArray[np.bool_] | None = None) -> Accumulator:
+    """Rows added in blocks of a second."""
+    joint = Accumulator(H.shape[1])
+    for start in range(0, len(y), 1000):
+        part = slice(start, start + 1000)
+        joint.add(H[part], y[part], loaded=loaded)
+    return joint
 
 
 def _result(name: str, cpu: float, unit: str, faster: float, error: float | None) -> list[str]:

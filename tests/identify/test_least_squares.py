@@ -330,3 +330,21 @@ def test_columns_that_come_later_and_merged_factors_keep_the_gram_matrix() -> No
     full = np.column_stack([np.vstack([early, late]), y.ravel()])
     for joint in (one, two, Accumulator(20) + two):
         np.testing.assert_allclose(joint.total.T @ joint.total, full.T @ full, atol=1e-11)
+
+
+def test_more_samples_of_the_same_do_not_outweigh_the_prior() -> None:
+    """Every row four times, a quarter of them independent: nothing changes."""
+    rng = np.random.default_rng(12)
+    H, y = rng.normal(size=(400, 3)), rng.normal(size=400)
+    prior = Prior(np.diag([30.0, 0.0, 0.0]), np.array([15.0, 0.0, 0.0]))
+    once, often = Accumulator(3), Accumulator(3)
+    for start in range(0, 400, 40):
+        rows = slice(start, start + 40)
+        once.add(H[rows], y[rows])
+        often.add(np.repeat(H[rows], 4, axis=0), np.repeat(y[rows], 4))
+    expected = solve([once], prior=prior, iterations=8)
+    found = solve([often], prior=prior, iterations=8, independent=0.25)
+    np.testing.assert_allclose(found.theta, expected.theta, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-6)
+    heavier = solve([often], prior=prior, iterations=8)
+    assert abs(heavier.theta[0] - expected.theta[0]) > 1e-3

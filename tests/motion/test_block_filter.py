@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli import compiled
 from seqid_cli.motion.block_filter import REACH, BlockLowpass
 from seqid_cli.motion.filtering import Lowpass
 
 Array = NDArray[np.float64]
+needs_numba = pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
 
 
 def walk(rng: np.random.Generator, samples: int, channels: int) -> Array:
@@ -93,3 +95,32 @@ def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
     lowpass = BlockLowpass(49.0, 100.0)
     assert lowpass.memory == 0
     np.testing.assert_array_equal(lowpass(values), values)
+
+
+@needs_numba
+@pytest.mark.parametrize(
+    ("cutoff_hz", "rate_hz", "every"),
+    [(20.0, 1000.0, 1), (0.5, 1000.0, 1), (44.0, 100.0, 1), (3.0, 30.0, 33), (50.0, 100.0, 1)],
+)
+@pytest.mark.parametrize("gaps", [False, True])
+def test_compiled_loops_are_the_global_filter(
+    cutoff_hz: float, rate_hz: float, every: int, *, gaps: bool
+) -> None:
+    rows = np.ascontiguousarray(walk(np.random.default_rng(6), 5003, 21).T)
+    valid = with_gaps(5003) if gaps else None
+    expected = Lowpass(cutoff_hz, rate_hz, every)(rows.T, valid).T
+    found = rows.copy()
+    BlockLowpass(cutoff_hz, rate_hz, every).filter_rows(found, valid, use_compiled=True)
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(rows).max()
+
+
+@needs_numba
+@pytest.mark.parametrize("samples", [1, 8, 9, 15, 63, 64, 65, 129, 4000])
+def test_compiled_loops_take_any_length_and_some_signals_only(samples: int) -> None:
+    rows = np.ascontiguousarray(walk(np.random.default_rng(7), samples, 40).T)
+    rows[3] = np.nan
+    only = np.array([0, 2, *range(5, 38), 39])
+    expected = rows.copy()
+    expected[only] = Lowpass(15.0, 500.0)(rows[only].T).T
+    BlockLowpass(15.0, 500.0).filter_rows(rows, only=only, use_compiled=True)
+    np.testing.assert_allclose(rows, expected, rtol=0.0, atol=1e-12 * np.nanmax(np.abs(expected)))

@@ -1,0 +1,218 @@
+"""Factors from Gram matrices in the coordinates of earlier rows: as good as by reflections."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.identify import least_squares
+from seqid_cli.identify.factors import LARGEST, Coordinates, by_reflections, not_zero
+from seqid_cli.identify.least_squares import Accumulator
+
+Array = NDArray[np.float64]
+WIDTH, ROWS, BLOCKS = 24, 400, 12
+
+
+def conditioned(rng: np.random.Generator, condition: float, rows: int, width: int) -> Array:
+    """Rows whose columns depend on each other so far."""
+    spread = np.logspace(0, -np.log10(condition), width)
+    mixing = np.linalg.qr(rng.normal(size=(width, width)))[0]
+    return np.asarray(rng.normal(size=(rows, width)) * spread @ mixing)
+
+
+def accumulated(H: Array, y: Array, rows: int = ROWS) -> Accumulator:
+    joint = Accumulator(H.shape[1])
+    for start in range(0, len(y), rows):
+        joint.add(H[start : start + rows], y[start : start + rows])
+    return joint
+
+
+def reflected(H: Array, y: Array) -> Array:
+    return by_reflections(H, y, not_zero(H, y))
+
+
+def solved(R: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0])
+
+
+def off(R: Array, rows: Array) -> float:
+    """How far R is from the factor of rows, against the largest entry of each column."""
+    scale = np.linalg.norm(rows, axis=0)
+    scale[scale == 0.0] = 1.0
+    R, rows = R / scale, rows / scale
+    return float(np.abs(R.T @ R - rows.T @ rows).max())
+
+
+@pytest.fixture
+def reflections(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Lengths of the blocks that were reduced by reflections."""
+    seen: list[int] = []
+
+    def counted(H: Array, y: Array, alive: NDArray[np.bool_]) -> Array:
+        seen.append(len(y))
+        return by_reflections(H, y, alive)
+
+    monkeypatch.setattr(least_squares, "by_reflections", counted)
+    return seen
+
+
+@pytest.mark.parametrize("power", range(0, 13, 2))
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_the_solution_is_as_good_as_lstsqs(power: int, noise: float) -> None:
+    rng = np.random.default_rng(power)
+    H = conditioned(rng, 10.0**power, ROWS * BLOCKS, WIDTH)
+    theta = rng.normal(size=WIDTH)
+    y = H @ theta + noise * rng.normal(size=len(H))
+    found = accumulated(H, y).total
+    exact = np.linalg.lstsq(H, y, rcond=1e-15)[0]
+    by_qr = solved(reflected(H, y))
+    size = np.linalg.norm(theta)
+    if noise == 0.0:
+        limit = max(10.0 * np.linalg.norm(exact - theta), 10.0**power * 1e-15 * size)
+        assert np.linalg.norm(solved(found) - theta) <= limit
+    else:  # what is left of differences between good methods is small against the noise's effect
+        apart = np.linalg.norm(H @ (exact - by_qr))
+        limit = max(3.0 * apart, 1e-9 * noise * np.sqrt(len(H)))
+        assert np.linalg.norm(H @ (solved(found) - by_qr)) <= limit
+    assert off(found, np.column_stack([H, y])) < 1e-11
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e3, 1e4])
+def test_all_but_the_first_blocks_are_spared_reflections(
+    condition: float, reflections: list[int]
+) -> None:
+    rng = np.random.default_rng(1)
+    H = conditioned(rng, condition, ROWS * BLOCKS, WIDTH)
+    joint = accumulated(H, H @ np.ones(WIDTH) + 0.1 * rng.normal(size=len(H)))
+    assert reflections == [ROWS]
+    assert joint.total.shape == (WIDTH + 1, WIDTH + 1)
+    assert reflections == [ROWS]
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e3, 1e7])
+def test_scale_of_columns_does_not_matter(condition: float) -> None:
+    rng = np.random.default_rng(2)
+    H = conditioned(rng, condition, ROWS * BLOCKS, WIDTH)
+    y = H @ rng.normal(size=WIDTH) + 0.01 * rng.normal(size=len(H))
+    scale = 10.0 ** rng.uniform(-8.0, 8.0, size=WIDTH)
+    plain, scaled = accumulated(H, y).total, accumulated(H * scale, 1e6 * y).total
+    assert off(scaled, np.column_stack([H * scale, 1e6 * y])) < 1e-11
+    theta = np.linalg.solve(plain[:-1, :-1], plain[:-1, -1])
+    other = np.linalg.solve(scaled[:-1, :-1], scaled[:-1, -1]) * scale / 1e6
+    np.testing.assert_allclose(other, theta, rtol=1e-13 * condition + 1e-10)
+
+
+def test_a_right_side_without_noise_leaves_nothing() -> None:
+    rng = np.random.default_rng(3)
+    for condition in (1.0, 1e5):
+        H = conditioned(rng, condition, ROWS * BLOCKS, WIDTH)
+        theta = rng.normal(size=WIDTH)
+        joint = accumulated(H, H @ theta)
+        assert joint.residual_rms(theta) < 1e-13 * np.abs(H).max()
+
+
+@pytest.mark.parametrize("what", ["zero", "same", "sum", "late", "now and then", "nearly"])
+def test_columns_that_tell_nothing_new(what: str) -> None:
+    rng = np.random.default_rng(4)
+    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
+    if what == "zero":
+        H[:, [0, 7, WIDTH - 1]] = 0.0
+    elif what == "same":
+        H[:, 9] = H[:, 4]
+    elif what == "sum":
+        H[:, 5] = H[:, 1] - 2.0 * H[:, 3]
+    elif what == "nearly":
+        H[:, 5] = H[:, 1] + 1e-9 * H[:, 5]
+    elif what == "late":
+        H[: 5 * ROWS, [2, 11]] = 0.0
+    else:
+        H[np.arange(len(H)) // ROWS % 3 == 1, 6] = 0.0
+    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
+    joint = accumulated(H, y)
+    assert off(joint.total, np.column_stack([H, y])) < 1e-12
+    for k, block in enumerate(joint.blocks):
+        rows = slice(k * ROWS, (k + 1) * ROWS)
+        assert off(block, np.column_stack([H[rows], y[rows]])) < 1e-11
+        dead = ~H[rows].any(axis=0)
+        assert not block[:, :-1][:, dead].any()
+        assert not np.tril(block, -1).any()
+        assert (np.diag(block) >= 0.0).all()
+    expected = np.linalg.lstsq(H, y, rcond=1e-12)[0]
+    left = [np.linalg.norm(H @ x - y) for x in (solved(joint.total), expected)]
+    assert left[0] == pytest.approx(left[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e10])
+def test_a_huge_row_hides_no_others(size: float) -> None:
+    rng = np.random.default_rng(5)
+    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
+    H[5 * ROWS + 17] *= size
+    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
+    found, expected = solved(accumulated(H, y).total), np.linalg.lstsq(H, y, rcond=None)[0]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-15 * size + 1e-12)
+
+
+def test_a_poor_start_is_made_up_for() -> None:
+    """The first seconds of a log are often standstill: most columns hold rounding only."""
+    rng = np.random.default_rng(6)
+    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
+    H[: 2 * ROWS] *= 1e-9
+    H[: 2 * ROWS, :3] = 1.0 + 1e-12 * rng.normal(size=(2 * ROWS, 3))
+    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
+    joint = accumulated(H, y)
+    assert off(joint.total, np.column_stack([H, y])) < 1e-12
+    expected = np.linalg.lstsq(H, y, rcond=None)[0]
+    np.testing.assert_allclose(solved(joint.total), expected, rtol=1e-10)
+
+
+def test_slow_motion_fills_the_directions_one_after_the_other() -> None:
+    """Low-passed columns: each block by itself has a fraction of the rank of all."""
+    t = np.arange(BLOCKS * ROWS)[:, None] / ROWS
+    rng = np.random.default_rng(7)
+    H = sum(
+        rng.normal(size=WIDTH) * np.sin(f * t + rng.uniform(0, 6, WIDTH))
+        for f in rng.uniform(0.3, 6.0, 60)
+    )
+    assert isinstance(H, np.ndarray)
+    assert np.linalg.matrix_rank(H[:ROWS]) < np.linalg.matrix_rank(H) == WIDTH
+    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
+    joint = accumulated(H, y)
+    assert off(joint.total, np.column_stack([H, y])) < 1e-11
+    expected = solved(reflected(H, y))
+    np.testing.assert_allclose(solved(joint.total), expected, rtol=1e-9)
+
+
+def test_layouts_and_hints_give_the_same() -> None:
+    rng = np.random.default_rng(8)
+    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
+    H[:, [0, 1, 2, 10]] = 0.0
+    y = rng.normal(size=len(H))
+    one, other, hinted = Accumulator(WIDTH), Accumulator(WIDTH), Accumulator(WIDTH)
+    columns = np.ascontiguousarray(H.T)
+    for start in range(0, len(H), ROWS):
+        part = slice(start, start + ROWS)
+        one.add(H[part], y[part])
+        other.add(columns[:, part].T, y[part])
+        hinted.add(columns[:, part].T, y[part], loaded=H.any(axis=0))
+    np.testing.assert_array_equal(hinted.total, other.total)
+    np.testing.assert_allclose(one.total, other.total, rtol=0.0, atol=1e-12 * len(H))
+
+
+def test_what_is_not_a_number_does_not_go_unseen() -> None:
+    rng = np.random.default_rng(9)
+    H, y = rng.normal(size=(ROWS * 3, WIDTH)), rng.normal(size=ROWS * 3)
+    H[ROWS + 5, 3] = np.nan
+    assert np.isnan(accumulated(H, y).blocks[1]).any()
+
+
+def test_rows_far_larger_than_all_before_are_left_to_reflections() -> None:
+    rng = np.random.default_rng(10)
+    H, y = rng.normal(size=(ROWS, WIDTH)), rng.normal(size=ROWS)
+    alive = not_zero(H, y)
+    seen = Coordinates.of(by_reflections(H, y, alive))
+    assert seen.reduced(H, y, alive) is not None
+    assert seen.reduced(LARGEST * H, y, alive) is None
+    assert seen.reduced(H[:WIDTH], y[:WIDTH], alive) is None
+    fewer = np.where(np.arange(WIDTH) == 3, 0.0, H)
+    assert seen.reduced(fewer, y, not_zero(fewer, y)) is None

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from seqid_cli.commands.prediction_errors import ErrorSums, TorqueWriter
     from seqid_cli.export.torques_mcap import McapTorqueWriter
     from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.identify.prediction import LogPrediction
 
 EXAMPLES = (
     "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
@@ -137,7 +138,7 @@ def _predict(
     from seqid_cli.model.effects.fitted import effect_notes
 
     names = job.robot.joint_names
-    overall = sliding = ErrorSums.none(len(names))
+    overall = sliding = none = ErrorSums.none(len(names))
     logs = []
     told = effect_notes(job.stages, job.robot, unexplained=unexplained)
     told_logs = announced(account, job.screen, job.stages.imu, options.source)
@@ -146,22 +147,16 @@ def _predict(
     )
     with contextlib.ExitStack() as stack:
         writer = stack.enter_context(_torque_writer(torques, names)) if torques else None
+        own = slid = none
         for log in predictions:
-            own, slid = ErrorSums.of(log, sliding=False), ErrorSums.of(log, sliding=True)
-            overall, sliding = overall + own, sliding + slid
-            logs.append(
-                LogPredictionError(
-                    path=str(log.path),
-                    sha256=log.sha256,
-                    samples=log.samples,
-                    cutoff_hz=log.cutoff_hz,
-                    joints=_joints(own, slid, names),
-                    notes=list(log.notes),
-                    motion=log.motion,
-                )
-            )
+            own = own + ErrorSums.of(log, sliding=False)
+            slid = slid + ErrorSums.of(log, sliding=True)
             if writer is not None:
                 writer.write(log)
+            if log.last:
+                logs.append(_log_error(log, _joints(own, slid, names)))
+                overall, sliding = overall + own, sliding + slid
+                own = slid = none
     joints = _joints(overall, sliding, names)
     used = list(present(job.stages))
     return PredictionFile(
@@ -189,6 +184,18 @@ def _torque_writer(
     from seqid_cli.commands.prediction_errors import TorqueWriter
 
     return TorqueWriter.open(path, names)
+
+
+def _log_error(log: LogPrediction, joints: dict[str, JointError]) -> LogPredictionError:
+    return LogPredictionError(
+        path=str(log.path),
+        sha256=log.sha256,
+        samples=log.samples,
+        cutoff_hz=log.cutoff_hz,
+        joints=joints,
+        notes=list(log.notes),
+        motion=log.motion,
+    )
 
 
 def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:

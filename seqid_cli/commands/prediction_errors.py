@@ -113,7 +113,7 @@ class TorqueWriter:
                 writer.close()
 
     def write(self, log: LogPrediction) -> None:
-        """Append one log, all its samples."""
+        """Append a log, or the next part of one, all its samples."""
         columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
         for tau, predicted in zip(log.tau.T, log.predicted.T, strict=True):
             columns += [pa.array(tau), pa.array(predicted), pa.array(tau - predicted)]

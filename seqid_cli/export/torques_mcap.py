@@ -48,7 +48,8 @@ class McapTorqueWriter:
         self._path = path
         self._writer = writer
         self._joints = tuple(joints)
-        self._end = -np.inf
+        self._start, self._end = 0.0, -np.inf  # of the log that is being written
+        self._count = 0  # of its messages on each topic
         self._places: dict[str, str] = {}
         schema = writer.register_schema(JOINT_STATE, "ros2msg", _DEFINITION.encode())
         self._channels = [writer.register_channel(topic, "cdr", schema) for topic in TOPICS]
@@ -71,7 +72,7 @@ class McapTorqueWriter:
                     writer.finish()  # type: ignore[no-untyped-call]
 
     def write(self, log: LogPrediction) -> None:
-        """Append one log, all its samples."""
+        """Append a log, or the next part of one, all its samples."""
         stamps = self._stamps(log)
         tables = [
             _messages(stamps, str(log.path), self._joints, log.q, log.dq, torque)
@@ -80,17 +81,24 @@ class McapTorqueWriter:
         with writing(self._path):
             for k, stamp in enumerate(stamps.tolist()):
                 for channel, table in zip(self._channels, tables, strict=True):
-                    self._writer.add_message(channel, stamp, table[k].tobytes(), stamp, k)
+                    self._writer.add_message(
+                        channel, stamp, table[k].tobytes(), stamp, self._count + k
+                    )
+        self._count += len(stamps)
 
     def _stamps(self, log: LogPrediction) -> NDArray[np.int64]:
         """Time stamps (N,) ns of a log's samples."""
-        start = log.start
-        usable = 0.0 <= start < _LATEST_S - float(log.t[-1])
-        if not usable or start <= self._end:
-            start = self._end + _PAUSE_S if np.isfinite(self._end) else 0.0
-        self._end = start + float(log.t[-1])
-        self._places[f"{len(self._places) + 1}"] = f"{log.path}: {start:.6f} to {self._end:.6f} s"
-        return round(start * 1e9) + np.round(log.t * 1e9).astype(np.int64)
+        if log.part == 0:
+            period = float(log.t[-1] - log.t[0]) / max(len(log.t) - 1, 1)
+            usable = 0.0 <= log.start < _LATEST_S - log.samples * period
+            after = self._end + _PAUSE_S if np.isfinite(self._end) else 0.0
+            self._start = log.start if usable and log.start > self._end else after
+            self._count = 0
+        self._end = self._start + float(log.t[-1])
+        if log.last:
+            place = f"{log.path}: {self._start:.6f} to {self._end:.6f} s"
+            self._places[f"{len(self._places) + 1}"] = place
+        return round(self._start * 1e9) + np.round(log.t * 1e9).astype(np.int64)
 
 
 def _messages(

@@ -76,7 +76,8 @@ def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[R
     Rows
         Chunks in time order.
     """
-    overlap = BlockLowpass(motion.lowpass.cutoff_hz, motion.rate_hz).memory + REACH
+    lowpass = motion.lowpass
+    overlap = BlockLowpass(lowpass.cutoff_hz, lowpass.rate_hz, lowpass.every).memory + REACH
     for start in range(0, motion.samples, CHUNK):
         stop = min(start + CHUNK, motion.samples)
         low, high = max(0, start - overlap), min(motion.samples, stop + overlap)

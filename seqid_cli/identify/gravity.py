@@ -132,6 +132,7 @@ def _stage(
     robot: Robot, basis: Basis, solution: Solution, covariance: Array, rows: GravityRows
 ) -> RigidStage:
     indices = np.arange(rows.size)
+    determined = indices[solution.determined]
     theta = np.zeros(basis.size)
     theta[: rows.size] = solution.theta
     missing = not_excited(basis, solution, indices)
@@ -146,12 +147,12 @@ def _stage(
     good = not missing and solution.condition < POOR_CONDITION
     reason = f"rank {solution.rank} of {rows.size}, condition {solution.condition:.3g}"
     return RigidStage(
-        parameters=parameters_of(robot, basis, indices[solution.determined], theta, covariance),
+        parameters=parameters_of(robot, basis, determined, theta, covariance),
         condition=solution.condition,
         rank=solution.rank,
         structural_rank=rows.size,
         representative=representative_of(basis, theta, np.zeros(robot.n)),
-        covariance=covariance.tolist(),
+        covariance=covariance[np.ix_(determined, determined)].tolist(),
         not_excited=missing,
         rmse={},
         verdicts=[Verdict(good=good, reason=reason)],

@@ -29,6 +29,7 @@ from seqid_cli.identify.equations import (
     torque_motion,
 )
 from seqid_cli.identify.excitation import missing_pairs
+from seqid_cli.identify.grouped_blocks import GroupedBlocks
 from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve, whitened
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.options import InertiaOptions
@@ -42,8 +43,9 @@ from seqid_cli.identify.streaming import open_if_long, pass_over, streams
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.torque import averaged_friction, friction_surfaces, known_rotors, sliding
-from seqid_cli.motion.motion import Motion
+from seqid_cli.model.friction_samples import sampled_friction
+from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
+from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
 from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
 from seqid_cli.robot.base import Basis, free_basis, gear_ratios, standard_names
@@ -53,6 +55,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 POOR_CONDITION = 1000.0
+ROUNDS = 6  # of reweighting: the weights settle to a thousandth of a standard error
 POOR_SHARE = 0.15  # residual over torque RMS beyond which a joint's verdict is poor
 
 
@@ -131,6 +134,7 @@ class InertiaRows:
     cross: dict[int, Array]
     cutoffs: list[float]
     uses: list[MotionUse]
+    counts: Array  # (2,): samples that count as independent, and all
 
     def __add__(self, other: InertiaRows) -> InertiaRows:
         """The equations of both, those of `other` behind."""
@@ -143,6 +147,7 @@ class InertiaRows:
             cross,
             self.cutoffs + other.cutoffs,
             self.uses + other.uses,
+            self.counts + other.counts,
         )
 
 
@@ -193,6 +198,8 @@ class InertiaEquations:
         self.torque_squares = np.zeros(self.robot.n)
         self.cutoffs: list[float] = []
         self.uses: list[MotionUse] = []
+        self.counts = np.zeros(2)
+        self._grouped = GroupedBlocks(self.joints)
         self._cross: dict[int, Array] = {}
 
     def rows_of(self, recording: Recording | SurveyedLog) -> InertiaRows:
@@ -200,15 +207,14 @@ class InertiaEquations:
         fresh = copy(self)
         fresh._start()
         fresh.add(recording)
-        return InertiaRows(
-            fresh.joints, fresh.torque_squares, fresh._cross, fresh.cutoffs, fresh.uses
-        )
+        sums = fresh.joints, fresh.torque_squares, fresh._cross
+        return InertiaRows(*sums, fresh.cutoffs, fresh.uses, fresh.counts)
 
     def with_rows(self, rows: InertiaRows) -> InertiaEquations:
         """The same equations with rows."""
         full = copy(self)
         full.joints, full.torque_squares, full._cross = rows.joints, rows.torque_squares, rows.cross
-        full.cutoffs, full.uses = rows.cutoffs, rows.uses
+        full.cutoffs, full.uses, full.counts = rows.cutoffs, rows.uses, rows.counts
         return full
 
     def add(self, recording: Recording | SurveyedLog) -> None:
@@ -237,9 +243,11 @@ class InertiaEquations:
     def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""
         assert motion.tau is not None
-        friction = averaged_friction(self.surfaces, motion)
-        known = gear_ratios(self.robot) ** 2 * self.rotors * motion.ddq
-        return motion.tau - motion.filtered(friction, times=2) - motion.filtered(known)
+        friction = sampled_friction(self.surfaces, motion)
+        own = motion.tau - motion.filtered(friction, times=2)
+        if self.rotors.any():
+            own -= motion.filtered(gear_ratios(self.robot) ** 2 * self.rotors * motion.ddq)
+        return own
 
     def coupling_column(self, motion: Motion) -> Array:
         """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
@@ -252,43 +260,51 @@ class InertiaEquations:
 
     def add_chunk(self, motion: Motion, H: Array, y: Array, usable: NDArray[np.bool_]) -> None:
         """Add rows H (N, n, b + 1), y (N, n) of consecutive samples, where they are usable."""
-        for block in blocks(motion.samples, motion.rate_hz):
-            for j, joint in enumerate(self.joints):
-                rows = usable[block, j] & (self.surfaces[j] is not None)
-                joint.add(H[block, j], y[block, j], rows)
+        self.counts += motion.samples * np.array([motion.independent_share, 1.0])
+        known = usable & np.array([surface is not None for surface in self.surfaces])
+        ends = [block.stop for block in blocks(motion.samples, motion.rate_hz)]
+        self._grouped.add((H, y, known), ends)
+        every = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
         for j, surface in enumerate(self.surfaces):
             rows = usable[:, j]
             if surface is None or not rows.any():
                 continue
             assert motion.tau is not None
             self.torque_squares[j] += float(np.sum(motion.tau[rows, j] ** 2))
-            found = surface.columns(motion.q[rows, j], motion.dq[rows, j])
-            F = np.zeros((motion.samples, found.shape[1]))
-            F[rows] = found
+            some = np.flatnonzero(rows)[::every]
+            F = every * surface.columns(motion.q[some, j], motion.dq[some, j])
             crossed = self._cross.get(j, np.zeros((H.shape[2], F.shape[1])))
-            self._cross[j] = crossed + H[:, j].T @ F
+            self._cross[j] = crossed + H[some, j].T @ F
+
+    def expect(self, count: int, rows: int) -> None:
+        """So many blocks of about so many rows of one log follow; 0 when they have come."""
+        self._grouped.expect(count, rows)
 
     def stage(self) -> RigidStage:
         """Solve, decide on the rotor coupling, and describe the result."""
         prior = gravity_prior(self.stages.gravity, self.basis)
         kappa = self.basis.size
-        free = solve(self.joints, prior=_wider(prior))
-        coupled = bool(
-            free.determined[kappa]
-            and free.theta[kappa] > 0.5 + 2 * np.sqrt(free.covariance[kappa, kappa])
-        )
+        share = float(self.counts[0] / max(self.counts[1], 1.0))
+        coupled = bool(self.rotors.any()) and self._coupled(prior, share)
         fixed = [joint.with_fixed(kappa, float(coupled)) for joint in self.joints]
-        solution = solve(fixed, prior=prior)
-        covariance = solution.covariance + self._friction_part(solution)
+        solution = solve(fixed, prior=prior, iterations=ROUNDS, independent=share)
+        covariance = solution.covariance + self._friction_part(solution, share)
         return self._describe(solution, covariance, fixed, coupled)
 
-    def _friction_part(self, solution: Solution) -> Array:
+    def _coupled(self, prior: Prior | None, share: float) -> bool:
+        """Whether the data show the gyroscopic coupling of rotors beyond doubt."""
+        kappa = self.basis.size
+        free = solve(self.joints, prior=_wider(prior), independent=share)
+        least = 0.5 + 2 * float(np.sqrt(free.covariance[kappa, kappa]))
+        return bool(free.determined[kappa] and free.theta[kappa] > least)
+
+    def _friction_part(self, solution: Solution, share: float) -> Array:
         """Covariance that the uncertainty of the friction surfaces adds."""
         total = np.zeros_like(solution.bread)
         for j, crossed in self._cross.items():
             surface = self.surfaces[j]
             assert surface is not None
-            G = solution.bread @ crossed[:-1] / solution.sigma[j] ** 2
+            G = share * solution.bread @ crossed[:-1] / solution.sigma[j] ** 2
             total += G @ surface.covariance @ G.T
         return total
 
@@ -358,14 +374,15 @@ def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
 
 
 def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:
-    """The gravity stage as rows of unit variance on the first base parameters."""
+    """The gravity stage as rows of unit variance on the base parameters that it determined."""
     if gravity is None or not gravity.parameters:
         return None
     size = int(basis.gravity.sum())
     rows = whitened(np.array(gravity.covariance))
     wide = np.zeros((len(rows), basis.size))
-    wide[:, :size] = rows
-    return Prior(wide, rows @ _gravity_values(gravity, basis, size))
+    own = [basis.names.index(parameter.name) for parameter in gravity.parameters]
+    wide[:, own] = rows
+    return Prior(wide, rows @ _gravity_values(gravity, basis, size)[own])
 
 
 def _gravity_values(gravity: RigidStage, basis: Basis, size: int) -> Array:

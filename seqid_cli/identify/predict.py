@@ -7,52 +7,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.inertia import slowest_speeds
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.parts import mapped
+from seqid_cli.identify.predict_long import LongPrediction
+from seqid_cli.identify.prediction import LogPrediction, notes_on
+from seqid_cli.identify.streaming import open_if_long, streams
+from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, sliding
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import estimate_motion
-from seqid_cli.params.schema import MotionUse, Stages
+from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
-
-
-@dataclass(frozen=True)
-class LogPrediction:
-    """Measured and predicted torque (N, n) N m of one log, both low-passed alike.
-
-    `used` (N,) marks the samples that count, away from ends and gaps; `sliding` (N, n) those at
-    which a joint certainly slides. Elsewhere friction is known only as an interval, and
-    `predicted` is the value of it that lies nearest to the measured torque. `q`, `dq` (N, n) are
-    the joint positions and velocities behind the prediction, `start` [s] is the first sample on the
-    log's own clock.
-    """
-
-    path: Path
-    sha256: str
-    samples: int
-    cutoff_hz: float
-    t: Array
-    tau: Array
-    predicted: Array
-    used: Mask
-    sliding: Mask
-    notes: tuple[str, ...] = ()
-    q: Array | None = None
-    dq: Array | None = None
-    motion: MotionUse | None = None
-    start: float = 0.0
+__all__ = ["LogPrediction", "predict"]
 
 
 def predict(
@@ -80,7 +54,7 @@ def predict(
     Yields
     ------
     LogPrediction
-        One per log.
+        One per log; of a long one that is passed over, its parts one after the other.
 
     Raises
     ------
@@ -91,7 +65,11 @@ def predict(
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = fitted_effects(stages, robot, unexplained=unexplained)
-    yield from mapped(recordings, _PredictionOf(robot, stages, model, effects, options))
+    for found in mapped(recordings, _PredictionOf(robot, stages, model, effects, options)):
+        if isinstance(found, LongPrediction):
+            yield from found.parts()
+        else:
+            yield found
 
 
 @dataclass(frozen=True)
@@ -104,9 +82,19 @@ class _PredictionOf:
     effects: list[Fitted]
     options: InertiaOptions
 
-    def __call__(self, recording: Recording, number: int) -> LogPrediction:
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over than read; None for others."""
+        if self.effects or not streams(self.stages, self.options):
+            return None
+        return open_if_long(path, robot, time_source=time_source)
+
+    def __call__(
+        self, recording: Recording | SurveyedLog, number: int
+    ) -> LogPrediction | LongPrediction:
         """Predict it."""
         del number
+        if isinstance(recording, SurveyedLog):
+            return LongPrediction.of(recording, self.model, self.stages, self.options)
         known = (self.robot, self.stages, self.model, self.effects, self.options)
         return _predict_log(recording, *known)
 
@@ -129,6 +117,8 @@ def _predict_log(
     if effects:
         scene = scene_of_log(recording, robot, model, motion)
         added = added_torque(scene, recording, effects, slowest)
+    outside = model.outside(motion) & slides
+    share = outside.sum(axis=0) / np.maximum(slides.sum(axis=0), 1)
     return LogPrediction(
         path=recording.path,
         sha256=recording.sha256,
@@ -139,30 +129,9 @@ def _predict_log(
         predicted=model.predict_set(motion, slides, added),
         used=motion.usable,
         sliding=slides,
-        notes=tuple(_notes(model, robot, stages, model.outside(motion) & slides, slides)),
+        notes=tuple(notes_on(model.surfaces, robot, stages, share)),
         q=motion.q,
         dq=motion.dq,
         motion=motion_use(recording.path, robot, motion),
         start=recording.start,
     )
-
-
-def _notes(
-    model: TorqueModel, robot: Robot, stages: Stages, outside: Mask, slides: Mask
-) -> Iterator[str]:
-    if stages.inertia is None:
-        yield "no inertia stage in the parameter file: inertial torque is taken as zero"
-    unknown = [n for n, s in zip(robot.joint_names, model.surfaces, strict=True) if s is None]
-    if unknown:
-        yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
-    share = outside.sum(axis=0) / np.maximum(slides.sum(axis=0), 1)
-    far = [
-        f"{name} {100 * part:.0f} %"
-        for name, part in zip(robot.joint_names, share, strict=True)
-        if part > OUTSIDE_NOTE
-    ]
-    if far:
-        yield (
-            "outside the speeds or positions at which friction was identified, so that the nearest "
-            f"identified value stands in: {', '.join(far)} of the samples"
-        )

@@ -21,14 +21,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli import compiled
 from seqid_cli.errors import InputError
-from seqid_cli.identify.equations import CHUNK
+from seqid_cli.identify.equations import CHUNK, blocks
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.long import rows_at_least
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.model.torque import sliding
 from seqid_cli.motion.block_filter import BlockLowpass
-from seqid_cli.motion.blocks import joined_motions, make_plan, motion_blocks, part_of
+from seqid_cli.motion.blocks import Plan, joined_motions, make_plan, motion_blocks, part_of
 from seqid_cli.motion.cutoff import Cutoff
 from seqid_cli.motion.filtering import runs
 from seqid_cli.motion.motion import Motion, encoder_resolution
@@ -42,7 +43,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LONG = 200_000  # samples from which on a log is better passed over than held
-LEAST_CHUNKS, MOST_CHUNKS = 2, 4  # of the equations, worked on together
+LEAST_CHUNKS, MOST_CHUNKS = 2, 5  # of the equations, worked on together
 
 
 class Equations(Protocol):
@@ -59,6 +60,10 @@ class Equations(Protocol):
 
     def coupling_column(self, motion: Motion) -> Array:
         """One more column (N, n), filtered."""
+        ...
+
+    def expect(self, count: int, rows: int) -> None:
+        """So many blocks of about so many rows follow; 0 when they have come."""
         ...
 
     def add_chunk(self, motion: Motion, H: Array, y: Array, usable: Mask) -> None:
@@ -114,22 +119,41 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
         If no stretch of the log is long enough to filter.
     """
     options = equations.options.motion
-    cutoff, step = _cutoff(log, equations.robot, options)
+    cutoff, step = chosen_cutoff(log, equations.robot, options)
     plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
-    lowpass = BlockLowpass(cutoff.hz, plan.kept_rate_hz)
+    plan = replace(plan, use_compiled=_repays_compiled(log, plan))
+    lowpass = plan.kept_lowpass
     reach = lowpass.memory + lowpass.settling  # of the low-pass, once
     count = int(np.clip(-(-8 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     parts = motion_blocks(log.blocks(), plan)
-    columns = _Columns(equations)
+    columns = _Columns(equations, use_compiled=plan.use_compiled)
+    expected = _blocks_of(log.samples, plan)
+    equations.expect(expected, -(-log.samples // plan.factor) // max(expected, 1))
     moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
     for motion, start, stop in overlapping(parts, count * CHUNK, 2 * reach):
         _add_part(columns, motion, start, stop, reach)
         moving |= motion.moving.any(axis=0)
         usable |= bool(motion.usable.any())
         last = motion
+    equations.expect(0, 0)
     if last is None or not usable:
-        raise _too_short(log.path, cutoff)
+        raise too_short(log.path, cutoff)
     return replace(last, moving=moving[None])
+
+
+def _blocks_of(samples: int, plan: Plan) -> int:
+    """How many blocks of equations a log will have."""
+    whole, rest = divmod(-(-samples // plan.factor), CHUNK)
+    sizes = [(CHUNK, whole), (rest, 1 if rest else 0)]
+    return sum(times * sum(1 for _ in blocks(size, plan.kept_rate_hz)) for size, times in sizes)
+
+
+def _repays_compiled(log: SurveyedLog, plan: Plan) -> bool:
+    """Whether compiled loops save so much on the whole log that loading them is worth it."""
+    n = log.robot.n
+    filtered = 3 * n * log.samples * compiled.FILTER_S
+    per_row = n * (compiled.REGRESSOR_S + compiled.COLUMNS * compiled.FILTER_S)
+    return compiled.worth(filtered + log.samples // plan.factor * per_row)
 
 
 def _add_part(columns: _Columns, motion: Motion, start: int, stop: int, reach: int) -> None:
@@ -150,8 +174,9 @@ def _add_part(columns: _Columns, motion: Motion, start: int, stop: int, reach: i
 class _Columns:
     """Filtered base regressors and coupling columns, in the same memory where they are as long."""
 
-    def __init__(self, equations: Equations) -> None:
+    def __init__(self, equations: Equations, *, use_compiled: bool) -> None:
         self.equations = equations
+        self.use_compiled = use_compiled
         loaded = loaded_columns(equations.robot, equations.basis)
         self._loaded = np.pad(loaded, ((0, 0), (0, 1)))
         self._room = np.zeros((*self._loaded.shape, 0))
@@ -162,16 +187,22 @@ class _Columns:
         if self._room.shape[2] != motion.samples:
             self._room = np.zeros((*self._loaded.shape, motion.samples))
         state = motion.q, motion.dq, motion.ddq
-        H = base_regressor(robot, basis, *state, spare=1, out=self._room)
-        rows = self._room.reshape(-1, motion.samples)
+        room, use_compiled = self._room, self.use_compiled
+        H = base_regressor(robot, basis, *state, spare=1, out=room, use_compiled=use_compiled)
+        rows, loaded = room.reshape(-1, motion.samples), self._loaded.ravel()
         assert isinstance(motion.lowpass, BlockLowpass)
-        for start, stop in runs(self._loaded.ravel(), len(rows)):
-            motion.lowpass.filter_rows(rows[start:stop], motion.valid)
+        if use_compiled:
+            only = np.flatnonzero(loaded)
+            motion.lowpass.filter_rows(rows, motion.valid, only=only, use_compiled=True)
+        else:  # without copies
+            for start, stop in runs(loaded, len(rows)):
+                part = rows[start:stop]
+                motion.lowpass.filter_rows(part, motion.valid, use_compiled=False)
         H[:, :, -1] = self.equations.coupling_column(motion)
         return H
 
 
-def _cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tuple[Cutoff, Array]:
+def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tuple[Cutoff, Array]:
     """Choose the cut-off of a log; returns it and the noise steps (n,) rad."""
     assert log.survey is not None
     resolution = encoder_resolution(robot)
@@ -209,7 +240,8 @@ def overlapping(
         held, before = [joined], stop
 
 
-def _too_short(path: Path, cutoff: Cutoff) -> InputError:
+def too_short(path: Path, cutoff: Cutoff) -> InputError:
+    """The error of a log without a stretch that is long enough to filter."""
     return InputError(
         f"no stretch without a gap is long enough for a low-pass of {cutoff.hz:.3g} Hz",
         hint="record longer, mend the gaps, or give a higher --cutoff",

@@ -10,6 +10,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -17,9 +18,13 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from seqid_cli.identify.parts import reduced
+from seqid_cli.identify.streaming import open_if_long
+from seqid_cli.identify.trials_long import pieces
+from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segments import Stretch, constant_velocity, noise_step
+from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 
@@ -86,31 +91,36 @@ class TrialsOf:
 
     robot: Robot
 
-    def __call__(self, recording: Recording, number: int) -> list[Trial]:
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over than read; None for others."""
+        return open_if_long(path, robot, time_source=time_source)
+
+    def __call__(self, recording: Recording | SurveyedLog, number: int) -> list[Trial]:
         """Find them."""
         del number
-        torque_of(recording)
-        step = noise_step(recording.q, encoder_resolution(self.robot))
-        stretches = constant_velocity(
-            recording.q, recording.rate_hz, step=step, valid=recording.valid
-        )
-        return [_trial(recording, stretch) for stretch in stretches]
+        resolution, rate = encoder_resolution(self.robot), recording.rate_hz
+        if isinstance(recording, SurveyedLog):
+            assert recording.survey is not None
+            found = pieces(recording, recording.survey.noise_step(resolution))
+            return [_trial(b.q, b.tau, rate, each) for b, own in found for each in own]
+        tau = torque_of(recording)
+        step = noise_step(recording.q, resolution)
+        stretches = constant_velocity(recording.q, rate, step=step, valid=recording.valid)
+        return [_trial(recording.q, tau, rate, stretch) for stretch in stretches]
 
 
-def _trial(recording: Recording, stretch: Stretch) -> Trial:
-    assert recording.tau is not None
+def _trial(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Trial:
     j = stretch.joint
     slices = int(np.clip(stretch.samples // 4, 4, SLICES))
     length = stretch.samples // slices
     stop = stretch.start + slices * length
-    tau = recording.tau[stretch.start : stop, j].reshape(slices, length).mean(axis=1)
+    means = tau[stretch.start : stop, j].reshape(slices, length).mean(axis=1)
     # A cubic through the stretch gives positions finer than the encoder's counts, and what
     # acceleration a soft controller leaves.
     time = (np.arange(stop - stretch.start) + 0.5) / (stop - stretch.start) * 2 - 1
-    seconds = (stop - stretch.start) / recording.rate_hz / 2
-    cubic = Polynomial.fit(
-        time, recording.q[stretch.start : stop, j], 3, domain=[-1, 1], window=[-1, 1]
-    )
+    seconds = (stop - stretch.start) / rate_hz / 2
+    position = q[stretch.start : stop, j]
+    cubic = Polynomial.fit(time, position, 3, domain=[-1, 1], window=[-1, 1])
     middles = time.reshape(slices, length).mean(axis=1)
     ramp = slice(stretch.ramp_start, stretch.start)
     configuration = np.array(stretch.configuration)
@@ -118,9 +128,9 @@ def _trial(recording: Recording, stretch: Stretch) -> Trial:
         j,
         stretch.velocity,
         np.asarray(cubic(middles), dtype=np.float64),
-        tau,
+        means,
         np.asarray(cubic.deriv(2)(middles) / seconds**2, dtype=np.float64),
-        Ramp(recording.q[ramp, j], recording.tau[ramp, j], 1 / recording.rate_hz),
+        Ramp(q[ramp, j].copy(), tau[ramp, j].copy(), 1 / rate_hz),
         float(length),
         configuration,
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.logs.raw import Array, Mask, Stamps
+from seqid_cli.logs.raw import Array, Mask, Rows, Stamps
 
 Decode = Callable[[Sequence[bytes]], "Decoded"]
 
@@ -35,6 +35,13 @@ class Decoded:
         return cls(
             np.zeros(count, np.int64), np.full((count, width), np.nan), np.zeros(count, np.bool_)
         )
+
+
+def put(out: Decoded, rows: Rows, part: Decoded) -> None:
+    """Put messages decoded by themselves into their rows of a batch."""
+    out.stamp_ns[rows] = part.stamp_ns
+    out.values[rows] = part.values
+    out.good[rows] = part.good
 
 
 class NameMap:

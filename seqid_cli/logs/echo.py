@@ -14,13 +14,13 @@ but for a damping F_v < 0, which no friction has but a controller may.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.robot.base import Basis, base_parameters, base_regressor
+from seqid_cli.robot.base import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[in
     v = np.gradient(Q, step, axis=0)
     a = np.gradient(v, step, axis=0)
     memory = MEMORY_S / step
-    basis = base_parameters(robot, rotor=[])
+    H = _gravity(robot, Q)
     result: dict[int, Shares] = {}
     for j in range(robot.n):
         top = float(np.quantile(np.abs(v[:, j]), 0.99))
@@ -111,15 +111,15 @@ def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[in
         at = np.flatnonzero(slides)
         at = at[:: max(1, len(at) // MOST_WINDOWS)]
         friction = np.stack([np.tanh(v[at, j] / (SLOW * top)), v[at, j]], axis=1)
-        result[j] = _split(T[at, j], _law(robot, basis, Q[at], j), friction, a[at], memory)
+        result[j] = _split(T[at, j], _law(H[at, j], Q[at, j]), friction, a[at], memory)
     return result
 
 
-def _law(robot: Robot, basis: Basis, q: Array, j: int) -> Array:
-    """Gravity's columns and smooth functions of the joint's own position."""
-    low, span = float(q[:, j].min()), float(np.ptp(q[:, j]))
-    smooth = chebvander(2 * (q[:, j] - low) / span - 1, SMOOTH_TERMS - 1)
-    return np.hstack([_gravity(robot, basis, q)[:, j], smooth])
+def _law(gravity: Array, q: Array) -> Array:
+    """Gravity's columns (M, b) and smooth functions of the joint's own position q (M,)."""
+    low, span = float(q.min()), float(np.ptp(q))
+    smooth = chebvander(2 * (q - low) / span - 1, SMOOTH_TERMS - 1)
+    return np.hstack([gravity, smooth])
 
 
 def _both_ways(v: Array, step: float) -> bool:
@@ -164,8 +164,16 @@ def _averaged(values: Array, width: int) -> Array:
     return mean
 
 
-def _gravity(robot: Robot, basis: Basis, q: Array) -> Array:
-    """Gravity's regressor (N, n, b); without the columns that it does not need."""
+def _gravity(robot: Robot, q: Array) -> Array:
+    """Gravity's regressor (N, n, b)."""
+    basis = base_parameters(robot, rotor=[])
+    first = tuple(name for name, own in zip(basis.names, basis.gravity, strict=True) if own)
+    own = replace(
+        basis,
+        names=first,
+        expression=basis.expression[basis.gravity],
+        representative=basis.representative[:, basis.gravity],
+        gravity=basis.gravity[basis.gravity],
+    )
     still = np.zeros_like(q)
-    H = base_regressor(robot, basis, q, still, still)
-    return np.asarray(H[:, :, np.abs(H).max(axis=(0, 1)) > 1e-9])
+    return base_regressor(robot, own, q, still, still)

@@ -1,9 +1,10 @@
 """Long logs: joint position and torque on one uniform time base, in blocks.
 
-A first pass reads the stamps and lays the base; every further pass yields the same samples as
-`read_recording`, without ever holding more than some blocks. That works for logs whose stamps
-increase and whose rows hold every joint; `open_long` returns None for others, and for logs in which
-samples come in bursts, which have to be read as a whole.
+A first pass decodes the file and lays the base; every further pass yields the same samples as
+`read_recording`, from a temporary file where there is room for one (see `spool`), without ever
+holding more than some blocks. That works for logs whose stamps increase and whose rows hold every
+joint; `open_long` returns None for others, and for logs in which samples come in bursts, which have
+to be read as a whole.
 """
 
 from __future__ import annotations
@@ -20,23 +21,19 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs import mcap, parquet, parquet_blocks
-from seqid_cli.logs.clocks import BURSTS, GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.columns import ARROW_ERRORS
 from seqid_cli.logs.long_health import LongHealth
+from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
 from seqid_cli.logs.mcap_summary import read_summary
 from seqid_cli.logs.open import check_log, storage_file
-from seqid_cli.logs.raw import Array, Mask, RawLog, Stamps, Stream, TimeSource
+from seqid_cli.logs.raw import Array, Mask, RawLog, Stream, TimeSource
 from seqid_cli.logs.read import _with_torque
-from seqid_cli.logs.thinned import Thinned
-from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM, Base, resample
+from seqid_cli.logs.spool import Spool
+from seqid_cli.logs.timebase import Base, resample
 from seqid_cli.robot.types import Robot
 
 ABSURD = 1e9  # no position or torque in SI units is that large
-MOST_GAPS = 100_000
-MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
-GROUP = 256  # rows whose distance from the base is remembered by its extremes
 BYTES_PER_ROW = 100  # of an MCAP file that does not tell how many messages it holds
-STRETCH = 20.0  # a base so many times longer than the rows is a clock that went wrong
 
 
 class BlockReader(Protocol):
@@ -77,6 +74,7 @@ class LongLog:
     gaps: int
     partial: str = ""
     warnings: tuple[str, ...] = ()
+    spool: Spool | None = field(default=None, repr=False, compare=False)
 
     @property
     def rate_hz(self) -> float:
@@ -91,7 +89,11 @@ class LongLog:
 
     def blocks(self) -> Iterator[Block]:
         """Pass over the samples of the base, a few ten thousand at a time."""
-        rows = _rows(self.file, self.format, self.robot, self.time_source)
+        rows: Iterator[Rows]
+        if self.spool is not None:
+            rows = (Rows(*part) for part in self.spool.parts())
+        else:
+            rows = _rows(self.file, self.format, self.robot, self.time_source)
         return self._as_logged(rows) if self.exact else self._resampled(rows)
 
     def _as_logged(self, rows: Iterator[Rows]) -> Iterator[Block]:
@@ -141,41 +143,8 @@ class _Window(Base):
         return (self.first + np.arange(self.count, dtype=np.float64)) * self.step_s
 
 
-@dataclass(frozen=True)
-class Rows:
-    """Rows as logged: `stamps` (M,) ns, `values` (M, 2 n) position and torque."""
-
-    stamps: Stamps
-    values: Array
-    partial: str = ""
-    warnings: tuple[str, ...] = ()
-
-    def followed_by(self, other: Rows) -> Rows:
-        """These rows and the next."""
-        if not len(self.stamps):
-            return other
-        return Rows(
-            np.concatenate([self.stamps, other.stamps]), np.concatenate([self.values, other.values])
-        )
-
-    def after(self, stamp: int) -> Rows:
-        """Rows from a little before a stamp on."""
-        low = max(0, int(np.searchsorted(self.stamps, stamp)) - MARGIN)
-        return Rows(self.stamps[low:], self.values[low:])
-
-    def around(self, first: int, last: int) -> Rows:
-        """Rows from a little before a stamp to a little after another."""
-        low = max(0, int(np.searchsorted(self.stamps, first)) - MARGIN)
-        high = int(np.searchsorted(self.stamps, last, side="right")) + MARGIN
-        return Rows(self.stamps[low:high], self.values[low:high])
-
-
 _NONE: NDArray[np.intp] = np.zeros(0, np.intp)
 _NO_ROWS = Rows(np.zeros(0, np.int64), np.zeros((0, 0)))
-
-
-class _UnevenError(Exception):
-    """The log has to be read as a whole."""
 
 
 def rows_at_least(path: Path, least: int) -> bool:
@@ -234,14 +203,15 @@ def open_long(
     kind, file = check_log(path), storage_file(path)
     if kind not in READERS:
         return None
-    scan, health = _Scan(), LongHealth(robot)
+    scan, health, spool = Scan(), LongHealth(robot), Spool()
     try:
         for rows in _rows(file, kind, robot, time_source, health):
             scan.push(rows)
+            spool.push(rows.stamps, rows.values)
             if watch is not None:
                 watch(1e9 / scan.usual, rows.values[:, : robot.n])
         base = scan.base()
-    except _UnevenError:
+    except UnevenError:
         return None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
@@ -255,6 +225,7 @@ def open_long(
         *base,
         partial=scan.partial,
         warnings=tuple(dict.fromkeys(warnings)),
+        spool=spool if spool.complete else None,
     )
 
 
@@ -273,22 +244,32 @@ def _rows(
         noticed: list[str] = []
         sources = _torque_sources(joints)
         if first_sources not in (None, sources):
-            raise _UnevenError
+            raise UnevenError
         first_sources = sources
         if sources:
-            joints = _with_torque(joints, robot, raw.prefer_current, str(path), noticed)
+            joints = _logged_torque(joints) or _with_torque(
+                joints, robot, raw.prefer_current, str(path), noticed
+            )
         if "tau" not in joints.channels:
-            raise _UnevenError
+            raise UnevenError
         if health is not None:
             health.push(joints, joints.channels["tau"], noticed)
-        values = np.hstack([joints.channels["position"], joints.channels["tau"]])
-        if not (np.abs(values) <= ABSURD).all():  # NaN as well
-            raise _UnevenError
+        values = np.concatenate([joints.channels["position"].T, joints.channels["tau"].T])
+        if not (values.min() >= -ABSURD and values.max() <= ABSURD):  # NaN as well
+            raise UnevenError
         steps = np.diff(joints.stamp_ns, prepend=joints.stamp_ns[:1] if last is None else last)
         if (steps[last is None :] <= 0).any():
-            raise _UnevenError
+            raise UnevenError
         last = joints.stamp_ns[-1:]
-        yield Rows(joints.stamp_ns, values, raw.partial, raw.warnings)
+        yield Rows(joints.stamp_ns, values.T, raw.partial, raw.warnings)
+
+
+def _logged_torque(joints: Stream) -> Stream | None:
+    """With the logged torque as `tau`, where it is plain that nothing is to be said of it."""
+    torque = joints.channels.get("torque")
+    if torque is None or "current" in joints.channels or not (np.abs(torque[0]) > 0.0).all():
+        return None
+    return replace(joints, channels={**joints.channels, "tau": torque})
 
 
 def _torque_sources(joints: Stream) -> dict[str, list[bool]]:
@@ -296,92 +277,8 @@ def _torque_sources(joints: Stream) -> dict[str, list[bool]]:
     found: dict[str, list[bool]] = {}
     for name in ("current", "torque"):
         if name in joints.channels:
-            there: Mask = np.asarray(np.isfinite(joints.channels[name]).any(axis=0))
+            there: Mask = np.isfinite(joints.channels[name][0])
+            if not there.all():
+                there = np.asarray(np.isfinite(joints.channels[name]).any(axis=0))
             found[name] = [bool(x) for x in there]
     return found
-
-
-@dataclass
-class _Scan:
-    """What the first pass remembers of the stamps."""
-
-    count: int = 0
-    first: int = 0
-    last: int = 0
-    usual: float = 0.0  # ns, the median step of the first block
-    sums: Array = field(default_factory=lambda: np.zeros(2))  # of steps below the least gap
-    beyond: list[Array] = field(default_factory=list)  # steps above it
-    surplus: float = 0.0  # samples missing in longer steps
-    steps: Thinned = field(default_factory=Thinned)
-    off: list[Array] = field(default_factory=list)  # (groups, 3): row, least and most distance
-    partial: str = ""
-    warnings: list[str] = field(default_factory=list)
-
-    def push(self, rows: Rows) -> None:
-        stamps = rows.stamps
-        self.partial = rows.partial or self.partial
-        self.warnings += [note for note in rows.warnings if note not in self.warnings]
-        if self.count:
-            steps = np.diff(stamps, prepend=np.int64(self.last)).astype(np.float64)
-        else:
-            self.first = int(stamps[0])
-            steps = np.diff(stamps).astype(np.float64)
-            if not len(steps):
-                raise _UnevenError
-            self.usual = float(np.median(steps))
-        self._note_steps(steps)
-        self._note_distance(stamps)
-        self.count += len(stamps)
-        self.last = int(stamps[-1])
-
-    def _note_steps(self, steps: Array) -> None:
-        self.steps.push(steps)
-        far = steps > GAP_LEAST_S * 1e9
-        near = steps[~far] if far.any() else steps
-        if far.any():
-            self.beyond.append(steps[far])
-            if sum(map(len, self.beyond)) > MOST_GAPS:
-                raise _UnevenError
-        self.sums += (near.sum(), np.square(near - self.usual).sum())
-        longer = near[near > 1.5 * self.usual]
-        self.surplus += float((np.rint(longer / self.usual) - 1).sum())
-
-    def _note_distance(self, stamps: Stamps) -> None:
-        index = self.count + np.arange(len(stamps))
-        off = (stamps - self.first) - index * self.usual
-        starts = np.arange(0, len(off), GROUP)
-        least, most = (extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum))
-        self.off.append(np.stack([index[starts], least, most], axis=1))
-
-    def base(self) -> tuple[int, float, int, float, bool, int]:
-        """Lay the base as `timebase.make_base` does: start, step, samples, jitter, exact, gaps."""
-        if self.count < 2:
-            raise _UnevenError
-        beyond = np.concatenate(self.beyond) if self.beyond else np.zeros(0)
-        median = float(np.median(self.steps.rows))
-        limit = max(GAP_INTERVALS * median, GAP_LEAST_S * 1e9)
-        gap = beyond > limit
-        if abs(median / self.usual - 1) > 0.02 or gap.sum() > BURSTS * (self.count - 1):
-            raise _UnevenError
-        regular = beyond[~gap]
-        number = self.count - 1 - int(gap.sum())
-        total = self.sums[0] + regular.sum()
-        mean = total / number - self.usual
-        spread = (self.sums[1] + np.square(regular - self.usual).sum()) / number - mean**2
-        jitter = float(np.sqrt(max(spread, 0.0)) / median)
-        if jitter > JITTER_LIMIT:
-            raise _UnevenError
-        intervals = number + self.surplus + float((np.rint(regular / median) - 1).clip(0).sum())
-        step = total / round(intervals) * 1e-9
-        span = (self.last - self.first) * 1e-9
-        if span / step > STRETCH * self.count:
-            raise _UnevenError
-        samples = int(np.floor(span / step + 1e-6)) + 1
-        exact = samples == self.count and self._on_base(step * 1e9)
-        return self.first, step, samples, jitter, exact, int(gap.sum())
-
-    def _on_base(self, step: float) -> bool:
-        row, least, most = np.concatenate(self.off).T
-        drift = step - self.usual
-        reach = np.maximum(np.abs(least - row * drift), np.abs(most - row * drift))
-        return bool(reach.max() + GROUP * abs(drift) <= UNIFORM * step)

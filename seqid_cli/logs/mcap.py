@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from seqid_cli.errors import InputError
 from seqid_cli.logs.decoding import NameMap
 from seqid_cli.logs.joint_topics import find_joint_topic
@@ -17,13 +15,14 @@ from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.topic_streams import (
     JOINT_STATES,
     Streams,
+    any_finite,
     imu_topics,
     needed_topics,
 )
 from seqid_cli.logs.topics import Collector, Kind
 from seqid_cli.robot.types import Imu, Robot
 
-BLOCK_ROWS = 65_536
+BLOCK_ROWS = 32_768
 
 _SHOWN = 12  # topics or names listed in a message
 
@@ -66,7 +65,7 @@ def read(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog
     log.check_joints()
     imus = {imu.name: log.imu_topics(imu, whole=True) for imu in robot.imus}
     raw = Streams(robot, time_source).raw_log(log.joint_topic, samples, imus, log.partial())
-    if not np.isfinite(raw.joints.channels["position"]).any():
+    if not any_finite(raw.joints.channels["position"]):
         raise _no_joints(path, log.names)
     return raw
 
@@ -88,7 +87,8 @@ def read_blocks(
     RawLog
         The next part of every topic, in the order of the file; streams of topics that have nothing
         in it are empty. A quantity that no sample of a block has is left out of it. `partial` is
-        told by the last block. Whether a topic has header stamps is decided by its first block.
+        told by the last block, the delay of logging by none. Whether a topic has header stamps is
+        decided by its first block.
 
     Raises
     ------
@@ -103,8 +103,9 @@ def read_blocks(
         if last:
             log.check_joints()
         imus = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
-        raw = streams.raw_log(log.joint_topic, samples, imus, log.partial() if last else "")
-        positions |= bool(np.isfinite(raw.joints.channels["position"]).any())
+        partial = log.partial() if last else ""
+        raw = streams.raw_log(log.joint_topic, samples, imus, partial, whole=False)
+        positions = positions or any_finite(raw.joints.channels["position"])
         if last and not positions:
             raise _no_joints(path, log.names)
         yield raw
@@ -164,6 +165,7 @@ class _Log:
     def _pass(self) -> Iterator[None]:
         for batch in self.scan.batches():
             self.collectors[_normal(batch.channel.topic)].add_batch(batch)
+            del batch  # the next chunk takes its memory, which the processor's cache still holds
             yield
 
     def has(self, topic: str) -> bool:

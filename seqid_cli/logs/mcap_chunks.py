@@ -8,7 +8,6 @@ is walked record by record. Both ways find the same messages.
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -18,15 +17,14 @@ import zstandard
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from seqid_cli.logs.checksum import crc32
 from seqid_cli.logs.payloads import Bytes
 
 RECORD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")  # first and last time, size, CRC, length of compression's name
 CHUNK_HEAD = CHUNK.size + 8  # with the size of the packed data, without the compression's name
 MESSAGE_SIZE = 22  # channel, sequence, log time, publish time
-_MESSAGE = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("", "V4"), ("log_ns", "<i8")]
-)
+_WORDS = 3  # of a message's record behind the opcode: length; channel, sequence; rest of log time
 _INDEX = struct.Struct("<HI")
 _ENTRY = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
 _STEP = 1 << 20
@@ -101,7 +99,7 @@ class Unpacker:
             raise DamageError(fault)
         if len(data) != size:
             raise DamageError(f"it unpacks to {len(data)} bytes instead of {size}")
-        if crc and zlib.crc32(data) != crc:
+        if crc and crc32(data) != crc:
             raise DamageError("its checksum does not match")
         return data, True
 
@@ -196,7 +194,7 @@ def walk(data: Bytes, start: int, end: int, only: frozenset[int] | None = None) 
         else:
             others.append(Record(opcode, at + size, after))
         at = after
-    return _contents(data, np.array(messages, np.int64), others, at)
+    return _walked(data, np.array(messages, np.int64), others, at)
 
 
 def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
@@ -204,16 +202,17 @@ def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
     if offsets[0] < 0 or offsets[-1] > len(data) - _HEAD:
         return None
     heads = _heads(data, offsets)
-    lengths = heads["length"]
-    if (heads["opcode"] != Opcode.MESSAGE).any() or (lengths > len(data)).any():
+    lengths = heads[0]
+    if (data[offsets] != Opcode.MESSAGE).any() or lengths.max() > len(data):
         return None
-    ends = offsets + RECORD.size + lengths.astype(np.int64)
-    holes = np.flatnonzero(offsets[1:] != ends[:-1])
-    if ends[-1] > len(data) or (offsets[1:] < ends[:-1]).any():
+    ends = offsets + lengths.astype(np.int64)
+    ends += RECORD.size
+    ahead = offsets[1:] - ends[:-1]
+    if ends[-1] > len(data) or (len(ahead) and ahead.min() < 0):
         return None
     others: list[Record] = []
     gaps = [(0, int(offsets[0]))]
-    gaps += [(int(ends[i]), int(offsets[i + 1])) for i in holes]
+    gaps += [(int(ends[i]), int(offsets[i + 1])) for i in np.flatnonzero(ahead)]
     gaps += [(int(ends[-1]), len(data))]
     for start, end in gaps:
         between = walk(data, start, end) if start < end else None
@@ -221,34 +220,35 @@ def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
             if len(between.starts) or between.end != end:
                 return None  # an index that leaves messages out
             others += between.others
-    return _contents(data, offsets, others, len(data), heads)
+    return _contents(offsets, others, len(data), heads)
+
+
+def _walked(data: Bytes, offsets: Integers, others: list[Record], end: int) -> Contents:
+    fits = offsets <= len(data) - _HEAD  # else the message record is shorter than its head
+    others += [Record(Opcode.MESSAGE, at + RECORD.size, at) for at in offsets[~fits].tolist()]
+    offsets = offsets[fits]
+    return _contents(offsets, others, end, _heads(data, offsets))
 
 
 def _contents(
-    data: Bytes,
-    offsets: Integers,
-    others: list[Record],
-    end: int,
-    heads: NDArray[np.void] | None = None,
+    offsets: Integers, others: list[Record], end: int, heads: NDArray[np.uint64]
 ) -> Contents:
-    if heads is None:
-        fits = offsets <= len(data) - _HEAD  # else the message record is shorter than its head
-        others += [Record(Opcode.MESSAGE, at + RECORD.size, at) for at in offsets[~fits].tolist()]
-        offsets = offsets[fits]
-        heads = _heads(data, offsets)
-    lengths = heads["length"].astype(np.int64) - MESSAGE_SIZE
-    short = lengths < 0
-    if short.any():
+    lengths = heads[0].astype(np.int64) - MESSAGE_SIZE
+    if len(lengths) and lengths.min() < 0:
+        short = lengths < 0
         bad = offsets[short].tolist()
         others += [Record(Opcode.MESSAGE, at + RECORD.size, at + RECORD.size) for at in bad]
-        heads, offsets, lengths = heads[~short], offsets[~short], lengths[~short]
-    return Contents(heads["channel"], heads["log_ns"], offsets + _HEAD, lengths, others, end)
+        heads, offsets, lengths = heads[:, ~short], offsets[~short], lengths[~short]
+    log_ns = (heads[1] >> np.uint64(48)) | (heads[2] << np.uint64(16))
+    channels = heads[1].astype(np.uint16)  # its lowest 16 bits
+    return Contents(channels, log_ns.view(np.int64), offsets + _HEAD, lengths, others, end)
 
 
-def _heads(data: Bytes, offsets: Integers) -> NDArray[np.void]:
-    """Copy the heads of message records."""
-    size = _MESSAGE.itemsize
+def _heads(data: Bytes, offsets: Integers) -> NDArray[np.uint64]:
+    """Copy the heads of message records without their opcodes, (3, M) words."""
+    size = 8 * _WORDS
     if not len(offsets):
-        return np.zeros(0, _MESSAGE)
+        return np.zeros((_WORDS, 0), np.uint64)
     every = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
-    return every[offsets].view(_MESSAGE)
+    words = every[offsets + 1].view("<u8").reshape(len(offsets), _WORDS)
+    return words.T.astype(np.uint64, order="C")

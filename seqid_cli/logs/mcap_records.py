@@ -7,7 +7,6 @@ What is lost is counted, and the rest is used.
 
 from __future__ import annotations
 
-import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from seqid_cli.logs import mcap_resync
+from seqid_cli.logs.checksum import crc32
 from seqid_cli.logs.mcap_chunks import (
     RECORD,
     Contents,
@@ -225,7 +225,7 @@ class _Walk:
         self._skip = self.summary.unneeded(self.wanted)
         # A checksum over everything is only worth its time where everything is read.
         self._checked = bool(self.summary.checksum) and not self._skip
-        self._checksum = zlib.crc32(MAGIC)
+        self._checksum = crc32(MAGIC)
 
     def records(self) -> Iterator[_Record]:
         """Yield what is needed of the data section; loose messages come many in one record."""
@@ -272,18 +272,18 @@ class _Walk:
     def _one(self, opcode: int, head: bytes, length: int) -> Iterator[_Record]:
         """Take a record that is no message; what is not needed only for the checksum."""
         if self._checked:
-            self._checksum = zlib.crc32(head, self._checksum)
+            self._checksum = crc32(head, self._checksum)
         if opcode in _KEPT:
             content = self.file.read(length)
             if self._checked:
-                self._checksum = zlib.crc32(content, self._checksum)
+                self._checksum = crc32(content, self._checksum)
             yield _Record(opcode, content)
             return
         while self._checked and length:
             piece = self.file.read(min(length, _STEP))
             if not piece:
                 return
-            self._checksum = zlib.crc32(piece, self._checksum)
+            self._checksum = crc32(piece, self._checksum)
             length -= len(piece)
 
     def _window(self, at: int, length: int) -> _Record:
@@ -294,7 +294,7 @@ class _Walk:
         loose = walk(data, 0, len(data), _LOOSE)
         content = content[: loose.end]
         if self._checked:
-            self._checksum = zlib.crc32(content, self._checksum)
+            self._checksum = crc32(content, self._checksum)
         return _Record(Opcode.MESSAGE, content, loose=loose)
 
     def _end(self, content: bytes) -> None:

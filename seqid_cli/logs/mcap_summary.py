@@ -6,7 +6,6 @@ Nothing is read because the summary says that it is there; it only tells what ca
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -18,6 +17,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema, Statistics
 
+from seqid_cli.logs.checksum import crc32
 from seqid_cli.logs.mcap_chunks import RECORD
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -72,7 +72,7 @@ def read_summary(file: BinaryIO, size: int) -> Summary:
     content = file.read(_DATA_END + end - start)
     opcode, length = RECORD.unpack_from(content)
     section = memoryview(content)[_DATA_END:]
-    checked = zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(section))
+    checked = crc32(tail[: RECORD.size + 16], crc32(section))
     if opcode != Opcode.DATA_END or length != 4 or crc not in (0, checked):
         return Summary()
     checksum = int.from_bytes(content[RECORD.size : _DATA_END], "little")

@@ -92,11 +92,18 @@ class Payloads(Sequence[bytes]):
             Bytes of a row before the payload.
         """
         pad = -length % 8
-        width = length + pad
-        buffer, starts = self.buffer, self.starts - pad
+        return self.cut(-pad, length), pad
+
+    def cut(self, low: int, high: int) -> Bytes:
+        """Copy bytes [low, high) of every payload side by side, (M, high - low).
+
+        `low` may be negative by up to 7: what stands there is left as it is.
+        """
+        width = high - low
+        buffer, starts = self.buffer, self.starts + low
         if not width or not len(starts):
-            return np.zeros((len(starts), width), np.uint8), pad
-        if int(starts.min()) < 0:
+            return np.zeros((len(starts), width), np.uint8)
+        if low < 0 and int(starts.min()) < 0:
             buffer, starts = np.concatenate([np.zeros(FRONT, np.uint8), buffer]), starts + FRONT
         every = np.ndarray((len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,))
-        return every[starts].view(np.uint8).reshape(len(starts), width), pad
+        return every[starts].view(np.uint8).reshape(len(starts), width)

@@ -15,10 +15,10 @@ import numpy as np
 from mcap.records import Schema
 
 from seqid_cli.logs.decoding import Decode
+from seqid_cli.logs.layout_decoder import LayoutDecoder
 from seqid_cli.logs.layouts import (
     VARINT,
     Layout,
-    LayoutDecoder,
     NoLayoutError,
     Number,
     Place,

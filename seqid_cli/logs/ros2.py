@@ -17,7 +17,8 @@ from seqid_cli.logs.decoding import (
     NameMap,
     check_lengths,
 )
-from seqid_cli.logs.layouts import Layout, LayoutDecoder, Number, Place, make_layout
+from seqid_cli.logs.layout_decoder import LayoutDecoder
+from seqid_cli.logs.layouts import Layout, Number, Place, make_layout
 
 _ENCAPSULATION = 4
 _STAMP_END = 12

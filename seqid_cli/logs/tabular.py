@@ -117,7 +117,9 @@ def read_table(file: TableFile, robot: Robot) -> RawLog:
         stamps, keep, notes = separate(stamps, keep, episode, plan.episode)
         warnings += notes
     channels = {quantity: _columns(file.where, table, row) for quantity, row in plan.joints.items()}
-    joints = Stream(ROWS, stamps, channels).take(keep)
+    joints = Stream(ROWS, stamps, channels)
+    if plan.episode is not None or len(keep) < len(stamps):
+        joints = joints.take(keep)
     imus: dict[str, tuple[Stream, ...]] = {
         imu: (_imu_stream(file.where, table, stamps, columns).take(keep),)
         for imu, columns in plan.imus.items()
@@ -243,7 +245,8 @@ def _require_once(where: str, columns: Sequence[str], names: Sequence[str]) -> N
 
 def _columns(where: str, table: pa.Table, row: Sequence[str | None]) -> Array:
     empty = np.full(table.num_rows, np.nan)
-    return np.column_stack([empty if name is None else numbers(where, table, name) for name in row])
+    columns = [empty if name is None else numbers(where, table, name) for name in row]
+    return np.stack(columns).T  # one column after the other, as they came
 
 
 def _imu_stream(

@@ -12,11 +12,12 @@ MOST = 262_144
 class Thinned:
     """Keeps every row until there are too many, then every second one, every fourth, and so on.
 
-    Up to `MOST` rows statistics are exact; beyond, they are those of at least half as many rows
+    Up to `most` rows statistics are exact; beyond, they are those of at least half as many rows
     spread over the whole stream. What is kept depends on the rows alone, not on how they came.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = MOST) -> None:
+        self._most = most
         self._parts: list[Array] = []
         self._every = 1
         self._seen = 0
@@ -24,12 +25,12 @@ class Thinned:
 
     def push(self, rows: Array) -> None:
         """Take the next rows (M, ...)."""
-        kept = rows[-self._seen % self._every :: self._every].copy()
+        kept = rows[-self._seen % self._every :: self._every].copy(order="K")
         self._parts.append(kept)
         self._seen += len(rows)
         self._kept += len(kept)
-        while self._kept > MOST:
-            self._parts = [np.concatenate(self._parts)[::2].copy()]
+        while self._kept > self._most:
+            self._parts = [np.concatenate(self._parts)[::2].copy(order="K")]
             self._every *= 2
             self._kept = len(self._parts[0])
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from seqid_cli.logs.decoding import JOINT_QUANTITIES
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Mask, RawLog, Stamps, Stream, TimeSource
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Stamps, Stream, TimeSource
 from seqid_cli.logs.topics import Kind, Samples
 from seqid_cli.robot.types import Imu, Robot
 
@@ -60,8 +60,13 @@ class Streams:
         samples: Mapping[str, Samples],
         imus: Mapping[str, list[str]],
         partial: str = "",
+        *,
+        whole: bool = True,
     ) -> RawLog:
-        """Make a log of samples by topic; `imus` are the topics of the IMUs that are there."""
+        """Make a log of samples by topic; `imus` are the topics of the IMUs that are there.
+
+        Only a whole log tells the delay from header stamps to log times.
+        """
         joints = samples[joint_topic]
         stream = self._joints(joint_topic, joints)
         found = {
@@ -70,7 +75,7 @@ class Streams:
             if imus.get(imu.name)
         }
         warnings, self.warnings = tuple(self.warnings), []
-        delay = joints.log_minus_header_s()
+        delay = joints.log_minus_header_s() if whole else None
         return RawLog(stream, found, partial, warnings, log_minus_header_s=delay)
 
     def _joints(self, topic: str, samples: Samples) -> Stream:
@@ -81,7 +86,7 @@ class Streams:
         recorded = {
             name: values
             for name, values in channels.items()
-            if name == "position" or np.isfinite(values).any()
+            if name == "position" or any_finite(values)
         }
         stamps, keep = self._clock(topic, samples)
         return _taken(Stream(topic, stamps, recorded), keep)
@@ -104,8 +109,7 @@ class Streams:
         count = len(samples.log_ns)
         if self.time_source == "log" or not count:
             return samples.log_ns, None
-        stamped = samples.decoded.stamp_ns != 0
-        missing = count - int(np.count_nonzero(stamped))
+        missing = count - int(np.count_nonzero(samples.decoded.stamp_ns))
         if topic not in self._logged:
             self._logged[topic] = missing == count
             if missing == count:
@@ -119,7 +123,12 @@ class Streams:
             self.warnings.append(
                 f"{missing} messages of {topic} have no header stamp and were left out"
             )
-        return samples.decoded.stamp_ns, stamped if missing else None
+        return samples.decoded.stamp_ns, samples.decoded.stamp_ns != 0 if missing else None
+
+
+def any_finite(values: Array) -> bool:
+    """Tell whether any value is a number; the first row mostly knows."""
+    return bool(np.isfinite(values[:1]).any() or np.isfinite(values).any())
 
 
 def _taken(stream: Stream, keep: Mask | None) -> Stream:

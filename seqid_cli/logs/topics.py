@@ -77,6 +77,7 @@ class Collector:
     _log_ns: list[int] = field(default_factory=list)
     _data: list[bytes] = field(default_factory=list)
     _done: list[Samples] = field(default_factory=list)
+    _waiting: int = 0
 
     def add(self, message: RawMessage) -> None:
         """Take one message."""
@@ -99,13 +100,13 @@ class Collector:
     def drain(self) -> Samples:
         """Return what has been decoded since the last call, and forget it."""
         samples = self.samples()
-        self._done = []
+        self._done, self._waiting = [], 0
         return samples
 
     @property
     def waiting(self) -> int:
         """Count the samples that `drain` would return, without those not decoded yet."""
-        return sum(len(part.log_ns) for part in self._done)
+        return self._waiting
 
     def samples(self) -> Samples:
         """Return everything that could be decoded."""
@@ -151,13 +152,15 @@ class Collector:
             self.damaged += len(data)
             return
         batch = decode(data)
-        good = batch.good & (log_ns >= 0) & (log_ns < _LATEST)
-        if good.all():
-            self._done.append(Samples(log_ns, batch))
-            return
-        self.damaged += int(np.count_nonzero(~good))
-        kept = Decoded(batch.stamp_ns[good], batch.values[good], good[good])
-        self._done.append(Samples(log_ns[good], kept))
+        good = batch.good
+        if len(log_ns) and (log_ns.min() < 0 or log_ns.max() >= _LATEST):
+            good = good & (log_ns >= 0) & (log_ns < _LATEST)
+        if not good.all():
+            self.damaged += int(np.count_nonzero(~good))
+            batch = Decoded(batch.stamp_ns[good], batch.values[good], good[good])
+            log_ns = log_ns[good]
+        self._done.append(Samples(log_ns, batch))
+        self._waiting += len(log_ns)
 
 
 def _decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) -> Decode | None:

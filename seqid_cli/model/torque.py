@@ -19,7 +19,6 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-PARTS = 8  # of a sample's period, over which the step of friction at a reversal is averaged
 FINE = 80.0  # samples per period of the cut-off that tell when a joint is slow
 
 
@@ -151,33 +150,6 @@ def standard_parameters(stage: RigidStage, n: int) -> tuple[Array, Array]:
 def known_rotors(robot: Robot) -> Array:
     """Rotor inertias (n,) kg m^2 of the robot file; zero where they are to be identified."""
     return np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
-
-
-def averaged_friction(surfaces: list[FrictionSurface | None], motion: Motion) -> Array:
-    """Friction torque (N, n) N m, where a joint reverses its mean over the sample's period.
-
-    Friction steps there, at a time that a thinned motion knows to half a sample only; the mean puts
-    the step where the velocity, taken as straight between samples, is zero.
-    """
-    torque = friction_torque(surfaces, motion.q, motion.dq)
-    turns = (motion.dq[1:] * motion.dq[:-1] <= 0) & motion.moving[1:] & motion.moving[:-1]
-    within = (np.arange(PARTS) + 0.5) / PARTS - 0.5
-    for j, surface in enumerate(surfaces):
-        near = np.flatnonzero(turns[1:, j] | turns[:-1, j]) + 1
-        if surface is None or not near.size:
-            continue
-        q, dq = (_between(x[:, j], near, within) for x in (motion.q, motion.dq))
-        parts = surface.torque(q.ravel(), dq.ravel()).reshape(len(near), PARTS)
-        torque[near, j] = parts.mean(axis=1)
-    return torque
-
-
-def _between(x: Array, at: NDArray[np.intp], within: Array) -> Array:
-    """Values of x (N,) at fractions `within` (P,) of a sample about samples `at` (M,), (M, P)."""
-    middle, before, after = x[at, None], x[at - 1, None], x[at + 1, None]
-    slope = np.where(within > 0, after - middle, middle - before)
-    between: Array = middle + slope * within
-    return between
 
 
 def sliding(motion: Motion, slowest: Array) -> Mask:

@@ -18,7 +18,7 @@ from seqid_cli.motion.block_filter import BlockLowpass
 from seqid_cli.motion.cutoff import Cutoff
 from seqid_cli.motion.filtering import _FIRST, _SECOND, differentiate, shrink
 from seqid_cli.motion.motion import Motion, _all_valid
-from seqid_cli.motion.segments import SCALES_S, moving_mask
+from seqid_cli.motion.segments import SCALES_S, SHAKEN, TRAVEL_STEPS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +32,7 @@ class Plan:
     """How a log is filtered: its rate, cut-off, noise steps (n,) rad, and every which sample stays.
 
     `rows` (a multiple of `factor`) samples make a block, `margin` more are needed on either side.
+    `use_compiled` says whether compiled loops filter them.
     """
 
     rate_hz: float
@@ -40,11 +41,17 @@ class Plan:
     factor: int
     rows: int
     margin: int
+    use_compiled: bool = False
 
     @property
     def lowpass(self) -> BlockLowpass:
         """The filter at the log's own rate."""
         return BlockLowpass(self.cutoff.hz, self.rate_hz)
+
+    @property
+    def kept_lowpass(self) -> BlockLowpass:
+        """The same filter for the samples that stay."""
+        return BlockLowpass(self.cutoff.hz, self.kept_rate_hz, self.factor)
 
     @property
     def kept_rate_hz(self) -> float:
@@ -72,7 +79,8 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
     seen = int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2  # half a scale and its dilation
     margin = max(2 * lowpass.memory + REACH, 2 * lowpass.settling, seen)
     margin = -(-margin // factor) * factor
-    rows = -(-max(LEAST_BLOCK, 2 * margin) // factor) * factor
+    least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK  # thinned ones need less memory
+    rows = -(-max(least, 2 * margin) // factor) * factor
     return Plan(rate_hz, cutoff, step, factor, rows, margin)
 
 
@@ -144,8 +152,8 @@ def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motio
     n, lowpass, factor = window.q.shape[1], plan.lowpass, plan.factor
     inner = slice(start - low, stop - low)
     rows = np.concatenate([window.q.T, window.tau.T])
-    lowpass.filter_rows(rows, window.valid)
-    lowpass.filter_rows(rows[n:], window.valid)
+    for part in (rows, rows[n:]):
+        lowpass.filter_rows(part, window.valid, use_compiled=plan.use_compiled)
     q, tau = rows[:n], rows[n:]
     dq, ddq = _derivatives(q, window.valid, plan.rate_hz, inner, factor)
     usable = shrink(window.valid, 2 * lowpass.settling)
@@ -156,13 +164,40 @@ def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motio
         dq=dq,
         ddq=ddq,
         tau=np.ascontiguousarray(tau[:, inner][:, ::factor].T),
-        moving=moving_mask(window.q, plan.rate_hz, plan.step)[inner][::factor],
+        moving=_kept_moving(window.q, plan, inner),
         usable=usable[inner][::factor],
         valid=_all_valid(window.valid[inner], factor),
         rate_hz=kept_rate,
-        lowpass=BlockLowpass(plan.cutoff.hz, kept_rate),
+        lowpass=plan.kept_lowpass,
         cutoff=plan.cutoff,
     )
+
+
+def _kept_moving(q: Array, plan: Plan, inner: slice) -> Mask:
+    """Where joints (N, n) move, as `moving_mask` tells, at every `factor`-th inner sample."""
+    rows = q.T
+    kept = np.arange(inner.start, inner.stop, plan.factor)
+    moving = np.zeros((len(rows), len(kept)), dtype=np.bool_)
+    for scale in sorted(SCALES_S, reverse=True):  # the longest one mostly says it all
+        left = np.flatnonzero(~moving.all(axis=1))
+        if not len(left):
+            break
+        half = max(1, round(scale * plan.rate_hz / 2))
+        if 2 * half >= len(q):
+            continue
+        travel = rows[:, 2 * half :] - rows[:, : -2 * half]
+        np.abs(travel, out=travel)
+        least = np.maximum(TRAVEL_STEPS * plan.step[:, None], SHAKEN * travel.max(axis=0))
+        found = travel[left] > least[left]
+        changes = np.zeros((len(left), travel.shape[1] + 1), dtype=np.int32)
+        np.cumsum(found, axis=1, out=changes[:, 1:])
+        # A change within the window moves its middle and a third of a half to either side.
+        low, high = (
+            np.clip(kept - half + reach, 0, travel.shape[1])
+            for reach in (-(half // 3), half // 3 + 1)
+        )
+        moving[left] |= changes[:, high] > changes[:, low]
+    return np.ascontiguousarray(moving.T)
 
 
 def _derivatives(

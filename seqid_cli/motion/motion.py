@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SAMPLES_PER_CUTOFF = 10
+NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,17 @@ class Motion:
     def acceleration_error(self) -> Array:
         """Standard deviation (n,) rad/s^2 of `ddq`."""
         return self.cutoff.acceleration_noise if self.error is None else self.error
+
+    @property
+    def independent_share(self) -> float:
+        """Share of the samples that count as independent: two per period of the noise's bandwidth.
+
+        What is left of the torque is low-passed; many samples of it per period say no more than
+        two, and must not outweigh what is known from elsewhere.
+        """
+        if not self.lowpass.active:
+            return 1.0
+        return min(1.0, 2 * NOISE_BANDWIDTH * self.lowpass.cutoff_hz / self.rate_hz)
 
     def filtered(self, values: Array, times: int = 1) -> Array:
         """Send computed terms (N, ...) through the motion's own low-pass."""
@@ -158,7 +170,7 @@ def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) ->
         usable=motion.usable[::factor],
         valid=valid,
         rate_hz=rate,
-        lowpass=Lowpass(motion.lowpass.cutoff_hz, rate),
+        lowpass=Lowpass(motion.lowpass.cutoff_hz, rate, factor * motion.lowpass.every),
     )
 
 

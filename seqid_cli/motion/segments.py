@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SCALES_S = (0.1, 0.3, 1.0)
+TRAVEL_STEPS = 2.5  # noise steps of travel, beyond which a joint moves
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
 VELOCITY_TOLERANCE = 0.1
@@ -83,7 +84,8 @@ def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
         if 2 * half >= len(q):
             continue
         travel = np.abs(q[2 * half :] - q[: -2 * half])
-        change = (travel > 2.5 * step) & (travel > SHAKEN * travel.max(axis=1, keepdims=True))
+        largest = travel.max(axis=1, keepdims=True)
+        change = (travel > TRAVEL_STEPS * step) & (travel > SHAKEN * largest)
         # A change within the window moves its middle; the window's halves are grown back by a
         # third.
         grown = np.zeros_like(moving)

@@ -22,22 +22,24 @@ from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion import cutoff as whole
 from seqid_cli.motion.cutoff import Cutoff, differentiated_error
-from seqid_cli.motion.segments import SCALES_S, SHAKEN, SMALLEST_STEP
+from seqid_cli.motion.segments import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-MOST_LEVELS = 65_536  # distinct positions of a joint; a step shows in fewer
+MOST_LEVELS = 65_536  # distinct positions of a joint; a step and noise show in fewer
 SECOND_S, VELOCITY_S = 8, 20  # segments of the spectra of the second and the first difference
 LEAST_SEGMENT = 256
+DENSE, SPARSE = 262_144, 4  # samples with all segments of their spectra; of the others every 4th
+STEPS = 16  # per half time scale, at which travel is looked at
 MANY = 1 << 60
-MOVES = 2.5  # noise steps of travel, from which on a joint moves
 
 
 class Welch:
     """One-sided spectral density of c signals, by Welch's method with half overlap.
 
-    Equal to `scipy.signal.welch` (Hann window, no detrending) of the signals as a whole.
+    Equal to `scipy.signal.welch` (Hann window, no detrending) of the signals as a whole, as long as
+    they have no more than `DENSE` samples. Behind those every `SPARSE`-th segment is taken.
     """
 
     def __init__(self, length: int) -> None:
@@ -46,20 +48,27 @@ class Welch:
         self._left: Array | None = None
         self._sum: Array | None = None
         self._segments = 0
+        self._start = 0  # of the next segment
+        self._begin = 0  # of what is left
 
     def push(self, values: Array) -> None:
         """Take the next samples (M, c)."""
-        left = values if self._left is None else np.concatenate([self._left, values])
+        left = values
+        if self._left is not None and len(self._left):
+            left = np.concatenate([self._left, values])
         hop = self.length - self.length // 2
-        start = 0
-        while start + self.length <= len(left):
+        end = self._begin + len(left)
+        while self._start + self.length <= end:
+            start = self._start - self._begin
             piece = left[start : start + self.length].T * self._window
             spectrum = rfft(piece, axis=1, overwrite_x=True)
             power = spectrum.real**2 + spectrum.imag**2
             self._sum = power if self._sum is None else self._sum + power
             self._segments += 1
-            start += hop
-        self._left = left[start:].copy()
+            self._start += hop if self._start < DENSE else SPARSE * hop
+        keep = min(self._start, end)
+        self._left = left[keep - self._begin :].copy(order="K")
+        self._begin = keep
 
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
@@ -91,14 +100,17 @@ class Survey:
         self.rate_hz = rate_hz
         self._levels: list[Array | None] = [np.zeros(0) for _ in range(n)]
         self._known: list[Array] = [np.zeros(0) for _ in range(n)]
-        self._fourth = Thinned()
+        self._fourth = Thinned(MOST_LEVELS)
         second, velocity, self._halves = _lengths(rate_hz, samples)
         self._second, self._velocity = Welch(second), Welch(velocity)
         self._travel = np.zeros(n)
+        self._seen = 0
+        self._step: Array | None = None
         self._tail: Array | None = None
 
     def push(self, q: Array) -> None:
         """Take the next samples."""
+        self._step = None
         for j, levels in enumerate(self._levels):
             if levels is not None:
                 self._add_levels(j, levels, q[:, j])
@@ -109,8 +121,10 @@ class Survey:
         self._second.push(np.diff(wide[max(0, fresh - 2) :], 2, axis=0))
         self._velocity.push(np.diff(wide[max(0, fresh - 1) :], axis=0))
         for half in self._halves:
-            self._add_travel(wide[max(0, fresh - 2 * half) :], half)
-        self._tail = wide[-2 * max([*self._halves, 2]) :].copy()
+            low = max(0, fresh - 2 * half)
+            self._add_travel(wide[low:], half, self._seen - fresh + low)
+        self._tail = wide[-2 * max([*self._halves, 2]) :].copy(order="K")
+        self._seen += len(q)
 
     def _add_levels(self, j: int, levels: Array, position: Array) -> None:
         values = np.round(position, 10)
@@ -119,10 +133,12 @@ class Survey:
         self._known[j] = levels
         self._levels[j] = None if len(levels) > MOST_LEVELS else levels
 
-    def _add_travel(self, wide: Array, half: int) -> None:
-        if len(wide) <= 2 * half:
+    def _add_travel(self, wide: Array, half: int, number: int) -> None:
+        step = max(1, half // STEPS)
+        first = -number % step  # on the same samples whatever parts they come in
+        if len(wide) <= 2 * half + first:
             return
-        travel = np.abs(wide[2 * half :] - wide[: -2 * half])
+        travel = np.abs(wide[2 * half + first :: step] - wide[first : -2 * half : step])
         largest = travel.max(axis=1, keepdims=True)
         own = np.where(travel > SHAKEN * largest, travel, 0.0).max(axis=0)
         self._travel = np.maximum(self._travel, own)
@@ -135,17 +151,23 @@ class Survey:
 
     def encoder_step(self) -> Array:
         """Smallest step of each joint's position (n,) rad, 0 where it is not quantised."""
-        return np.concatenate([whole.encoder_step(levels[:, None]) for levels in self._known])
+        if self._step is None:
+            steps = [whole.encoder_step(levels[:, None]) for levels in self._known]
+            self._step = np.concatenate(steps)
+        return self._step
 
     def noise_step(self, resolution: Array) -> Array:
         """As `segments.noise_step`."""
         step = np.maximum(self.encoder_step(), resolution)
-        noise = np.median(self._fourth.rows, axis=0) / 0.6745 / np.sqrt(70.0)
-        return np.maximum(np.maximum(step, SMALLEST_STEP), np.where(step > 0, 0.0, 3 * noise))
+        least = np.maximum(step, SMALLEST_STEP)
+        if not (step > 0).all():
+            noise = np.median(self._fourth.rows, axis=0) / 0.6745 / np.sqrt(70.0)
+            least = np.maximum(least, np.where(step > 0, 0.0, 3 * noise))
+        return least
 
     def moving(self, step: Array) -> NDArray[np.bool_]:
         """Joints (n,) that move at any time."""
-        moves: NDArray[np.bool_] = self._travel > MOVES * step
+        moves: NDArray[np.bool_] = self._travel > TRAVEL_STEPS * step
         return moves
 
     def cutoff(self, resolution: Array) -> Cutoff:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -12,11 +13,18 @@ from statistics import median
 from tempfile import TemporaryDirectory
 
 from seqid_cli.robot.file import load_robot
+from tests.bench import whole_run_figaroh
 from tests.bench.arm import write_arm, write_log
 from tests.study.tables import table
 
-COMPARED, LONGER, LONGEST = 200_000, 1_000_000, 3_000_000
+COMPARED, LONGER, LONGEST, VERY_LONG = 200_000, 1_000_000, 2_000_000, 10_000_000
+SWITCH = "SEQID_BENCH_LONG"  # set it to have the longest log VERY_LONG: 0.6 GB, some minutes
 ROUNDS = 2
+CASES = {
+    "straightforward": "script",
+    "full_rate": "seqid, every sample",
+    "decimated": "seqid, as the command runs it",
+}
 
 
 @dataclass(frozen=True)
@@ -36,49 +44,55 @@ class Run:
 
 def study(*, quick: bool = False) -> str:
     """Return the tables."""
-    compared, longer, longest = (20_000, 30_000, 40_000) if quick else (COMPARED, LONGER, LONGEST)
+    longest = VERY_LONG if os.environ.get(SWITCH) else LONGEST
+    sizes = (20_000, 30_000, 40_000) if quick else (COMPARED, LONGER, longest)
     rounds = 1 if quick else ROUNDS
     with TemporaryDirectory() as name:
         folder = Path(name)
         arm = write_arm(folder)
-        logs = {
-            count: write_log(folder / f"{count}.parquet", load_robot(arm), count)
-            for count in (compared, longer, longest)
-        }
-        ours = _runs("decimated", arm, logs[compared], compared, rounds)
-        every = _runs("full_rate", arm, logs[compared], compared, rounds)
-        naive = _runs("straightforward", arm, logs[compared], compared, 1)
-        long = _runs("decimated", arm, logs[longer], longer, rounds)
-        long_every = _runs("full_rate", arm, logs[longer], longer, 1)
-        longest_run = _runs("decimated", arm, logs[longest], longest, 1)
-    rows = [
-        _row("script", naive, naive),
-        _row("seqid, every sample", every, naive),
-        _row("seqid, as the command runs it", ours, naive),
-        _row("seqid, every sample", long_every, naive),
-        _row("seqid, as the command runs it", long, naive),
-        _row("seqid, as the command runs it", longest_run, naive),
-    ]
+        runs = _all_runs(folder, arm, sizes, rounds)
+        other = whole_run_figaroh.study(folder, arm, quick=quick, rounds=rounds)
+    script, every, thinned = (runs[case, sizes[0]] for case in CASES)
+    rows = [_row(CASES[case], found, script) for (case, _), found in runs.items()]
     text = table(["run", "samples", "CPU us/sample", "script over this", "peak MiB"], rows)
-    gap = _gap(naive[0], every[0])
-    thinned = _gap(ours[0], every[0])
-    ratio = _error_ratio(ours[0], every[0])
+    ratio = _error_ratio(thinned[0], every[0])
+    gaps = _gaps(thinned[0], every[0])
     return (
         f"{text}\n\n"
-        f"The script and seqid with every sample differ by {gap:.1e} standard errors at most. "
-        f"Thinning after the low-pass changes the parameters by {thinned:.1e} standard errors at "
-        f"most and the standard errors by a factor of {ratio:.2f} (median)."
+        f"The script and seqid with every sample differ by "
+        f"{max(_gaps(script[0], every[0])):.1e} standard errors at most. Thinning after the "
+        f"low-pass changes the parameters by {max(gaps):.2f} standard errors at most "
+        f"({median(gaps):.2f} in the median) and the standard errors by a factor of {ratio:.2f} "
+        f"(median).\n\n{other}"
     )
 
 
-def _runs(case: str, arm: Path, log: Path, samples: int, rounds: int) -> list[Run]:
-    command = [sys.executable, "-m", "tests.bench.whole_run_cases", case, str(arm), str(log)]
-    runs = []
+def _all_runs(
+    folder: Path, arm: Path, sizes: tuple[int, int, int], rounds: int
+) -> dict[tuple[str, int], list[Run]]:
+    """Run every case on every length that it can bear, all of them in turns."""
+    robot = load_robot(arm)
+    logs = {count: write_log(folder / f"{count}.parquet", robot, count) for count in sizes}
+    compared, longer, longest = sizes
+    script, every, thinned = CASES
+    # The script uses what seqid with every sample wrote beside the log.
+    wanted = [(thinned, compared), (every, compared), (script, compared)]
+    wanted += [(every, longer), (thinned, longer)]
+    runs: dict[tuple[str, int], list[Run]] = {}
     for _ in range(rounds):
-        done = subprocess.run(command, capture_output=True, check=True, text=True)
-        found = json.loads(done.stdout)
-        runs.append(Run(samples, found["cpu_s"], found["peak"], found["values"]))
-    return runs
+        for case, count in wanted:
+            runs.setdefault((case, count), []).append(_run(case, arm, logs[count], count))
+    for case in (every, thinned):
+        runs[case, longest] = [_run(case, arm, logs[longest], longest)]
+    order = sorted(runs, key=lambda key: (key[1], list(CASES).index(key[0])))
+    return {key: runs[key] for key in order}
+
+
+def _run(case: str, arm: Path, log: Path, samples: int) -> Run:
+    command = [sys.executable, "-m", "tests.bench.whole_run_cases", case, str(arm), str(log)]
+    done = subprocess.run(command, capture_output=True, check=True, text=True)
+    found = json.loads(done.stdout)
+    return Run(samples, found["cpu_s"], found["peak"], found["values"])
 
 
 def _row(name: str, runs: Sequence[Run], reference: Sequence[Run]) -> list[str]:
@@ -88,12 +102,12 @@ def _row(name: str, runs: Sequence[Run], reference: Sequence[Run]) -> list[str]:
     return [name, f"{runs[0].samples:,}", f"{us:.2f}", f"{ratio:.1f}", f"{peak:.0f}"]
 
 
-def _gap(run: Run, reference: Run) -> float:
-    """Largest difference of a parameter, in standard errors of the reference."""
-    return max(
+def _gaps(run: Run, reference: Run) -> list[float]:
+    """Differences of the parameters, in standard errors of the reference."""
+    return [
         abs(run.values[name][0] - value) / error
         for name, (value, error) in reference.values.items()
-    )
+    ]
 
 
 def _error_ratio(run: Run, reference: Run) -> float:

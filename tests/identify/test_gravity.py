@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.gravity import GravityRows
+from seqid_cli.identify.gravity import GravityRows, _stage
+from seqid_cli.identify.inertia import gravity_prior
 from seqid_cli.identify.least_squares import Accumulator, solve
 from seqid_cli.identify.trials import Ramp, Trial
 from seqid_cli.model.friction import FrictionSurface, Scaling
-from seqid_cli.robot.base import base_parameters
+from seqid_cli.robot.base import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 from tests.plants.rigs import MOMENT, one_joint
 from tests.study.lab import robot_of
@@ -96,3 +98,29 @@ def test_slices_outside_the_identified_friction_are_left_out() -> None:
             kept += int(np.sum(np.abs(trial.q) <= 1.04))
     assert joints[0].samples == kept
     assert rows.used == 4
+
+
+def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None:
+    robot = six_joints()
+    basis = base_parameters(robot, rotor=())
+    size = int(basis.gravity.sum())
+    rng = np.random.default_rng(0)
+    joints = [Accumulator(size) for _ in range(robot.n)]
+    q = rng.uniform(-1.0, 1.0, (400, 1)) * np.eye(robot.n)[1]  # one joint moves, one configuration
+    H = base_regressor(robot, basis, q, np.zeros_like(q), np.zeros_like(q))[:, 1, :size]
+    for j, joint in enumerate(joints):
+        own = slice(None) if j == 1 else slice(0, 0)
+        joint.add(H[own], (H @ np.ones(size) + 0.01 * rng.normal(size=400))[own])
+    solution = solve(joints)
+    rows = GravityRows(robot, basis, [None] * robot.n)
+    stage = _stage(robot, basis, solution, solution.covariance, rows)
+    assert 0 < len(stage.parameters) < size
+    assert np.shape(stage.covariance) == (len(stage.parameters),) * 2
+    errors = np.sqrt(np.diag(stage.covariance))
+    assert errors.tolist() == pytest.approx([p.std_error for p in stage.parameters])
+    prior = gravity_prior(stage, basis)
+    assert prior is not None
+    own = [basis.names.index(p.name) for p in stage.parameters]
+    assert not np.delete(prior.A, own, axis=1).any()
+    expected = np.linalg.inv(np.array(stage.covariance))
+    np.testing.assert_allclose((prior.A.T @ prior.A)[np.ix_(own, own)], expected, rtol=1e-6)

@@ -1,0 +1,83 @@
+"""Measured and predicted torque of a log or of a part of it, and what is to be said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.schema import MotionUse, Stages
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
+
+
+@dataclass(frozen=True)
+class LogPrediction:
+    """Measured and predicted torque (N, n) N m of one log, both low-passed alike.
+
+    `used` (N,) marks the samples that count, away from ends and gaps; `sliding` (N, n) those at
+    which a joint certainly slides. Elsewhere friction is known only as an interval, and
+    `predicted` is the value of it that lies nearest to the measured torque. `q`, `dq` (N, n) are
+    the joint positions and velocities behind the prediction, `start` [s] is the first sample of
+    the log on its own clock.
+
+    A long log comes in several parts, one behind the other: `samples` are those of the whole log,
+    `part` counts its parts from 0, and only the `last` one has `notes` and `motion`.
+    """
+
+    path: Path
+    sha256: str
+    samples: int
+    cutoff_hz: float
+    t: Array
+    tau: Array
+    predicted: Array
+    used: Mask
+    sliding: Mask
+    notes: tuple[str, ...] = ()
+    q: Array | None = None
+    dq: Array | None = None
+    motion: MotionUse | None = None
+    start: float = 0.0
+    part: int = 0
+    last: bool = True
+
+
+def notes_on(
+    surfaces: list[FrictionSurface | None], robot: Robot, stages: Stages, share: Array
+) -> Iterator[str]:
+    """Say what a prediction lacks.
+
+    Parameters
+    ----------
+    surfaces : list of FrictionSurface or None
+        Friction of each joint.
+    robot : Robot
+    stages : Stages
+        The model.
+    share : (n,) array
+        Of the samples at which a joint slides, those outside its identified friction.
+    """
+    if stages.inertia is None:
+        yield "no inertia stage in the parameter file: inertial torque is taken as zero"
+    unknown = [n for n, s in zip(robot.joint_names, surfaces, strict=True) if s is None]
+    if unknown:
+        yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
+    far = [
+        f"{name} {100 * part:.0f} %"
+        for name, part in zip(robot.joint_names, share, strict=True)
+        if part > OUTSIDE_NOTE
+    ]
+    if far:
+        yield (
+            "outside the speeds or positions at which friction was identified, so that the nearest "
+            f"identified value stands in: {', '.join(far)} of the samples"
+        )

@@ -1,0 +1,95 @@
+"""Constant-velocity trials of a log of any length, in memory that does not grow with it.
+
+Trials lie within runs of samples at which one and the same joint moves alone. The log is passed
+over in pieces that are cut between such runs, each with so many samples more on either side as the
+look for motion reaches; what is found is what the whole log gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.long import Block, LongLog
+from seqid_cli.motion.segments import SCALES_S, Stretch, constant_velocity, moving_mask
+
+Array = NDArray[np.float64]
+
+ROWS = 65_536  # samples of a piece, at least
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Consecutive samples; those from `start` on are still to be searched."""
+
+    block: Block
+    start: int
+
+    def followed_by(self, other: Block) -> _Held:
+        """These samples and the next."""
+        own = self.block
+        joined = Block(
+            own.start,
+            np.concatenate([own.q, other.q]),
+            np.concatenate([own.tau, other.tau]),
+            np.concatenate([own.valid, other.valid]),
+        )
+        return replace(self, block=joined)
+
+    def after(self, cut: int, margin: int) -> _Held:
+        """What is left once everything in front of a sample (of the block) has been searched."""
+        own, low = self.block, max(0, cut - margin)
+        left = Block(own.start + low, own.q[low:], own.tau[low:], own.valid[low:])
+        return _Held(left, cut - low)
+
+
+def pieces(log: LongLog, step: Array) -> Iterator[tuple[Block, list[Stretch]]]:
+    """Pass over a log and find its stretches of constant velocity.
+
+    Parameters
+    ----------
+    log : LongLog
+    step : (n,) array
+        Encoder noise [rad], see `noise_step`.
+
+    Yields
+    ------
+    tuple of Block, list of Stretch
+        Samples, and the stretches in them, counted from the first of these samples.
+    """
+    margin = int(np.ceil(0.7 * max(SCALES_S) * log.rate_hz)) + 2  # half a scale and its dilation
+    wait = ROWS
+    held: _Held | None = None
+    for block in log.blocks():
+        held = _Held(block, 0) if held is None else held.followed_by(block)
+        if len(held.block.q) - held.start < wait + margin:
+            continue
+        cut = _last_change(held, log.rate_hz, step, margin)
+        if cut is None:  # one move that goes on and on
+            wait = 2 * (len(held.block.q) - held.start)
+            continue
+        yield held.block, _stretches(held, cut, log.rate_hz, step)
+        held, wait = held.after(cut, margin), ROWS
+    if held is not None:
+        yield held.block, _stretches(held, len(held.block.q), log.rate_hz, step)
+
+
+def _last_change(held: _Held, rate_hz: float, step: Array, margin: int) -> int | None:
+    """Find the last sample, away from the end, at which another joint moves than before it."""
+    block = held.block
+    moving = moving_mask(block.q, rate_hz, step)
+    alone = block.valid & (moving.sum(axis=1) == 1)
+    mover = np.where(alone, moving.argmax(axis=1), -1)
+    searched = mover[held.start : len(mover) - margin]
+    changes = np.flatnonzero(searched[1:] != searched[:-1])
+    return held.start + int(changes[-1]) + 1 if len(changes) else None
+
+
+def _stretches(held: _Held, cut: int, rate_hz: float, step: Array) -> list[Stretch]:
+    inside = held.block.valid.copy()
+    inside[: held.start] = False
+    inside[cut:] = False
+    return constant_velocity(held.block.q, rate_hz, step=step, valid=inside)

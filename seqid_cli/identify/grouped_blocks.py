@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.least_squares import MOST_BLOCKS, Accumulator
 
-MOST_ROWS = 8192  # held for one factor; what more there is to merge is merged afterwards
+MOST_ROWS = 4096  # held for one factor; what more there is to merge is merged afterwards
 
 Array = NDArray[np.float64]
 Chunk = tuple[Array, Array, NDArray[np.bool_]]  # H (N, n, p), y (N, n), which rows to use (N, n)

@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LONG = 200_000  # samples from which on a log is better passed over than held
-LEAST_CHUNKS, MOST_CHUNKS = 2, 5  # of the equations, worked on together
+LEAST_CHUNKS, MOST_CHUNKS = 2, 4  # of the equations, worked on together
 
 
 class Equations(Protocol):

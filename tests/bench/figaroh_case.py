@@ -20,9 +20,11 @@ CONFIG: dict[str, object] = {"is_joint_torques": True, "act_idxv": list(range(7)
 
 
 def usage() -> tuple[float, float]:
-    """CPU time [s] and peak memory [MiB] of this process so far."""
+    """CPU time [s] and peak memory [MiB] of this process so far (Linux)."""
     used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    # Not ru_maxrss: a process that was forked starts with its parent's.
+    status = Path("/proc/self/status").read_text(encoding="ascii").split()
+    return used.ru_utime + used.ru_stime, int(status[status.index("VmHWM:") + 1]) / 1024
 
 
 def held_mib() -> float:

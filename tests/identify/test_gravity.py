@@ -15,7 +15,7 @@ from seqid_cli.identify.trials import Ramp, Trial
 from seqid_cli.model.friction import FrictionSurface, Scaling
 from seqid_cli.robot.base import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
-from tests.plants.rigs import MOMENT, one_joint
+from tests.plants.rigs import MOMENT, one_joint, six_joint
 from tests.study.lab import robot_of
 
 Array = NDArray[np.float64]
@@ -101,15 +101,15 @@ def test_slices_outside_the_identified_friction_are_left_out() -> None:
 
 
 def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None:
-    robot = six_joints()
+    robot = robot_of("six", six_joint())
     basis = base_parameters(robot, rotor=())
     size = int(basis.gravity.sum())
     rng = np.random.default_rng(0)
     joints = [Accumulator(size) for _ in range(robot.n)]
-    q = rng.uniform(-1.0, 1.0, (400, 1)) * np.eye(robot.n)[1]  # one joint moves, one configuration
-    H = base_regressor(robot, basis, q, np.zeros_like(q), np.zeros_like(q))[:, 1, :size]
+    q = rng.uniform(-1.0, 1.0, (400, robot.n))  # but only the last joint's torque is known
+    H = base_regressor(robot, basis, q, np.zeros_like(q), np.zeros_like(q))[:, -1, :size]
     for j, joint in enumerate(joints):
-        own = slice(None) if j == 1 else slice(0, 0)
+        own = slice(None) if j == robot.n - 1 else slice(0, 0)
         joint.add(H[own], (H @ np.ones(size) + 0.01 * rng.normal(size=400))[own])
     solution = solve(joints)
     rows = GravityRows(robot, basis, [None] * robot.n)

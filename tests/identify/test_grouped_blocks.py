@@ -14,7 +14,7 @@ N, P, ROWS = 2, 3, 10
 
 @pytest.mark.parametrize("count", [3, 8, 13, 40])
 @pytest.mark.parametrize("per_chunk", [1, 4, 7])
-@pytest.mark.parametrize("most_rows", [8192, 2 * ROWS])
+@pytest.mark.parametrize("most_rows", [4096, 2 * ROWS])
 def test_as_if_merged_afterwards(
     count: int, per_chunk: int, most_rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

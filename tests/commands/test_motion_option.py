@@ -102,7 +102,11 @@ def bench(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Bench:
         by_name = {str(log.path): log for log in made.recordings}
         yield from (by_name[Path(path).name] for path in paths)
 
+    def held(*given: object, **options: object) -> None:
+        """No log is long."""
+
     monkeypatch.setattr("seqid_cli.logs.read.read_recordings", read)
+    monkeypatch.setattr("seqid_cli.identify.predict.open_if_long", held)
     return made
 
 

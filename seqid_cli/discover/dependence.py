@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rivals import Filtered, Rival, tried
+from seqid_cli.discover.rivals import Filtered, Rival, known_beforehand, tried
 from seqid_cli.discover.system import Block, System, Trial
 
 Array = NDArray[np.float64]
@@ -103,13 +103,11 @@ def simplest(ranked: Sequence[tuple[Rival, Trial]]) -> tuple[Rival, Trial]:
 def extended(system: System, columns: dict[int, Array]) -> System:
     """Add a rival's columns to the base of a system.
 
-    All that is known of its coefficients beforehand: none is larger than the residual, for the
-    columns are of unit size. Where the rows say nothing that keeps the torque small.
+    Where the rows say nothing, what is known of its coefficients beforehand keeps the torque small.
     """
     ((joint, X),) = columns.items()
-    residual = system.residual()[joint]
-    size = float(np.sqrt(np.mean(residual**2)))
-    block = Block(columns, np.eye(X.shape[1]) / max(size, 1e-300))
+    held = known_beforehand(system.residual()[joint], X.shape[1])
+    block = Block(columns, np.sqrt(held) * np.eye(X.shape[1]))
     blocks = [*system.blocks, block]
     return System(system.rows, system.y, system.noise, blocks, system.high)
 
@@ -128,6 +126,8 @@ def _needed(
         without = system
         for i in others:
             without = extended(without, columns[i])
-        if without.tried([columns[k]])[0].total < 0.5 * LEAST_SHARE * chosen[0][1].total:
+        rival = chosen[k][0]
+        held = known_beforehand(without.residual()[rival.joint], rival.size)
+        if without.tried([columns[k]], [held])[0].total < 0.5 * LEAST_SHARE * chosen[0][1].total:
             kept = others
     return [chosen[i] for i in kept]

@@ -2,7 +2,8 @@
 
 1. Scenes, rows and base columns; the search in both stances (see `search`).
 2. Which stance: the file is kept if its own parameters, with few changes, explain as much as free
-   ones do; otherwise the base is free. Where something is left, a broad base is tried as well.
+   ones do; otherwise the base is free. Where something is left, or nothing was found, a broad base
+   is tried as well.
 3. Short stretches that stand out against everything else the logs show are events: they are taken
    out, and the search begins anew.
 4. The same screening on clean data of this robot and these logs gives the level below which a gain
@@ -95,7 +96,9 @@ def investigate(
     rows, gates = rows_of(scenes), Gates()
     result, events = _without_events(rows, stages, gates, options)
     dependences = _dependences(result.search, gates)
-    if any(d.quantities for d in dependences) and any(map(len, result.search.base.broad)):
+    explained = bool(result.search.accepted or events)
+    unexplained = any(d.quantities for d in dependences)
+    if (unexplained or not explained) and any(map(len, result.search.base.broad)):
         other, own = _without_events(rows, stages, gates, options, broad=True)
         if _explains_more(other.search, result.search):
             result, events = other, own

@@ -35,6 +35,7 @@ ORDERS = 12  # of the motor's turn
 LINES = 2
 SLOWEST_LINE_HZ = 0.3
 CURVE_POINTS = 41
+ALIKE = 2.5  # rows of low-passed signals that count as one
 BATCH = 250  # columns that are tried at once
 
 
@@ -359,15 +360,25 @@ def best_rivals(
     return result
 
 
+def known_beforehand(residual: Array | float, functions: int) -> float:
+    """Precision of the coefficients of so many functions of unit size before any row is seen.
+
+    Together they are no larger than the residual (or its RMS); rows in a row tell much the same.
+    """
+    return ALIKE * functions / max(float(np.mean(np.square(residual))), 1e-300)
+
+
 def tried(
     system: System, candidates: Sequence[Rival], filtered: Filtered
 ) -> list[tuple[Rival, Trial]]:
     """Try rivals against a system; of those with one label the best is kept, best first."""
     trials: list[Trial] = []
+    residual = system.residual()
     edges = np.cumsum([rival.size for rival in candidates]) // BATCH
     for number in np.unique(edges):
         some = [r for r, e in zip(candidates, edges, strict=True) if e == number]
-        trials += system.tried([filtered.columns(rival) for rival in some])
+        held = [known_beforehand(residual[rival.joint], rival.size) for rival in some]
+        trials += system.tried([filtered.columns(rival) for rival in some], held)
     best: dict[str, tuple[Rival, Trial]] = {}
     for rival, trial in sorted(zip(candidates, trials, strict=True), key=lambda p: -p[1].total):
         best.setdefault(rival.label, (rival, trial))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined, shapes
-from seqid_cli.discover.rivals import Filtered, Rival
+from seqid_cli.discover.rivals import Filtered, Rival, known_beforehand
 from seqid_cli.discover.stretches import chance
 from seqid_cli.discover.system import Block, System
 from seqid_cli.model.effects.effect import Effect
@@ -191,8 +191,9 @@ class Search:
         filtered = Filtered.of(self.stage.rows)
         blocks = []
         for rival in self.smooth:
-            held = np.eye(rival.size) / self.bare[rival.joint]
-            blocks.append(Block(filtered.columns(rival), held))
+            held = known_beforehand(float(self.bare[rival.joint]), rival.size)
+            prior = np.sqrt(held) * np.eye(rival.size)
+            blocks.append(Block(filtered.columns(rival), prior))
         return blocks
 
     def deviation(self, system: System) -> list[Array]:

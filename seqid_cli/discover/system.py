@@ -276,8 +276,13 @@ class System:
             for j, X in scaled.items()
         }
 
-    def tried(self, candidates: Sequence[Joints]) -> list[Trial]:
-        """Try each candidate by itself against the base."""
+    def tried(self, candidates: Sequence[Joints], held: Sequence[float] = ()) -> list[Trial]:
+        """Try each candidate by itself against the base.
+
+        `held` is the precision with which each one's coefficients are known to be about zero: it
+        keeps those small which the rows of some folds leave open. Default: not at all.
+        """
+        held = held or [0.0] * len(candidates)
         if not candidates:
             return []
         sizes = [next(iter(c.values())).shape[1] for c in candidates]
@@ -297,9 +302,11 @@ class System:
         alone = np.array([where[i].start for i in single], dtype=np.intp)
         D = np.array([own[i][0][:, 0, 0] for i in single]).reshape(len(single), self.folds)
         d = np.array([own[i][1][:, 0] for i in single]).reshape(len(single), self.folds)
-        gains = dict(zip(single, _single_gains(D, d, C[:, :, alone], trained, alone), strict=True))
+        own_held = np.array([held[i] for i in single])
+        singles = _single_gains(D, d, C[:, :, alone], trained, alone, own_held)
+        gains = dict(zip(single, singles, strict=True))
         return [
-            self._trial(c, w, D, d, C, Z, theta, trained, gains.get(i))
+            self._trial(c, w, D, d, C, Z, theta, trained, gains.get(i), held[i])
             for i, (c, w, (D, d)) in enumerate(zip(candidates, where, own, strict=True))
         ]
 
@@ -344,16 +351,17 @@ class System:
         theta: Array,
         trained: Sequence[Trained],
         gain: Array | None,
+        held: float,
     ) -> Trial:
         total_D = D.sum(axis=0)
         total_C = C[:, :, where].sum(axis=0)
         S = total_D - total_C.T @ Z[:, where]
         length = max(float(np.trace(total_D)), 1e-300)
         visible = float(np.sqrt(max(np.trace(S), 0.0) / length))
-        inverse = _inverse(S, total_D)
+        inverse = _inverse(S + held * np.eye(len(S)), total_D)
         a = inverse @ (d.sum(axis=0) - total_C.T @ theta)
         if gain is None:
-            gain = _gains(D, d, C[:, :, where], trained, where)
+            gain = _gains(D, d, C[:, :, where], trained, where, held)
         touched = [j for j in sorted(candidate) if j < self.rows.n]
         loss = self.loss[:, touched].sum(axis=1)
         relative = float(gain.sum() / max(loss.sum(), 1e-300))
@@ -367,13 +375,15 @@ def _places(fold: Index, folds: int) -> list[slice | Index]:
     return [np.flatnonzero(fold == f) for f in range(folds)]
 
 
-def _gains(D: Array, d: Array, C: Array, trained: Sequence[Trained], where: slice) -> Array:
+def _gains(
+    D: Array, d: Array, C: Array, trained: Sequence[Trained], where: slice, held: float
+) -> Array:
     """Gain (F,) of one candidate on every fold, fitted on the others."""
-    gain = np.zeros(len(D))
+    gain, prior = np.zeros(len(D)), held * np.eye(D.shape[1])
     total_D, total_d = D.sum(axis=0), d.sum(axis=0)
     for f, (Zf, AZ, solution, left, others) in enumerate(trained):
         z, rest = Zf[:, where], others[:, where]
-        S = total_D - D[f] - rest.T @ z
+        S = total_D - D[f] - rest.T @ z + prior
         a = _inverse(S, total_D) @ (total_d - d[f] - rest.T @ solution)
         slope = d[f] - C[f].T @ solution - z.T @ left
         cross = C[f].T @ z
@@ -382,13 +392,15 @@ def _gains(D: Array, d: Array, C: Array, trained: Sequence[Trained], where: slic
     return gain
 
 
-def _single_gains(D: Array, d: Array, C: Array, trained: Sequence[Trained], where: Index) -> Array:
+def _single_gains(
+    D: Array, d: Array, C: Array, trained: Sequence[Trained], where: Index, held: Array
+) -> Array:
     """The same (K, F) for K candidates of one column each: D, d (K, F), C (F, p, K)."""
     gain = np.zeros_like(D)
     total_D, total_d = D.sum(axis=1), d.sum(axis=1)
     for f, (Zf, AZ, solution, left, others) in enumerate(trained):
         z, rest = Zf[:, where], others[:, where]
-        S = total_D - D[:, f] - np.einsum("pk,pk->k", rest, z)
+        S = total_D - D[:, f] - np.einsum("pk,pk->k", rest, z) + held
         known = LEAST_LEFT * np.maximum(total_D, 1e-300) < S
         a = np.where(known, total_d - d[:, f] - rest.T @ solution, 0.0) / np.where(known, S, 1.0)
         slope = d[:, f] - C[f].T @ solution - z.T @ left

@@ -74,12 +74,15 @@ def solved(X: Array, y: Array, blocks: Sequence[Block]) -> Array:
     return np.linalg.lstsq(both, np.concatenate([y, np.zeros(len(prior))]), rcond=None)[0]
 
 
-def left_out(system: System, columns: Joints | None) -> Array:
+def left_out(system: System, columns: Joints | None, held: float = 0.0) -> Array:
     """Squared residual (F, channels) of each fold, fitted to the others, by brute force."""
     X, y, fold, joint = stacked(system, columns)
     loss = np.zeros((system.folds, len(system.y)))
+    blocks = list(system.blocks)
+    if columns is not None:
+        blocks.append(Block(columns, np.sqrt(held) * np.eye(X.shape[1] - system.size)))
     for f in range(system.folds):
-        theta = solved(X[fold != f], y[fold != f], system.blocks)
+        theta = solved(X[fold != f], y[fold != f], blocks)
         for j in range(len(system.y)):
             at = (fold == f) & (joint == j)
             loss[f, j] = np.sum((y[at] - X[at] @ theta) ** 2)
@@ -101,6 +104,18 @@ def test_gains_are_what_leaving_folds_out_gives(rows: Rows, prior: float) -> Non
         loss = before[:, sorted(columns)].sum(axis=1)
         np.testing.assert_allclose(trial.loss, loss, rtol=1e-8)
         assert trial.relative == pytest.approx(gain.sum() / loss.sum(), abs=1e-8)
+
+
+def test_coefficients_that_are_held_stay_small(rows: Rows) -> None:
+    system, held = system_of(rows), [30.0, 200.0, 5.0, 80.0, 1000.0]
+    candidates = [random_columns(rows, joints, k, 20 + k) for joints, k in CANDIDATES]
+    before = left_out(system, None)
+    trials = system.tried(candidates, held)
+    for columns, own, trial in zip(candidates, held, trials, strict=True):
+        gain = (before - left_out(system, columns, own)).sum(axis=1)
+        np.testing.assert_allclose(trial.gain, gain, atol=1e-8 * before.sum())
+    free = system.tried(candidates)[-1].coefficients
+    assert np.linalg.norm(trials[-1].coefficients) < 0.7 * np.linalg.norm(free)
 
 
 def test_coefficients_and_their_covariance(rows: Rows) -> None:

@@ -107,7 +107,8 @@ class TorqueWriter:
         schema = pa.schema(fields)
         with replacing(path) as temporary:
             with writing(path):
-                writer = pq.ParquetWriter(temporary, schema)
+                # Torques hardly repeat: a dictionary of them takes most of the time for nothing.
+                writer = pq.ParquetWriter(temporary, schema, use_dictionary=["log"])
             yield cls(path, writer, schema)
             with writing(path):
                 writer.close()

@@ -24,6 +24,7 @@ from scipy.linalg.lapack import dpotrf, dtpqrt, dtrtri
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Ints = NDArray[np.intp]
+Spans = list[tuple[int, int]]  # half-open ranges of rows
 
 PANEL = 8  # columns that the blocked QR takes at once
 STRIP = 1024  # rows that it takes at once: they stay in cache
@@ -44,24 +45,46 @@ def triangular(rows: Array) -> Array:
     return by_reflections(H, y, not_zero(H, y))
 
 
-def not_zero(H: Array, y: Array, loaded: Mask | None = None) -> Mask:
-    """Columns (p + 1,) of [H y] that are not all zero; only `loaded` ones (p,) are looked at."""
+def not_zero(H: Array, y: Array, loaded: Mask | None = None, spans: Spans | None = None) -> Mask:
+    """Columns (p + 1,) of [H y] that are not all zero; only `loaded` ones (p,) are looked at.
+
+    With `spans` of H, y holds the rows of these alone.
+    """
     alive = np.zeros(H.shape[1] + 1, dtype=np.bool_)
     if not len(y):
         return alive
-    alive[:-1], alive[-1] = H[0] != 0.0, y.any()  # most show it in their first row
+    first = H[0] if spans is None else H[spans[0][0]]
+    alive[:-1], alive[-1] = first != 0.0, y.any()  # most show it in their first row
     rest = ~alive[:-1] if loaded is None else loaded & ~alive[:-1]
     if rest.any():
         for start, stop in _runs(np.flatnonzero(rest)):
-            part = H[:, start:stop]
-            alive[start:stop] = (part.max(axis=0) != 0.0) | (part.min(axis=0) != 0.0)
+            for low, high in spans or [(0, len(H))]:
+                part = H[low:high, start:stop]
+                alive[start:stop] |= (part.max(axis=0) != 0.0) | (part.min(axis=0) != 0.0)
     return alive
 
 
-def by_reflections(H: Array, y: Array, alive: Mask) -> Array:
-    """Factor (p + 1, p + 1) of rows [H y], (N, p) and (N,), of which some columns are not zero."""
+def spans_of(where: Mask) -> Spans:
+    """Ranges of rows in which a mask (N,) is true."""
+    edges = np.flatnonzero(where[1:] != where[:-1]) + 1
+    ends = [0, *edges.tolist(), len(where)]
+    first = 0 if where[0] else 1
+    return list(zip(ends[first:-1:2], ends[first + 1 :: 2], strict=True))
+
+
+def by_reflections(H: Array, y: Array, alive: Mask, spans: Spans | None = None) -> Array:
+    """Factor (p + 1, p + 1) of rows [H y], (N, p) and (N,), of which some columns are not zero.
+
+    With `spans` of H, y holds the rows of these alone.
+    """
     chosen, runs = np.flatnonzero(alive), _runs(np.flatnonzero(alive[:-1]))
     R = np.zeros((len(chosen), len(chosen)), order="F")
+    if spans is not None and len(chosen):
+        rows = np.empty((len(chosen), len(y)))
+        _lay(rows, H.T, y, runs, spans)
+        for start in range(0, len(y), STRIP):
+            R = _reflected(R, np.ascontiguousarray(rows[:, start : start + STRIP]).T, 0)
+        return _signed(R, chosen, len(alive))
     for start in range(0, len(y) if len(chosen) else 0, STRIP):
         part = slice(start, start + STRIP)
         strip = np.empty((len(chosen), len(y[part])))
@@ -115,35 +138,44 @@ class Coordinates:
         """Coordinates of these rows and others."""
         return Coordinates.of(merged(self.factor, factor))
 
-    def reduced(self, H: Array, y: Array, alive: Mask, *, whole: bool = False) -> Array | None:
+    def reduced(
+        self,
+        H: Array,
+        y: Array,
+        alive: Mask,
+        *,
+        whole: bool = False,
+        spans: Spans | None = None,
+    ) -> Array | None:
         """Factor of rows [H y]; None where it must be found by reflections.
 
-        `whole` says that those which R0 stands for are among them.
+        `whole` says that those which R0 stands for are among them. With `spans` of H, y holds the
+        rows of these alone.
         """
         few = len(y) < ENOUGH * len(self.R)
         if self.inverse is None or few or (alive != self.alive).any():
             return None
         largest = LARGEST_WHOLE if whole else LARGEST
-        R = self._by_columns(H, y, self.inverse, largest) if self.well else None
+        R = self._by_columns(*self._laid(H, y, spans), largest) if self.well else None
         if R is None:
-            R = self._by_products(H, y, self.inverse, largest)
+            R = self._by_products(*self._laid(H, y, spans), largest)
         if R is None or len(R) == len(alive):
             return R
         return _in_full(R, np.flatnonzero(alive), len(alive))
 
-    def _by_products(self, H: Array, y: Array, inverse: Array, largest: float) -> Array | None:
-        """R = L' R0 from B = [H y] R0^-1."""
-        B, across = self._laid(H, y)
-        B = dtrmm(1.0, inverse, B, side=int(not across), trans_a=int(across), overwrite_b=True)
+    def _by_products(self, B: Array, across: bool, largest: float) -> Array | None:
+        """R = L' R0 from B R0^-1, B = [H y] being used up."""
+        B = dtrmm(1.0, self.inverse, B, side=int(not across), trans_a=int(across), overwrite_b=True)
         G = dsyrk(1.0, B, trans=int(not across))
         size = float(G.trace())
         L = _root(G, size) if size <= largest else None
         return None if L is None else np.ascontiguousarray(dtrmm(1.0, L, self.R))
 
-    def _by_columns(self, H: Array, y: Array, inverse: Array, largest: float) -> Array | None:
-        """R = L' [I x; 0 1] from B = [H  y - H x], x being the solution of R0."""
+    def _by_columns(self, B: Array, across: bool, largest: float) -> Array | None:
+        """R = L' [I x; 0 1] from [H  y - H x], x being the solution of R0; B = [H y] is used up."""
+        inverse = self.inverse
+        assert inverse is not None
         x = -inverse[:-1, -1] / inverse[-1, -1]
-        B, across = self._laid(H, y)
         last, others = (B[-1], B[:-1].T) if across else (B[:, -1], B[:, :-1])
         last -= others @ x
         L, failed = dpotrf(dsyrk(1.0, B, trans=int(not across)), clean=True)
@@ -153,14 +185,14 @@ class Coordinates:
         size = float(np.linalg.norm(dtrmm(1.0, inverse, L, side=1)) ** 2)
         return np.ascontiguousarray(L) if size <= largest else None
 
-    def _laid(self, H: Array, y: Array) -> tuple[Array, bool]:
+    def _laid(self, H: Array, y: Array, spans: Spans | None) -> tuple[Array, bool]:
         """[H y] without columns of zeros, (N, k) and False; as (k, N) and True, to be cheaper.
 
         Fortran-ordered. To turn round what lies in memory sample by sample costs as much as R.
         """
         across = H.strides[0] > H.strides[1]
         rows = np.empty((len(y), len(self.R)) if across else (len(self.R), len(y)))
-        _lay(rows.T if across else rows, H.T, y, self.runs)
+        _lay(rows.T if across else rows, H.T, y, self.runs, spans)
         return rows.T, across
 
 
@@ -188,16 +220,25 @@ def _root(G: Array, size: float) -> Array | None:
     return None
 
 
-def _lay(out: Array, columns: Array, y: Array, runs: list[tuple[int, int]]) -> None:
-    """Put runs of columns (p, N), and y if there is room, into out (k, N)."""
+def _lay(
+    out: Array, columns: Array, y: Array, runs: list[tuple[int, int]], spans: Spans | None = None
+) -> None:
+    """Put runs of columns (p, N), and y if there is room, into out (k, M); of all N or of spans."""
     to = 0
     for start, stop in runs:
-        out[to : to + stop - start] = columns[start:stop]
+        target, part = out[to : to + stop - start], columns[start:stop]
+        if spans is None:
+            target[:] = part
+        else:
+            at = 0
+            for low, high in spans:
+                target[:, at : at + high - low] = part[:, low:high]
+                at += high - low
         to += stop - start
     out[to:] = y
 
 
-def _runs(numbers: Ints) -> list[tuple[int, int]]:
+def _runs(numbers: Ints) -> Spans:
     """Half-open ranges of consecutive ones among ascending numbers."""
     if not len(numbers):
         return []

@@ -23,8 +23,12 @@ Chunk = tuple[Array, Array, NDArray[np.bool_]]  # H (N, n, p), y (N, n), which r
 class GroupedBlocks:
     """Hands the rows of all joints, block by block, to their accumulators."""
 
-    def __init__(self, joints: Sequence[Accumulator]) -> None:
+    def __init__(
+        self, joints: Sequence[Accumulator], loaded: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Take accumulators, and which columns (n, p) of a joint can differ from zero."""
         self._joints = joints
+        self._loaded = loaded
         self._group = 1
         self._held: list[Chunk] = []
         self._filled = 0  # blocks of what is held
@@ -56,7 +60,8 @@ class GroupedBlocks:
                 for parts in zip(*self._held, strict=True)
             )
             for j, joint in enumerate(self._joints):
-                joint.add(H[:, j], y[:, j], used[:, j])
+                loaded = None if self._loaded is None else self._loaded[j]
+                joint.add(H[:, j], y[:, j], used[:, j], loaded=loaded)
         self._held, self._filled = [], 0
 
 

@@ -22,12 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.equations import (
-    blocks,
-    cutoff_note,
-    filtered_regressor,
-    torque_motion,
-)
+from seqid_cli.identify.equations import blocks, cutoff_note, filtered_regressor, torque_motion
 from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.grouped_blocks import GroupedBlocks
 from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve, whitened
@@ -48,7 +43,7 @@ from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
 from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
-from seqid_cli.robot.base import Basis, free_basis, gear_ratios, standard_names
+from seqid_cli.robot.base import Basis, free_basis, gear_ratios, loaded_columns, standard_names
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 
@@ -190,6 +185,8 @@ class InertiaEquations:
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
+        coupling = np.full((robot.n, 1), bool(self.rotors.any()))
+        self._loaded = np.hstack([loaded_columns(robot, basis), coupling])
         self._start()
 
     def _start(self) -> None:
@@ -199,7 +196,7 @@ class InertiaEquations:
         self.cutoffs: list[float] = []
         self.uses: list[MotionUse] = []
         self.counts = np.zeros(2)
-        self._grouped = GroupedBlocks(self.joints)
+        self._grouped = GroupedBlocks(self.joints, self._loaded)
         self._cross: dict[int, Array] = {}
 
     def rows_of(self, recording: Recording | SurveyedLog) -> InertiaRows:

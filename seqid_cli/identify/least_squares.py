@@ -27,10 +27,12 @@ from numpy.typing import NDArray
 from seqid_cli.identify.factors import (
     ENOUGH,
     Coordinates,
+    Spans,
     by_reflections,
     merged,
     merged_pairs,
     not_zero,
+    spans_of,
     triangular,
 )
 
@@ -38,6 +40,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_BLOCKS = 256
+LEAST_SPAN = 64  # rows: shorter stretches of them are cheaper picked one by one
 WHITE_FLOOR = 0.05
 RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, that counts as excited
 
@@ -66,11 +69,15 @@ class Accumulator:
         next to each other, and if `loaded` (p,) tells which columns can differ from zero.
         """
         self._total = None
+        spans = None
         if where is not None and not where.all():
-            H, y = np.compress(where, H.T, axis=1).T, y[where]
+            spans = spans_of(where) if H.strides[0] < H.strides[1] else []
+            y = y[where]
+            if len(spans) * LEAST_SPAN > len(y) or not spans:
+                H, spans = np.compress(where, H.T, axis=1).T, None
         goes_on = bool(self.blocks) and self.filled < self.span
         if len(y) or not goes_on:
-            factor = self._measured(H, y, not_zero(H, y, loaded))
+            factor = self._measured(H, y, not_zero(H, y, loaded, spans), spans)
         if goes_on:
             if len(y):
                 self.blocks[-1] = merged(self.blocks[-1], factor)
@@ -82,12 +89,12 @@ class Accumulator:
         self.filled = 1
         self._bound()
 
-    def _measured(self, H: Array, y: Array, alive: Mask) -> Array:
+    def _measured(self, H: Array, y: Array, alive: Mask, spans: Spans | None) -> Array:
         """Factor of new rows; those that earlier ones are no measure for join the measure."""
-        factor = None if self._seen is None else self._seen.reduced(H, y, alive)
+        factor = None if self._seen is None else self._seen.reduced(H, y, alive, spans=spans)
         if factor is not None:
             return factor
-        factor = by_reflections(H, y, alive)
+        factor = by_reflections(H, y, alive, spans)
         if len(y) >= ENOUGH * np.count_nonzero(alive):
             seen = self._seen
             self._seen = Coordinates.of(factor) if seen is None else seen.joined(factor)

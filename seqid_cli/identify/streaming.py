@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LONG = 200_000  # samples from which on a log is better passed over than held
+FAR_ENOUGH = 0.8  # of the low-pass's memory: it has forgotten to 1e-10
 LEAST_CHUNKS, MOST_CHUNKS = 2, 4  # of the equations, worked on together
 
 
@@ -123,7 +124,7 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
     plan = replace(plan, use_compiled=_repays_compiled(log, plan))
     lowpass = plan.kept_lowpass
-    reach = lowpass.memory + lowpass.settling  # of the low-pass, once
+    reach = int(FAR_ENOUGH * lowpass.memory) + lowpass.settling  # of the low-pass, once
     count = int(np.clip(-(-8 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     parts = motion_blocks(log.blocks(), plan)
     columns = _Columns(equations, use_compiled=plan.use_compiled)
@@ -159,16 +160,16 @@ def _repays_compiled(log: SurveyedLog, plan: Plan) -> bool:
 def _add_part(columns: _Columns, motion: Motion, start: int, stop: int, reach: int) -> None:
     """Add the rows of samples [start, stop) of a part; the others are there for the filters."""
     equations = columns.equations
-    usable = sliding(motion, equations.slowest)
     y = equations.right_side(motion)
     low, high = max(0, start - reach), min(motion.samples, stop + reach)
-    H = columns.of(part_of(motion, low, high))
+    near = part_of(motion, low, high)
+    usable = sliding(near, equations.slowest)
+    H = columns.of(near)
     for first in range(start, stop, CHUNK):
         end = min(first + CHUNK, stop)
-        where = slice(first, end)
-        equations.add_chunk(
-            part_of(motion, first, end), H[first - low : end - low], y[where], usable[where]
-        )
+        where = slice(first - low, end - low)
+        chunk = part_of(motion, first, end)
+        equations.add_chunk(chunk, H[where], y[first:end], usable[where])
 
 
 class _Columns:

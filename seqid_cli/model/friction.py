@@ -102,10 +102,14 @@ class FrictionSurface:
 
     def torque(self, q: Array, v: Array) -> Array:
         """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
-        coefficients = self.positive.ravel()
         if self.directional:
-            coefficients = np.concatenate([coefficients, self.negative.ravel()])
-        return self.columns(q, v) @ coefficients
+            coefficients = np.concatenate([self.positive.ravel(), self.negative.ravel()])
+            both: Array = self.columns(q, v) @ coefficients
+            return both
+        orders = (k - 1 for k in self.positive.shape)
+        basis = tensor_basis(self.scaling.x(q), self.scaling.u(v), *orders)
+        torque: Array = np.tanh(v / self.sign_width) * (basis @ self.positive.ravel())
+        return torque
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
         """Smallest and largest torque (N,) N m that friction can hold at rest."""

@@ -4,7 +4,8 @@ Friction steps where a joint reverses, so its spectrum goes far beyond half of a
 samples of it say only to half a sample when it stepped. Around reversals the velocity is therefore
 interpolated, friction computed at `PARTS` points per sample, and these go through a short low-pass
 that passes what the motion's own one does (it is flat up to twice the cut-off at ten samples per
-period) and stops what would be folded back there. Elsewhere friction is as smooth as the motion.
+period) and stops what would be folded back there. Elsewhere friction is as smooth as the motion;
+where samples are many per period of the cut-off, what would be folded back is little and far above.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Places = NDArray[np.intp]
 
+DENSE = 80.0  # samples per period of the cut-off that leave nothing to be folded back
 PARTS = 8
 HALF = 4  # samples on either side that the low-pass reaches
 BETA = 7.5  # of its Kaiser window: 77 dB between a fifth and four fifths of the rate
@@ -48,6 +50,8 @@ def sampled_friction(surfaces: list[FrictionSurface | None], motion: Motion) -> 
         Before the motion's own low-pass; zero for a joint whose friction is not known.
     """
     torque = friction_torque(surfaces, motion.q, motion.dq)
+    if motion.rate_hz >= DENSE * motion.lowpass.cutoff_hz:
+        return torque
     inside = shrink(motion.valid, HALF + len(KNOTS) // 2)
     for j, surface in enumerate(surfaces):
         if surface is not None:

@@ -17,6 +17,7 @@ from seqid_cli.logs.long import Block
 from seqid_cli.motion.block_filter import BlockLowpass
 from seqid_cli.motion.cutoff import Cutoff
 from seqid_cli.motion.filtering import _FIRST, _SECOND, differentiate, shrink
+from seqid_cli.motion.kept_filter import can_keep, kept_filter
 from seqid_cli.motion.motion import Motion, _all_valid
 from seqid_cli.motion.segments import SCALES_S, SHAKEN, TRAVEL_STEPS
 
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LEAST_BLOCK = 32_768
+COARSE = 8  # looks per half of a time scale that mostly tell whether a joint moves
 REACH = 4  # samples that a derivative takes from either side
 
 
@@ -47,6 +49,11 @@ class Plan:
     def lowpass(self) -> BlockLowpass:
         """The filter at the log's own rate."""
         return BlockLowpass(self.cutoff.hz, self.rate_hz)
+
+    @property
+    def evaluates_kept(self) -> bool:
+        """Whether signals are filtered at the kept samples only, where they have no gaps."""
+        return self.lowpass.active and can_keep(self.cutoff.hz, self.rate_hz, self.factor)
 
     @property
     def kept_lowpass(self) -> BlockLowpass:
@@ -78,7 +85,7 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
         factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
     seen = int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2  # half a scale and its dilation
     margin = max(2 * lowpass.memory + REACH, 2 * lowpass.settling, seen)
-    margin = -(-margin // factor) * factor
+    margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
     least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK  # thinned ones need less memory
     rows = -(-max(least, 2 * margin) // factor) * factor
     return Plan(rate_hz, cutoff, step, factor, rows, margin)
@@ -149,28 +156,52 @@ def _cut(block: Block, low: int, high: int) -> Block:
 
 
 def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motion:
-    n, lowpass, factor = window.q.shape[1], plan.lowpass, plan.factor
+    factor = plan.factor
     inner = slice(start - low, stop - low)
+    q, dq, ddq, tau = _filtered(window, plan, inner)
+    usable = shrink(window.valid, 2 * plan.lowpass.settling)
+    return Motion(
+        t=np.arange(start, stop, factor) / plan.rate_hz,
+        q=q,
+        dq=dq,
+        ddq=ddq,
+        tau=tau,
+        moving=_kept_moving(window.q, plan, inner),
+        usable=usable[inner][::factor],
+        valid=_all_valid(window.valid[inner], factor),
+        rate_hz=plan.kept_rate_hz,
+        lowpass=plan.kept_lowpass,
+        cutoff=plan.cutoff,
+    )
+
+
+def _filtered(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Array, Array]:
+    """q, dq, ddq and tau (M, n) at every `factor`-th inner sample."""
+    n, lowpass, factor = window.q.shape[1], plan.lowpass, plan.factor
+    inside = inner.start >= plan.margin and len(window.q) - inner.stop >= plan.margin
+    if plan.evaluates_kept and inside and window.valid.all():
+        return _filtered_inside(window, plan, inner)
     rows = np.concatenate([window.q.T, window.tau.T])
     for part in (rows, rows[n:]):
         lowpass.filter_rows(part, window.valid, use_compiled=plan.use_compiled)
     q, tau = rows[:n], rows[n:]
     dq, ddq = _derivatives(q, window.valid, plan.rate_hz, inner, factor)
-    usable = shrink(window.valid, 2 * lowpass.settling)
-    kept_rate = plan.kept_rate_hz
-    return Motion(
-        t=np.arange(start, stop, factor) / plan.rate_hz,
-        q=np.ascontiguousarray(q[:, inner][:, ::factor].T),
-        dq=dq,
-        ddq=ddq,
-        tau=np.ascontiguousarray(tau[:, inner][:, ::factor].T),
-        moving=_kept_moving(window.q, plan, inner),
-        usable=usable[inner][::factor],
-        valid=_all_valid(window.valid[inner], factor),
-        rate_hz=kept_rate,
-        lowpass=plan.kept_lowpass,
-        cutoff=plan.cutoff,
-    )
+    q, tau = (np.ascontiguousarray(x[:, inner][:, ::factor].T) for x in (q, tau))
+    return q, dq, ddq, tau
+
+
+def _filtered_inside(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Array, Array]:
+    """As `_filtered`, where no run of valid samples ends."""
+    filters = plan.cutoff.hz, plan.rate_hz, plan.factor
+    count = -(-(inner.stop - inner.start) // plan.factor)
+    once = kept_filter(*filters, derivatives=True)
+    twice = kept_filter(*filters, passes=2)
+    moved = np.empty((3, count, window.q.shape[1]))
+    tau = np.empty((count, window.q.shape[1]))
+    for j, (q, torque) in enumerate(zip(window.q.T, window.tau.T, strict=True)):
+        moved[:, :, j] = once(q, inner.start, count)
+        tau[:, j] = twice(torque, inner.start, count)[0]
+    return moved[0], moved[1], moved[2], tau
 
 
 def _kept_moving(q: Array, plan: Plan, inner: slice) -> Mask:
@@ -179,25 +210,30 @@ def _kept_moving(q: Array, plan: Plan, inner: slice) -> Mask:
     kept = np.arange(inner.start, inner.stop, plan.factor)
     moving = np.zeros((len(rows), len(kept)), dtype=np.bool_)
     for scale in sorted(SCALES_S, reverse=True):  # the longest one mostly says it all
-        left = np.flatnonzero(~moving.all(axis=1))
-        if not len(left):
-            break
         half = max(1, round(scale * plan.rate_hz / 2))
         if 2 * half >= len(q):
             continue
-        travel = rows[:, 2 * half :] - rows[:, : -2 * half]
-        np.abs(travel, out=travel)
-        least = np.maximum(TRAVEL_STEPS * plan.step[:, None], SHAKEN * travel.max(axis=0))
-        found = travel[left] > least[left]
-        changes = np.zeros((len(left), travel.shape[1] + 1), dtype=np.int32)
-        np.cumsum(found, axis=1, out=changes[:, 1:])
-        # A change within the window moves its middle and a third of a half to either side.
-        low, high = (
-            np.clip(kept - half + reach, 0, travel.shape[1])
-            for reach in (-(half // 3), half // 3 + 1)
-        )
-        moving[left] |= changes[:, high] > changes[:, low]
+        for every in (max(plan.factor, half // COARSE), 1):  # and some samples of it
+            left = np.flatnonzero(~moving.all(axis=1))
+            if len(left):
+                moving[left] |= _seen_moving(rows, plan.step, kept, half, every)[left]
     return np.ascontiguousarray(moving.T)
+
+
+def _seen_moving(rows: Array, step: Array, kept: NDArray[np.intp], half: int, every: int) -> Mask:
+    """Where joints (n, K) move on one time scale, by the travel at every so many samples."""
+    travel = rows[:, 2 * half :: every] - rows[:, : -2 * half : every]
+    np.abs(travel, out=travel)
+    least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
+    found = travel > least
+    changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
+    np.cumsum(found, axis=1, out=changes[:, 1:])
+    # A change within the window moves its middle and a third of a half to either side.
+    low, high = (
+        np.clip(-(-(kept - half + reach) // every), 0, travel.shape[1])
+        for reach in (-(half // 3), half // 3 + 1)
+    )
+    return np.asarray(changes[:, high] > changes[:, low])
 
 
 def _derivatives(
@@ -208,6 +244,11 @@ def _derivatives(
     if low < 0 or high > q.shape[1] or not valid[low:high].all():
         both = differentiate(np.ascontiguousarray(q.T), rate_hz, valid)
         return both[0][inner][::factor], both[1][inner][::factor]
+    if factor == 1:
+        taps = _FIRST * rate_hz, _SECOND * rate_hz**2
+        near = q[:, low:high]
+        found = [np.stack([np.correlate(x, own) for x in near], axis=1) for own in taps]
+        return found[0], found[1]
     first, second = (np.zeros((len(q), -(-(inner.stop - inner.start) // factor))) for _ in "12")
     for k in range(2 * REACH + 1):
         tap = q[:, low + k : inner.stop - REACH + k : factor]

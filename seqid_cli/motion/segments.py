@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import runs, shrink
@@ -88,9 +88,9 @@ def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
         change = (travel > TRAVEL_STEPS * step) & (travel > SHAKEN * largest)
         # A change within the window moves its middle; the window's halves are grown back by a
         # third.
-        grown = np.zeros_like(moving)
+        grown = np.zeros(q.shape, dtype=np.uint8)
         grown[half:-half] = change
-        moving |= binary_dilation(grown, np.ones((2 * (half // 3) + 1, 1), dtype=bool))
+        moving |= maximum_filter1d(grown, 2 * (half // 3) + 1, axis=0, mode="constant") > 0
     return moving
 
 

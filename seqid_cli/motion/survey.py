@@ -42,8 +42,9 @@ class Welch:
     they have no more than `DENSE` samples. Behind those every `SPARSE`-th segment is taken.
     """
 
-    def __init__(self, length: int) -> None:
+    def __init__(self, length: int, differences: int = 0) -> None:
         self.length = length
+        self._differences = differences  # that are taken of the samples first
         self._window = get_window("hann", length)
         self._left: Array | None = None
         self._sum: Array | None = None
@@ -56,19 +57,31 @@ class Welch:
         left = values
         if self._left is not None and len(self._left):
             left = np.concatenate([self._left, values])
+        begin, end = self._begin, self._begin + len(left)
+        self._begin = min(self.look(left, begin), end)
+        self._left = left[self._begin - begin :].copy(order="K")
+
+    def look(self, samples: Array, begin: int) -> int:
+        """Take what is new in samples of which `begin` is the number of the first.
+
+        Returns
+        -------
+        int
+            Number of the first sample that is wanted next time.
+        """
         hop = self.length - self.length // 2
-        end = self._begin + len(left)
-        while self._start + self.length <= end:
-            start = self._start - self._begin
-            piece = left[start : start + self.length].T * self._window
-            spectrum = rfft(piece, axis=1, overwrite_x=True)
+        wanted = self.length + self._differences
+        while self._start + wanted <= begin + len(samples):
+            start = self._start - begin
+            piece = samples[start : start + wanted].T
+            if self._differences:
+                piece = np.diff(piece, self._differences, axis=1)
+            spectrum = rfft(piece * self._window, axis=1, overwrite_x=True)
             power = spectrum.real**2 + spectrum.imag**2
             self._sum = power if self._sum is None else self._sum + power
             self._segments += 1
             self._start += hop if self._start < DENSE else SPARSE * hop
-        keep = min(self._start, end)
-        self._left = left[keep - self._begin :].copy(order="K")
-        self._begin = keep
+        return self._start
 
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
@@ -102,7 +115,7 @@ class Survey:
         self._known: list[Array] = [np.zeros(0) for _ in range(n)]
         self._fourth = Thinned(MOST_LEVELS)
         second, velocity, self._halves = _lengths(rate_hz, samples)
-        self._second, self._velocity = Welch(second), Welch(velocity)
+        self._second, self._velocity = Welch(second, 2), Welch(velocity, 1)
         self._travel = np.zeros(n)
         self._seen = 0
         self._step: Array | None = None
@@ -114,17 +127,26 @@ class Survey:
         for j, levels in enumerate(self._levels):
             if levels is not None:
                 self._add_levels(j, levels, q[:, j])
-        tail = q[:0] if self._tail is None else self._tail
-        wide = np.concatenate([tail, q])
-        fresh = len(tail)
-        self._fourth.push(np.abs(np.diff(wide[max(0, fresh - 4) :], 4, axis=0)))
-        self._second.push(np.diff(wide[max(0, fresh - 2) :], 2, axis=0))
-        self._velocity.push(np.diff(wide[max(0, fresh - 1) :], axis=0))
+        wide = q if self._tail is None else np.concatenate([self._tail, q])
+        end = self._seen + len(q)
+        begin = end - len(wide)
+        self._add_fourth(wide[max(0, self._seen - begin - 4) :])
+        wanted = [spectrum.look(wide, begin) for spectrum in (self._second, self._velocity)]
         for half in self._halves:
-            low = max(0, fresh - 2 * half)
-            self._add_travel(wide[low:], half, self._seen - fresh + low)
-        self._tail = wide[-2 * max([*self._halves, 2]) :].copy(order="K")
-        self._seen += len(q)
+            low = max(0, self._seen - begin - 2 * half)
+            self._add_travel(wide[low:], half, begin + low)
+        keep = min([*wanted, end - 2 * max([*self._halves, 2])])
+        self._tail = wide[max(0, keep - begin) :].copy(order="K")
+        self._seen = end
+
+    def _add_fourth(self, wide: Array) -> None:
+        """Take fourth differences of samples, where they are to be kept."""
+        count = max(0, len(wide) - 4)
+        first, step = self._fourth.next_kept()
+        a, b, c, d, e = (wide[first + k : count + k : step] for k in range(5))
+        ab, bc, cd, de = b - a, c - b, d - c, e - d
+        abc, bcd, cde = bc - ab, cd - bc, de - cd
+        self._fourth.push_kept(np.abs((cde - bcd) - (bcd - abc)), count)
 
     def _add_levels(self, j: int, levels: Array, position: Array) -> None:
         values = np.round(position, 10)

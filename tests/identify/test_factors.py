@@ -49,9 +49,11 @@ def reflections(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Lengths of the blocks that were reduced by reflections."""
     seen: list[int] = []
 
-    def counted(H: Array, y: Array, alive: NDArray[np.bool_]) -> Array:
+    def counted(
+        H: Array, y: Array, alive: NDArray[np.bool_], spans: list[tuple[int, int]] | None = None
+    ) -> Array:
         seen.append(len(y))
-        return by_reflections(H, y, alive)
+        return by_reflections(H, y, alive, spans)
 
     monkeypatch.setattr(least_squares, "by_reflections", counted)
     return seen
@@ -194,7 +196,7 @@ def test_layouts_and_hints_give_the_same() -> None:
         part = slice(start, start + ROWS)
         one.add(H[part], y[part])
         other.add(columns[:, part].T, y[part])
-        hinted.add(columns[:, part].T, y[part], loaded=H.any(axis=0))
+        hinted.add(columns[:, part].T, y[part], loaded=np.asarray(H.any(axis=0)))
     np.testing.assert_array_equal(hinted.total, other.total)
     np.testing.assert_allclose(one.total, other.total, rtol=0.0, atol=1e-12 * len(H))
 
@@ -216,3 +218,21 @@ def test_rows_far_larger_than_all_before_are_left_to_reflections() -> None:
     assert seen.reduced(H[:WIDTH], y[:WIDTH], alive) is None
     fewer = np.where(np.arange(WIDTH) == 3, 0.0, H)
     assert seen.reduced(fewer, y, not_zero(fewer, y)) is None
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_stretches_of_rows_are_picked_as_single_rows_are(starts: bool) -> None:
+    rng = np.random.default_rng(11)
+    where = np.repeat(np.arange(10) % 2 == int(starts), 150)
+    memory = rng.normal(size=(WIDTH, len(where)))
+    memory[2] = 0.0
+    memory[3] = np.where(where, 0.0, 1.0)
+    H, y = memory.T, rng.normal(size=len(where))
+    across, along = Accumulator(WIDTH), Accumulator(WIDTH)
+    for _ in range(2):  # by reflections, then in the coordinates of the first
+        along.add(H, y, where)
+        across.add(np.ascontiguousarray(H), y, where)
+    assert along.rows == across.rows
+    for a, b in zip(along.blocks, across.blocks, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-10)
+        assert not a[:, 2:4].any()

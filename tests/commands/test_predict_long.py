@@ -1,0 +1,154 @@
+"""`seqid predict` on MCAP logs that are passed over: the same files as of held ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from seqid_cli.identify import predict_long, streaming
+from seqid_cli.identify.predict_long import LongPrediction
+from seqid_cli.identify.prediction import LogPrediction
+from seqid_cli.motion import blocks
+from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.schema import SCHEMA, ParameterFile, RigidStage, Stages
+from seqid_cli.robot.base import standard_names
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.robot.types import Robot
+from tests.bench.arm import COULOMB, JOINTS, RATE_HZ, known_friction, motion, write_arm
+from tests.commands.conftest import Rig
+from tests.logs.writers import joint_messages, write_messages
+
+LOGS = {"a.mcap": 12_000, "b.mcap": 3_000}  # samples; the first is long
+T0 = 1_700_000_000_000_000_000
+JITTER_S = 2e-5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("arm")
+    robot = load_robot(write_arm(folder))
+    rng = np.random.default_rng(8)
+    for number, (name, samples) in enumerate(LOGS.items()):
+        t = np.arange(samples) / RATE_HZ + rng.uniform(-JITTER_S, JITTER_S, samples)
+        write_log(folder / name, robot, t, T0 + number * 60 * 10**9)
+    write_model(folder / "model.json", robot)
+    return folder
+
+
+def write_log(path: Path, robot: Robot, t: np.ndarray, start_ns: int) -> None:
+    """Write a log as ROS 2 records it."""
+    assert robot.nominal is not None
+    q, dq, ddq = motion(t)
+    tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
+    tau += COULOMB * np.sign(dq)
+    stamps = start_ns + np.round(t * 1e9).astype(np.int64)
+    write_messages(path, joint_messages(stamps, JOINTS, q, effort=tau), encoding="cdr")
+
+
+def write_model(path: Path, robot: Robot) -> None:
+    """Write the arm's friction and its inertia, a little off."""
+    assert robot.nominal is not None
+    values = np.concatenate([1.02 * robot.nominal.ravel(), np.zeros(robot.n)])
+    representative = dict(zip(standard_names(robot.n), values.tolist(), strict=True))
+    inertia = RigidStage(parameters=[], condition=1.0, rank=1, representative=representative)
+    stages = Stages(friction=known_friction().friction, inertia=inertia)
+    file = ParameterFile(
+        schema=SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(robot),
+        inputs=[],
+        stages=stages,
+    )
+    write_json_atomic(path, file)
+
+
+def messages(path: Path) -> Iterator[tuple[str, int, int, Any]]:
+    """Topic, stamp, sequence and content of all messages, as mcap-ros2-support reads them."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, message, state in reader.iter_decoded_messages():
+            yield channel.topic, message.log_time, message.sequence, state
+
+
+def assert_same_messages(own: Path, other: Path) -> None:
+    arrays: dict[str, list[list[float]]] = {}
+    for (*place, state), (*expected_place, expected) in zip(
+        messages(own), messages(other), strict=True
+    ):
+        assert place == expected_place
+        assert state.header.frame_id == expected.header.frame_id
+        for field in ("position", "velocity", "effort"):
+            rows = [list(getattr(each, field)) for each in (state, expected)]
+            arrays.setdefault(f"{place[0]}.{field}", []).append(rows)  # type: ignore[arg-type]
+    assert len(arrays) == 9
+    for name, pairs in arrays.items():
+        found, wanted = np.array(pairs).swapaxes(0, 1)
+        assert found.shape == (sum(LOGS.values()), len(JOINTS))
+        scale = np.abs(wanted).max()
+        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9 * scale, err_msg=name)
+
+
+def assert_same_tables(own: Path, other: Path) -> None:
+    found, expected = pq.read_table(own), pq.read_table(other)
+    assert found.schema == expected.schema
+    for name in found.column_names:
+        values, wanted = (table[name].to_numpy() for table in (found, expected))
+        if wanted.dtype == np.float64:
+            scale = np.abs(wanted).max()
+            np.testing.assert_allclose(values, wanted, rtol=0.0, atol=1e-9 * scale, err_msg=name)
+        else:
+            np.testing.assert_array_equal(values, wanted, err_msg=name)
+
+
+def assert_same_errors(own: Path, other: Path) -> None:
+    found, expected = (json.loads(path.read_text()) for path in (own, other))
+    logs = zip(found.pop("logs"), expected.pop("logs"), strict=True)
+    for log, wanted in [*logs, (found, expected)]:
+        for joint, errors in wanted.pop("joints").items():
+            assert log["joints"][joint] == pytest.approx(errors, rel=1e-6), joint
+    assert found["stages"] == expected["stages"]
+    assert found["inputs"] == expected["inputs"]
+
+
+@pytest.mark.parametrize("form", ["mcap", "parquet"])
+def test_a_log_that_is_passed_over_gives_the_same_files(
+    form: str, folder: Path, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs = [str(folder / name) for name in LOGS]
+    parts: list[LogPrediction] = []
+    passed = LongPrediction.parts
+
+    def watched(long: LongPrediction) -> Iterator[LogPrediction]:
+        for part in passed(long):
+            parts.append(part)
+            yield part
+
+    monkeypatch.setattr(LongPrediction, "parts", watched)
+
+    def predict(name: str) -> None:
+        inputs = ["-r", str(folder / "robot.toml"), "-p", str(folder / "model.json")]
+        outputs = ["-o", f"{name}.json", "--torques", f"{name}.{form}"]
+        done = rig.run("predict", *logs, *inputs, *outputs, "--cutoff", "20")
+        assert done.code == 0, done.err
+
+    predict("held")
+    assert not parts
+    monkeypatch.setattr(streaming, "LONG", 10_000)
+    monkeypatch.setattr(predict_long, "ROWS", 3_000)
+    monkeypatch.setattr(blocks, "LEAST_BLOCK", 4_000)
+    predict("long")
+    assert len(parts) > 1
+    assert_same_errors(rig.folder / "long.json", rig.folder / "held.json")
+    same = assert_same_messages if form == "mcap" else assert_same_tables
+    same(rig.folder / f"long.{form}", rig.folder / f"held.{form}")

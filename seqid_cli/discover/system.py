@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from seqid_cli.discover.gains import Trained, gains_of, inverse_of, single_gains
 from seqid_cli.discover.rows import Rows
 from seqid_cli.discover.wide import HighBand
 
@@ -32,10 +33,6 @@ FLOOR_OF_WHITE = 0.05  # of the white-noise covariance, below which no direction
 RIDGE = 1e-9  # of a scaled column's square: keeps directions that these logs leave open harmless
 LEAST_STEADY = 1.3  # 1 where a single fold makes the whole gain, sqrt(folds) where all share it
 SHARED = 6.0  # folds that must share a gain; one of fewer must be larger by as much
-NEXT_TO_NOTHING = 1e-9  # of a candidate's longest column, below which one is rounding
-LEAST_LEFT = 1e-7  # of a candidate's square, below which the base absorbs all of it
-# Per fold, from all others: Z, A Z, the base's solution, its score on the fold, and B'X.
-Trained = tuple[Array, Array, Array, Array, Array]
 Joints = Mapping[int, Array]  # joint -> its rows of some columns (M_j, k)
 
 
@@ -303,7 +300,7 @@ class System:
         D = np.array([own[i][0][:, 0, 0] for i in single]).reshape(len(single), self.folds)
         d = np.array([own[i][1][:, 0] for i in single]).reshape(len(single), self.folds)
         own_held = np.array([held[i] for i in single])
-        singles = _single_gains(D, d, C[:, :, alone], trained, alone, own_held)
+        singles = single_gains(D, d, C[:, :, alone], trained, alone, own_held)
         gains = dict(zip(single, singles, strict=True))
         return [
             self._trial(c, w, D, d, C, Z, theta, trained, gains.get(i), held[i])
@@ -358,10 +355,10 @@ class System:
         S = total_D - total_C.T @ Z[:, where]
         length = max(float(np.trace(total_D)), 1e-300)
         visible = float(np.sqrt(max(np.trace(S), 0.0) / length))
-        inverse = _inverse(S + held * np.eye(len(S)), total_D)
+        inverse = inverse_of(S + held * np.eye(len(S)), total_D)
         a = inverse @ (d.sum(axis=0) - total_C.T @ theta)
         if gain is None:
-            gain = _gains(D, d, C[:, :, where], trained, where, held)
+            gain = gains_of(D, d, C[:, :, where], trained, where, held)
         touched = [j for j in sorted(candidate) if j < self.rows.n]
         loss = self.loss[:, touched].sum(axis=1)
         relative = float(gain.sum() / max(loss.sum(), 1e-300))
@@ -373,49 +370,3 @@ def _places(fold: Index, folds: int) -> list[slice | Index]:
         edges = np.searchsorted(fold, np.arange(folds + 1))
         return [slice(int(a), int(b)) for a, b in pairwise(edges)]
     return [np.flatnonzero(fold == f) for f in range(folds)]
-
-
-def _gains(
-    D: Array, d: Array, C: Array, trained: Sequence[Trained], where: slice, held: float
-) -> Array:
-    """Gain (F,) of one candidate on every fold, fitted on the others."""
-    gain, prior = np.zeros(len(D)), held * np.eye(D.shape[1])
-    total_D, total_d = D.sum(axis=0), d.sum(axis=0)
-    for f, (Zf, AZ, solution, left, others) in enumerate(trained):
-        z, rest = Zf[:, where], others[:, where]
-        S = total_D - D[f] - rest.T @ z + prior
-        a = _inverse(S, total_D) @ (total_d - d[f] - rest.T @ solution)
-        slope = d[f] - C[f].T @ solution - z.T @ left
-        cross = C[f].T @ z
-        square = D[f] - cross - cross.T + z.T @ AZ[:, where]
-        gain[f] = 2 * a @ slope - a @ square @ a
-    return gain
-
-
-def _single_gains(
-    D: Array, d: Array, C: Array, trained: Sequence[Trained], where: Index, held: Array
-) -> Array:
-    """The same (K, F) for K candidates of one column each: D, d (K, F), C (F, p, K)."""
-    gain = np.zeros_like(D)
-    total_D, total_d = D.sum(axis=1), d.sum(axis=1)
-    for f, (Zf, AZ, solution, left, others) in enumerate(trained):
-        z, rest = Zf[:, where], others[:, where]
-        S = total_D - D[:, f] - np.einsum("pk,pk->k", rest, z) + held
-        known = LEAST_LEFT * np.maximum(total_D, 1e-300) < S
-        a = np.where(known, total_d - d[:, f] - rest.T @ solution, 0.0) / np.where(known, S, 1.0)
-        slope = d[:, f] - C[f].T @ solution - z.T @ left
-        square = D[:, f] - 2 * np.einsum("pk,pk->k", C[f], z)
-        square += np.einsum("pk,pk->k", z, AZ[:, where])
-        gain[:, f] = 2 * a * slope - a**2 * square
-    return gain
-
-
-def _inverse(S: Array, scale: Array) -> Array:
-    """Inverse of a candidate's projected square; directions that the base absorbs give zero."""
-    size = np.sqrt(np.maximum(np.diag(scale), 1e-300))
-    size = np.maximum(size, NEXT_TO_NOTHING * size.max())
-    value, vector = np.linalg.eigh(S / np.outer(size, size))
-    kept = value > LEAST_LEFT
-    inverse = (vector[:, kept] / value[kept]) @ vector[:, kept].T
-    result: Array = inverse / np.outer(size, size)
-    return result

@@ -113,29 +113,40 @@ def calibrated(
     left = quiet(search.stage.rows, told.residual(system))
     deviation = told.deviation(system)
     rng = np.random.default_rng(options.seed)
-    clean: dict[str, float] = {}
-    event = GATE
-    names = {t.candidate.effect.name for t in search.accepted}
-    effects = [CATALOGUE[name] for name in sorted(names)]
+    gates = Gates()
     for run in range(options.clean_runs):
         # The file is as uncertain as it says: what it has wrong leaves residuals, too.
         wrong = told.base.drawn_deviation(rng)
         truth = [one + other for one, other in zip(deviation, wrong, strict=True)]
-        source = CleanLogs.of(freed, scenes, left, truth)
-        drawn = scenes_of(source.draw(rng), scenes[0].robot, stages, options=options.motion)
-        rows = rows_of(drawn)
-        base = base_of(rows, stages)
-        fresh = Search.begin(Stage(rows), base, kept=search.kept, broad=search.broad)
-        fresh_system = fresh.system()
-        for tried in fresh.ranked(effects, fresh_system, refine=0):
-            name = tried.candidate.effect.name
-            clean[name] = max(clean.get(name, 0.0), tried.trial.relative)
-        if run < SMOOTH_RUNS:
-            looks = [dependence(fresh_system, d.joint, least_gain=0.0, most=1) for d in smooth]
-            largest = max((look.relative for look in looks), default=0.0)
-            clean[SMOOTH] = max(clean.get(SMOOTH, 0.0), largest)
-        event = max(event, EVENT_MARGIN * event_score(rows, fresh_system.left_out()[: rows.n]))
-    return Gates(clean, event)
+        drawn = CleanLogs.of(freed, scenes, left, truth).draw(rng)
+        looked = smooth if run < SMOOTH_RUNS else ()
+        gates = gates.joined(_screened(drawn, search, looked, stages, options))
+    return gates
+
+
+def _screened(
+    drawn: Sequence[Recording],
+    search: Search,
+    smooth: Sequence[Dependence],
+    stages: Stages,
+    options: DiscoverOptions,
+) -> Gates:
+    """What one clean data set shows of what was found."""
+    robot = search.stage.scenes[0].robot
+    rows = rows_of(scenes_of(drawn, robot, stages, options=options.motion))
+    base = base_of(rows, stages)
+    fresh = Search.begin(Stage(rows), base, kept=search.kept, broad=search.broad)
+    system = fresh.system()
+    clean: dict[str, float] = {}
+    effects = [CATALOGUE[n] for n in sorted({t.candidate.effect.name for t in search.accepted})]
+    for tried in fresh.ranked(effects, system, refine=0):
+        name = tried.candidate.effect.name
+        clean[name] = max(clean.get(name, 0.0), tried.trial.relative)
+    looks = [dependence(system, d.joint, least_gain=0.0, most=1) for d in smooth]
+    clean[SMOOTH] = max((look.relative for look in looks), default=0.0)
+    event = EVENT_MARGIN * event_score(rows, system.left_out()[: rows.n])
+    rows.made.clear()  # what is kept there knows the rows: a ring that would outlive this
+    return Gates(clean, max(GATE, event))
 
 
 def quiet(rows: Rows, residual: Sequence[Array]) -> list[Array]:

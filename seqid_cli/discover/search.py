@@ -341,7 +341,8 @@ def _apart(tried: Tried, other: Tried) -> bool:
 
 def _block(tried: Tried) -> Block:
     size = next(iter(tried.columns.values())).shape[1]
-    return Block(tried.columns, np.zeros((0, size)))
+    columns = {j: np.asarray(X, dtype=np.float64) for j, X in tried.columns.items()}
+    return Block(columns, np.zeros((0, size)))
 
 
 def _add_effect(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 PASSING = 0.05  # share of the power above the cut-off, under which that below says nothing
+MOST_SAMPLES = 80_000  # of all logs; of longer ones every second block counts, or every third, ...
 BURST = 4.0  # times the usual RMS, over a period of the cut-off
 
 
@@ -54,8 +56,12 @@ class HighBand:
 
 
 def high_band(rows: Rows) -> HighBand:
-    """Take the rows above the cut-off where the joints slide, in the blocks that `rows` keeps."""
+    """Take the rows above the cut-off where the joints slide, in the blocks that `rows` keeps.
+
+    Of long logs some of these blocks, so that memory is bounded.
+    """
     used, folds, high = [], [], []
+    thin = max(1, -(-sum(_full(scene).samples for scene in rows.scenes) // MOST_SAMPLES))
     parts = zip(rows.scenes, rows.picked, rows.used, rows.block, strict=True)
     for scene, picked, counts, block in parts:
         full = _full(scene)
@@ -67,6 +73,7 @@ def high_band(rows: Rows) -> HighBand:
         )
         stride = int(np.min(np.diff(picked), initial=scene.samples)) * every
         kept = np.abs(picked[nearest] * every - np.arange(full.samples)) < stride
+        kept &= block[nearest] % thin == 0
         counting = full.slides & kept[:, None] & counts.any(axis=0)
         high.append(_above(full))
         used.append(counting & ~_bursts(high[-1], counting, full))
@@ -84,9 +91,9 @@ def both_bands(
 ) -> dict[int, Array]:
     """Split columns at the logs' own rates into rows below and above the cut-off.
 
-    Rows above it belong to channel n + joint. What lies above nearly all the time comes below only
-    where a joint reverses, and that is where its law is known least: then it is held against the
-    rows above alone.
+    Rows above it belong to channel n + joint, in single precision. What lies above nearly all the
+    time comes below only where a joint reverses, and that is where its law is known least: then it
+    is held against the rows above alone.
     """
     below: dict[int, list[Array]] = {}
     above: dict[int, list[Array]] = {}
@@ -102,7 +109,8 @@ def both_bands(
         slow, fast = rows.of(joint, below[joint]), high.of(joint, above[joint])
         passing = len(fast) > 0 and np.mean(slow**2) < PASSING * np.mean(fast**2)
         result[joint] = np.zeros_like(slow) if passing else slow
-        result[rows.n + joint] = fast
+        # There are many rows above, and hundreds of candidates that keep theirs.
+        result[rows.n + joint] = cast(Array, fast.astype(np.float32))
     return result
 
 

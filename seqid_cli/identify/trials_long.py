@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.long import Block, LongLog
-from seqid_cli.motion.segments import SCALES_S, Stretch, constant_velocity, moving_mask
+from seqid_cli.motion.blocks import joined_blocks, part_of_block
+from seqid_cli.motion.segments import Stretch, constant_velocity, motion_reach, moving_mask
 
 Array = NDArray[np.float64]
 
@@ -30,20 +31,12 @@ class _Held:
 
     def followed_by(self, other: Block) -> _Held:
         """These samples and the next."""
-        own = self.block
-        joined = Block(
-            own.start,
-            np.concatenate([own.q, other.q]),
-            np.concatenate([own.tau, other.tau]),
-            np.concatenate([own.valid, other.valid]),
-        )
-        return replace(self, block=joined)
+        return replace(self, block=joined_blocks([self.block, other]))
 
     def after(self, cut: int, margin: int) -> _Held:
         """What is left once everything in front of a sample (of the block) has been searched."""
-        own, low = self.block, max(0, cut - margin)
-        left = Block(own.start + low, own.q[low:], own.tau[low:], own.valid[low:])
-        return _Held(left, cut - low)
+        low = max(0, cut - margin)
+        return _Held(part_of_block(self.block, low, len(self.block.q)), cut - low)
 
 
 def pieces(log: LongLog, step: Array) -> Iterator[tuple[Block, list[Stretch]]]:
@@ -60,7 +53,7 @@ def pieces(log: LongLog, step: Array) -> Iterator[tuple[Block, list[Stretch]]]:
     tuple of Block, list of Stretch
         Samples, and the stretches in them, counted from the first of these samples.
     """
-    margin = int(np.ceil(0.7 * max(SCALES_S) * log.rate_hz)) + 2  # half a scale and its dilation
+    margin = motion_reach(log.rate_hz)
     wait = ROWS
     held: _Held | None = None
     for block in log.blocks():

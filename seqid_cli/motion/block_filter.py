@@ -242,33 +242,40 @@ def _lay(rows: Array, pad: int, wide: Array) -> None:
 def _kernel(cutoff_hz: float, rate_hz: float, every: int) -> _Kernel:
     """Build the matrices, in the longest floating point there is: low cut-offs cancel digits."""
     design = sections(cutoff_hz, rate_hz, every).astype(np.longdouble)
-    A, B, C, D, steady = _state_space(design)
-    responses, steps, rows = [D], [B], [C]
-    for _ in range(LENGTH - 1):
-        responses.append(np.longdouble(C @ steps[-1]))
-        steps.append(A @ steps[-1])
-        rows.append(rows[-1] @ A)
-    delay = np.subtract.outer(np.arange(LENGTH), np.arange(LENGTH))
-    T = np.where(delay >= 0, np.array(responses)[np.maximum(delay, 0)], 0.0)
-    O, K = np.array(rows), np.array(steps[::-1]).T
+    A, B, C, D, steady = state_space(design)
+    T, O, K = block_matrices(A, B, C, D, LENGTH)
     T_back, O_back, K_back = T.T, O[::-1], K[:, ::-1]
-    over_block = _powers(A, LENGTH)[-1]
-    powers = _double(np.array([power.T for power in _powers(over_block, GROUP)]))
-    slowest = float(np.abs(np.linalg.eigvals(_double(A))).max())
+    over_block = powers_of(A, LENGTH)[-1]
+    powers = as_double(np.array([power.T for power in powers_of(over_block, GROUP)]))
+    slowest = float(np.abs(np.linalg.eigvals(as_double(A))).max())
     return _Kernel(
-        both=_double(np.concatenate([(T_back @ T).T, (T_back @ O).T, O_back.T])),
-        adds=_double(np.concatenate([K, K_back @ T]).T),
-        passed=_double((K_back @ O).T),
-        last=_double(np.concatenate([T[-1], O[-1]])),
+        both=as_double(np.concatenate([(T_back @ T).T, (T_back @ O).T, O_back.T])),
+        adds=as_double(np.concatenate([K, K_back @ T]).T),
+        passed=as_double((K_back @ O).T),
+        last=as_double(np.concatenate([T[-1], O[-1]])),
         over_group=powers[GROUP],
         ahead=_Steps.of(powers, back=False),
         back=_Steps.of(powers, back=True),
-        steady=_double(steady),
+        steady=as_double(steady),
         memory=int(np.ceil(np.log(NEGLIGIBLE) / np.log(slowest))) + 1,
     )
 
 
-def _powers(A: Wide, highest: int) -> list[Wide]:
+def block_matrices(
+    A: Wide, B: Wide, C: Wide, D: np.longdouble, length: int
+) -> tuple[Wide, Wide, Wide]:
+    """T (L, L), O (L, m) and K (m, L) of a block of L samples; see the module's text."""
+    responses, steps, rows = [D], [B], [C]
+    for _ in range(length - 1):
+        responses.append(np.longdouble(C @ steps[-1]))
+        steps.append(A @ steps[-1])
+        rows.append(rows[-1] @ A)
+    delay = np.subtract.outer(np.arange(length), np.arange(length))
+    T = np.where(delay >= 0, np.array(responses)[np.maximum(delay, 0)], 0.0)
+    return T, np.array(rows), np.array(steps[::-1]).T
+
+
+def powers_of(A: Wide, highest: int) -> list[Wide]:
     """A^0 ... A^highest; `matrix_power` and BLAS know no long floating point."""
     found = [np.eye(len(A), dtype=np.longdouble)]
     for _ in range(highest):
@@ -276,11 +283,12 @@ def _powers(A: Wide, highest: int) -> list[Wide]:
     return found
 
 
-def _double(values: Wide) -> Array:
+def as_double(values: Wide) -> Array:
+    """The same in double precision, row by row in memory."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def _state_space(sections: Wide) -> tuple[Wide, Wide, Wide, np.longdouble, Wide]:
+def state_space(sections: Wide) -> tuple[Wide, Wide, Wide, np.longdouble, Wide]:
     """A, B, C, D of sections in the transposed direct form II, and the state at x = 1."""
     empty = np.zeros(0, dtype=np.longdouble)
     A, B, C, D = empty.reshape(0, 0), empty, empty, np.longdouble(1.0)

@@ -19,7 +19,7 @@ from seqid_cli.motion.cutoff import Cutoff
 from seqid_cli.motion.filtering import _FIRST, _SECOND, differentiate, shrink
 from seqid_cli.motion.kept_filter import can_keep, kept_filter
 from seqid_cli.motion.motion import Motion, _all_valid
-from seqid_cli.motion.segments import SCALES_S, SHAKEN, TRAVEL_STEPS
+from seqid_cli.motion.segments import SCALES_S, SHAKEN, TRAVEL_STEPS, motion_reach
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -83,8 +83,7 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
     factor = 1
     if lowpass.active:
         factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
-    seen = int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2  # half a scale and its dilation
-    margin = max(2 * lowpass.memory + REACH, 2 * lowpass.settling, seen)
+    margin = max(2 * lowpass.memory + REACH, 2 * lowpass.settling, motion_reach(rate_hz))
     margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
     least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK  # thinned ones need less memory
     rows = -(-max(least, 2 * margin) // factor) * factor
@@ -127,19 +126,25 @@ def windows(
         end += len(block.q)
         while end >= start + rows + margin:
             low = max(0, start - margin)
-            joined = _joined(held)
-            yield _cut(joined, low - begin, start + rows + margin - begin), low, start, start + rows
+            joined = joined_blocks(held)
+            yield (
+                part_of_block(joined, low - begin, start + rows + margin - begin),
+                low,
+                start,
+                start + rows,
+            )
             start += rows
             keep = max(0, start - margin)
-            held, begin = [_cut(joined, keep - begin, end - begin)], keep
+            held, begin = [part_of_block(joined, keep - begin, end - begin)], keep
     while start < end:
         low, stop = max(0, start - margin), min(start + rows, end)
-        joined = _joined(held)
-        yield _cut(joined, low - begin, min(stop + margin, end) - begin), low, start, stop
+        joined = joined_blocks(held)
+        yield part_of_block(joined, low - begin, min(stop + margin, end) - begin), low, start, stop
         held, start = [joined], stop
 
 
-def _joined(held: list[Block]) -> Block:
+def joined_blocks(held: list[Block]) -> Block:
+    """Put consecutive blocks together."""
     if len(held) == 1:
         return held[0]
     return Block(
@@ -150,7 +155,8 @@ def _joined(held: list[Block]) -> Block:
     )
 
 
-def _cut(block: Block, low: int, high: int) -> Block:
+def part_of_block(block: Block, low: int, high: int) -> Block:
+    """Samples [low, high) of a block, counted from its first."""
     part = slice(low, high)
     return Block(block.start + low, block.q[part], block.tau[part], block.valid[part])
 

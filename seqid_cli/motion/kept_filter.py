@@ -19,7 +19,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.motion.block_filter import LOWEST, NEGLIGIBLE, _double, _powers, _state_space
+from seqid_cli.motion.block_filter import (
+    LOWEST,
+    NEGLIGIBLE,
+    as_double,
+    block_matrices,
+    powers_of,
+    state_space,
+)
 from seqid_cli.motion.filtering import _FIRST, _SECOND, sections
 
 Array = NDArray[np.float64]
@@ -99,9 +106,9 @@ def kept_filter(
         Whether first and second derivative, as of `differentiate`, are outputs as well.
     """
     design = np.concatenate([sections(cutoff_hz, rate_hz)] * passes).astype(np.longdouble)
-    A, B, C, D, steady = _state_space(design)
+    A, B, C, D, steady = state_space(design)
     length = every * -(-BLOCK // every)
-    T, O, K = _block(A, B, C, D, length)
+    T, O, K = block_matrices(A, B, C, D, length)
     K_back, T_back, O_back = K[:, ::-1], T.T, O[::-1]
     taps = [np.eye(2 * SIDE + 1)[SIDE]]
     if derivatives:
@@ -114,24 +121,12 @@ def kept_filter(
         length,
         before,
         len(taps),
-        from_x=_double(np.concatenate([K, K_back @ T, direct @ T]).T),
-        from_s=_double(np.concatenate([K_back @ O, direct @ O]).T),
-        from_z=_double((chosen @ O_back).T),
-        over_block=_double(_powers(A, length)[-1].T),
-        steady=_double(steady),
+        from_x=as_double(np.concatenate([K, K_back @ T, direct @ T]).T),
+        from_s=as_double(np.concatenate([K_back @ O, direct @ O]).T),
+        from_z=as_double((chosen @ O_back).T),
+        over_block=as_double(powers_of(A, length)[-1].T),
+        steady=as_double(steady),
     )
-
-
-def _block(A: Wide, B: Wide, C: Wide, D: np.longdouble, length: int) -> tuple[Wide, Wide, Wide]:
-    """T (L, L), O (L, m) and K (m, L)."""
-    responses, steps, rows = [D], [B], [C]
-    for _ in range(length - 1):
-        responses.append(np.longdouble(C @ steps[-1]))
-        steps.append(A @ steps[-1])
-        rows.append(rows[-1] @ A)
-    delay = np.subtract.outer(np.arange(length), np.arange(length))
-    T = np.where(delay >= 0, np.array(responses)[np.maximum(delay, 0)], 0.0)
-    return T, np.array(rows), np.array(steps[::-1]).T
 
 
 def _placed(taps: Array, places: NDArray[np.intp], length: int) -> Wide:

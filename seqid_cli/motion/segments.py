@@ -61,6 +61,11 @@ def noise_step(q: Array, resolution: Array | None = None) -> Array:
     return np.maximum(np.maximum(step, SMALLEST_STEP), np.where(step > 0, 0.0, 3 * noise))
 
 
+def motion_reach(rate_hz: float) -> int:
+    """Samples on either side that `moving_mask` looks at: half a time scale and its dilation."""
+    return int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2
+
+
 def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
     """Where each joint moves.
 

@@ -28,7 +28,7 @@ Spans = list[tuple[int, int]]  # half-open ranges of rows
 
 PANEL = 8  # columns that the blocked QR takes at once
 STRIP = 1024  # rows that it takes at once: they stay in cache
-ENOUGH = 4  # rows per column from which the Gram matrix is cheaper
+ENOUGH = 3  # rows per column from which the Gram matrix is cheaper
 LARGEST = 1e3  # trace of G
 LARGEST_WHOLE = 1e5  # where R0'R0 is part of it, so that no direction of G is small
 CONDITION = 1e5  # of R0, whatever the scale of its columns

@@ -24,19 +24,18 @@ from numpy.typing import NDArray
 from seqid_cli import compiled
 from seqid_cli.errors import InputError
 from seqid_cli.identify.equations import CHUNK, blocks
+from seqid_cli.identify.filtered_columns import FilteredColumns
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.long import rows_at_least
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.model.torque import sliding
-from seqid_cli.motion.block_filter import BlockLowpass
 from seqid_cli.motion.blocks import Plan, joined_motions, make_plan, motion_blocks, part_of
 from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.filtering import runs
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.survey import SurveyedLog, open_surveyed
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.base import Basis, base_regressor, loaded_columns
+from seqid_cli.robot.base import Basis
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -44,7 +43,8 @@ Mask = NDArray[np.bool_]
 
 LONG = 200_000  # samples from which on a log is better passed over than held
 FAR_ENOUGH = 0.8  # of the low-pass's memory: it has forgotten to 1e-10
-LEAST_CHUNKS, MOST_CHUNKS = 2, 4  # of the equations, worked on together
+LEAST_CHUNKS, MOST_CHUNKS = 2, 3  # of the equations, worked on together
+TOGETHER = 2  # times as much, for right sides: they need little memory
 
 
 class Equations(Protocol):
@@ -127,12 +127,15 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     reach = int(FAR_ENOUGH * lowpass.memory) + lowpass.settling  # of the low-pass, once
     count = int(np.clip(-(-8 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     parts = motion_blocks(log.blocks(), plan)
-    columns = _Columns(equations, use_compiled=plan.use_compiled)
+    rows = count * CHUNK
+    columns = FilteredColumns(equations, rows, reach, use_compiled=plan.use_compiled)
     expected = _blocks_of(log.samples, plan)
     equations.expect(expected, -(-log.samples // plan.factor) // max(expected, 1))
     moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
-    for motion, start, stop in overlapping(parts, count * CHUNK, 2 * reach):
-        _add_part(columns, motion, start, stop, reach)
+    for motion, start, stop in overlapping(parts, TOGETHER * rows, 2 * reach):
+        y = equations.right_side(motion)
+        for first in range(start, stop, rows):
+            _add_part(equations, columns, motion, y, slice(first, min(first + rows, stop)), reach)
         moving |= motion.moving.any(axis=0)
         usable |= bool(motion.usable.any())
         last = motion
@@ -157,50 +160,23 @@ def _repays_compiled(log: SurveyedLog, plan: Plan) -> bool:
     return compiled.worth(filtered + log.samples // plan.factor * per_row)
 
 
-def _add_part(columns: _Columns, motion: Motion, start: int, stop: int, reach: int) -> None:
-    """Add the rows of samples [start, stop) of a part; the others are there for the filters."""
-    equations = columns.equations
-    y = equations.right_side(motion)
-    low, high = max(0, start - reach), min(motion.samples, stop + reach)
-    near = part_of(motion, low, high)
-    usable = sliding(near, equations.slowest)
-    H = columns.of(near)
-    for first in range(start, stop, CHUNK):
-        end = min(first + CHUNK, stop)
-        where = slice(first - low, end - low)
+def _add_part(
+    equations: Equations,
+    columns: FilteredColumns,
+    motion: Motion,
+    y: Array,
+    part: slice,
+    reach: int,
+) -> None:
+    """Add the rows of some samples; the others are there for the filters."""
+    low, high = max(0, part.start - reach), min(motion.samples, part.stop + reach)
+    usable = sliding(part_of(motion, low, high), equations.slowest)
+    H = columns.of(motion, part.start, part.stop)
+    for first in range(part.start, part.stop, CHUNK):
+        end = min(first + CHUNK, part.stop)
         chunk = part_of(motion, first, end)
-        equations.add_chunk(chunk, H[where], y[first:end], usable[where])
-
-
-class _Columns:
-    """Filtered base regressors and coupling columns, in the same memory where they are as long."""
-
-    def __init__(self, equations: Equations, *, use_compiled: bool) -> None:
-        self.equations = equations
-        self.use_compiled = use_compiled
-        loaded = loaded_columns(equations.robot, equations.basis)
-        self._loaded = np.pad(loaded, ((0, 0), (0, 1)))
-        self._room = np.zeros((*self._loaded.shape, 0))
-
-    def of(self, motion: Motion) -> Array:
-        """(N, n, b + 1), valid until the next."""
-        robot, basis = self.equations.robot, self.equations.basis
-        if self._room.shape[2] != motion.samples:
-            self._room = np.zeros((*self._loaded.shape, motion.samples))
-        state = motion.q, motion.dq, motion.ddq
-        room, use_compiled = self._room, self.use_compiled
-        H = base_regressor(robot, basis, *state, spare=1, out=room, use_compiled=use_compiled)
-        rows, loaded = room.reshape(-1, motion.samples), self._loaded.ravel()
-        assert isinstance(motion.lowpass, BlockLowpass)
-        if use_compiled:
-            only = np.flatnonzero(loaded)
-            motion.lowpass.filter_rows(rows, motion.valid, only=only, use_compiled=True)
-        else:  # without copies
-            for start, stop in runs(loaded, len(rows)):
-                part = rows[start:stop]
-                motion.lowpass.filter_rows(part, motion.valid, use_compiled=False)
-        H[:, :, -1] = self.equations.coupling_column(motion)
-        return H
+        rows = H[first - part.start : end - part.start]
+        equations.add_chunk(chunk, rows, y[first:end], usable[first - low : end - low])
 
 
 def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tuple[Cutoff, Array]:

@@ -17,12 +17,15 @@ it is as well conditioned as they are.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
+from scipy.signal import sosfilt, sosfilt_zi
 
 from seqid_cli import compiled
 from seqid_cli.motion.filtering import ORDER, SHORTEST, Lowpass, runs, sections
@@ -34,6 +37,7 @@ Wide = NDArray[np.longdouble]
 STATES = ORDER
 LENGTH = 32  # samples per block: longer ones cost more products, shorter ones more steps
 GROUP = 16  # blocks whose states are found together
+STEP = 64  # samples: whole blocks of both ways to go on
 NEGLIGIBLE = 1e-13
 REACH = 64  # samples more than the memory, for what grows before it decays
 # Of the rate: below, what rounding leaves in the states of blocks exceeds 1e-12 of the signal.
@@ -92,6 +96,60 @@ class BlockLowpass(Lowpass):
         else:
             self._filter_blocks(rows, valid, only)
 
+    def can_go_on(self, *, use_compiled: bool) -> bool:
+        """Whether `filter_on` serves."""
+        able = use_compiled and compiled.available()
+        return self.active and (able or self.cutoff_hz >= LOWEST * self.rate_hz)
+
+    def state_behind(self, rows: Array) -> Array:
+        """State (c, 4) of the forward pass behind signals (c, N), as long as the memory."""
+        sos = sections(self.cutoff_hz, self.rate_hz, self.every)
+        steady = sosfilt_zi(sos)[:, None] * rows[None, :, :1]
+        _, state = sosfilt(sos, rows, axis=1, zi=steady)
+        return np.ascontiguousarray(state.transpose(1, 0, 2)).reshape(len(rows), STATES)
+
+    def filter_on(
+        self,
+        rows: Array,
+        stop: int,
+        count: int,
+        states: Array,
+        *,
+        only: NDArray[np.intp],
+        use_compiled: bool,
+    ) -> None:
+        """Filter the next samples of signals that go on, in place; see `can_go_on`.
+
+        What lies before the samples is in the state of the forward pass, so that only those behind
+        them are looked at anew when it is their turn.
+
+        Parameters
+        ----------
+        rows : (c, N) array, C-ordered
+        stop : int
+            Samples that are known: as many more than `count` as the filter remembers.
+        count : int
+            Samples to filter, from the first one on: a multiple of `STEP`, but for the last time.
+        states : (k, 4) array, C-ordered
+            In front of the first sample; behind the last one filtered on return.
+        only : (k,) array
+            Numbers of the signals to filter, ascending.
+        use_compiled : bool
+            Whether compiled loops do it.
+        """
+        if use_compiled and compiled.available():
+            from seqid_cli.motion.filter_compiled import on_both_ways
+
+            sos = sections(self.cutoff_hz, self.rate_hz, self.every)
+            on_both_ways(rows, only.astype(np.int64), stop, count, sos, states)
+            return
+        kernel = _kernel(self.cutoff_hz, self.rate_hz, self.every)
+        height = max(1, TILE // stop)
+        room = _Room.of(min(height, len(only)), stop)
+        for first, last in _consecutive(only, height):  # without copies
+            part = slice(only[first], only[first] + last - first)
+            kernel.on_both_ways(rows[part, :stop], count, states[first:last], room)
+
     def _filter_compiled(self, rows: Array, valid: Mask | None, which: NDArray[np.intp]) -> None:
         from seqid_cli.motion.filter_compiled import both_ways
 
@@ -119,6 +177,14 @@ class BlockLowpass(Lowpass):
                         taken = rows[only[part], start:stop]
                         kernel.both_ways(taken, pad, room)
                         rows[only[part], start:stop] = taken
+
+
+def _consecutive(numbers: NDArray[np.intp], most: int) -> Iterator[tuple[int, int]]:
+    """Yield ranges of ascending numbers that follow each other, up to so many."""
+    ends = [0, *(np.flatnonzero(np.diff(numbers) > 1) + 1).tolist(), len(numbers)]
+    for first, last in pairwise(ends):
+        for low in range(first, last, most):
+            yield low, min(low + most, last)
 
 
 @dataclass(frozen=True)
@@ -188,12 +254,29 @@ class _Kernel:
         channels, count = rows.shape
         room = room.part(channels)
         _lay(rows, pad, room.wide)
+        # What lies in front of the signal is its first value: the filter starts in steady state.
+        self._fill_out(room, room.wide[:, :1] * self.steady)
+        wide = room.out.reshape(channels, -1)
+        stop = wide.shape[1] - pad
+        rows[:] = wide[:, stop - count : stop]
+
+    def on_both_ways(self, rows: Array, count: int, start: Array, room: _Room) -> None:
+        """Filter the first samples of (c, N) in place, from a state (c, m) to the one behind."""
+        channels, known = rows.shape
+        room = room.part(channels)
+        room.wide[:, :known] = rows
+        room.wide[:, known:] = rows[:, -1:]
+        self._fill_out(room, start)
+        rows[:, :count] = room.out.reshape(channels, -1)[:, :count]
+        if count < known:
+            start[:] = room.states.reshape(channels, -1, 2 * STATES)[:, count // LENGTH, :STATES]
+
+    def _fill_out(self, room: _Room, start: Array) -> None:
+        """Filter what is laid in a room, from a state (c, m)."""
+        channels = len(start)
         x, states = room.wide.reshape(-1, LENGTH), room.states
         np.matmul(x, self.adds, out=room.added)
-        # What lies in front of the signal is its first value: the filter starts in steady state.
-        states[:, :STATES] = self._states(
-            self.ahead, room.added[:, :STATES], room.wide[:, :1] * self.steady
-        )
+        states[:, :STATES] = self._states(self.ahead, room.added[:, :STATES], start)
         room.added[:, STATES:] += states[:, :STATES] @ self.passed
         ends = room.wide[:, -LENGTH:] @ self.last[:LENGTH]
         ends += states.reshape(channels, -1, 2 * STATES)[:, -1, :STATES] @ self.last[LENGTH:]
@@ -202,28 +285,25 @@ class _Kernel:
         )
         np.matmul(x, self.both[:LENGTH], out=room.out)
         dgemm(1.0, self.both[LENGTH:].T, states.T, 1.0, room.out.T, overwrite_c=True)
-        wide = room.out.reshape(channels, -1)
-        stop = wide.shape[1] - pad
-        rows[:] = wide[:, stop - count : stop]
 
     def _states(self, steps: _Steps, added: Array, start: Array) -> Array:
         """States (c b, m) before each block, from the start (c, m) and what each block adds."""
         grouped = np.ascontiguousarray(added).reshape(-1, GROUP * STATES)
         grown = (grouped @ steps.after).reshape(len(start), -1, STATES)
         ahead = steps is self.ahead
-        before = _scanned(start, grown if ahead else grown[:, ::-1], self.over_group)
+        before = scanned(start, grown if ahead else grown[:, ::-1], self.over_group)
         before = before if ahead else before[:, ::-1]
         found = grouped @ steps.within
         found += before.reshape(-1, STATES) @ steps.entering
         return found.reshape(-1, STATES)
 
 
-def _scanned(start: Array, added: Array, step: Array) -> Array:
-    """States x (c, g, m) before each of g steps x+ = x step + added (c, g, m), by doubling."""
-    states = np.concatenate([start[:, None], added[:, :-1]], axis=1)
+def scanned(start: Array, added: Array, step: Array) -> Array:
+    """States x (..., b, m) before each of b steps x+ = x step + added (..., b, m), by doubling."""
+    states = np.concatenate([start[..., None, :], added[..., :-1, :]], axis=-2)
     distance = 1
-    while distance < states.shape[1]:
-        states[:, distance:] += states[:, :-distance] @ step
+    while distance < states.shape[-2] and np.abs(step).max() > NEGLIGIBLE**2:
+        states[..., distance:, :] += states[..., :-distance, :] @ step
         step, distance = step @ step, 2 * distance
     return states
 

@@ -26,6 +26,8 @@ PART = 64  # samples laid across at once: they stay in cache
 def both_ways(rows: Array, which: Ints, start: int, stop: int, sos: Array, pad: int) -> None:
     """Filter signals in place, forward and backward, prolonged by point reflection.
 
+    What goes on at both ends is filtered by `on_both_ways`.
+
     Parameters
     ----------
     rows : (c, N) array, C-ordered
@@ -39,8 +41,37 @@ def both_ways(rows: Array, which: Ints, start: int, stop: int, sos: Array, pad: 
         Samples of the reflection at either end, fewer than are filtered.
     """
     room = np.empty((stop - start + 2 * pad) * LANES)
+    none = np.empty((0, 2 * SECTIONS))
+    _both_ways(rows, which, start, stop, *_factors(sos), none, stop - start, pad, room)
+
+
+def on_both_ways(
+    rows: Array, which: Ints, stop: int, count: int, sos: Array, states: Array
+) -> None:
+    """Filter the next samples of signals in place, forward and backward.
+
+    Parameters
+    ----------
+    rows : (c, N) array, C-ordered
+    which : (k,) array
+        The signals to filter.
+    stop : int
+        Samples that are known; the filter has to forget what follows them.
+    count : int
+        Samples to filter, from the first one on; a multiple of `PART` if more will follow.
+    sos : (2, 6) array
+        Second-order sections of one pass.
+    states : (k, 4) array, C-ordered
+        Of the forward pass in front of the first sample; behind the last one filtered on return.
+    """
+    room = np.empty(stop * LANES)
+    _both_ways(rows, which, 0, stop, *_factors(sos), states, count, 0, room)
+
+
+def _factors(sos: Array) -> tuple[Array, Array]:
+    """What the sections multiply with, and their states at rest at 1."""
     factors = np.ascontiguousarray(sos[:, [0, 1, 2, 4, 5]] / sos[:, 3:4])
-    _both_ways(rows, which, start, stop, factors, np.ascontiguousarray(sosfilt_zi(sos)), pad, room)
+    return factors, np.ascontiguousarray(sosfilt_zi(sos))
 
 
 @compiled()
@@ -82,6 +113,17 @@ def _begin(state: Array, steady: Array, x: Array) -> None:
             state[(2 * section + 1) * LANES + k] = steady[section, 1] * x[k]
 
 
+@compiled()
+def _exchange(state: Array, states: Array, taken: bool) -> None:
+    """Take the states of signals (k, 4) into their lanes, or give them back."""
+    for lane in range(len(states)):
+        for k in range(2 * SECTIONS):
+            if taken:
+                state[k * LANES + lane] = states[lane, k]
+            else:
+                states[lane, k] = state[k * LANES + lane]
+
+
 @compiled(fused=False)
 def _filter(x: Array, factors: Array, state: Array, back: bool) -> None:
     """Filter (count LANES,) in place, in the transposed direct form II."""
@@ -102,7 +144,10 @@ def _filter(x: Array, factors: Array, state: Array, back: bool) -> None:
             now[k] = y
 
 
-@compiled("void(f8[:,::1], i8[::1], i8, i8, f8[:,::1], f8[:,::1], i8, f8[::1])", fused=False)
+@compiled(
+    "void(f8[:,::1], i8[::1], i8, i8, f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, f8[::1])",
+    fused=False,
+)
 def _both_ways(
     rows: Array,
     which: Ints,
@@ -110,6 +155,8 @@ def _both_ways(
     stop: int,
     factors: Array,
     steady: Array,
+    states: Array,
+    count: int,
     pad: int,
     room: Array,
 ) -> None:
@@ -126,6 +173,8 @@ def _both_ways(
                 _lay(x, lane, rows[which[top + lane], start:stop], pad, low, high)
             if low == 0:
                 _begin(state, steady, x[:LANES])
+            if len(states) and (low == 0 or low == count):
+                _exchange(state, states[top : top + lanes], low == 0)
             _filter(x, factors, state, False)
         _begin(state, steady, room[(total - 1) * LANES : total * LANES])
         for high in range(total, 0, -PART):
@@ -133,4 +182,4 @@ def _both_ways(
             x = room[low * LANES : high * LANES]
             _filter(x, factors, state, True)
             for lane in range(lanes):
-                _take(x, lane, rows[which[top + lane], start:stop], pad, low, high)
+                _take(x, lane, rows[which[top + lane], start : start + count], pad, low, high)

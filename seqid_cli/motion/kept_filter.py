@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from seqid_cli.motion.block_filter import (
     LOWEST,
-    NEGLIGIBLE,
     as_double,
     block_matrices,
     powers_of,
+    scanned,
     state_space,
 )
 from seqid_cli.motion.filtering import _FIRST, _SECOND, sections
@@ -73,10 +73,10 @@ class KeptFilter:
         blocks = (len(signal) - low) // length
         x = signal[low : low + blocks * length].reshape(blocks, length)
         grown = x @ self.from_x
-        s = _scanned(x[0, 0] * self.steady, grown[:, :m], self.over_block)
+        s = scanned(x[0, 0] * self.steady, grown[:, :m], self.over_block)
         by_s = s @ self.from_s
         last = x[-1, -1] * self.steady
-        z = _scanned(last, (grown[:, m : 2 * m] + by_s[:, :m])[::-1], self.over_block)[::-1]
+        z = scanned(last, (grown[:, m : 2 * m] + by_s[:, :m])[::-1], self.over_block)[::-1]
         y = grown[:, 2 * m :] + by_s[:, m:]
         y += z @ self.from_z
         kept = y[ahead:].reshape(blocks - ahead, self.outputs, -1).transpose(1, 0, 2)
@@ -135,13 +135,3 @@ def _placed(taps: Array, places: NDArray[np.intp], length: int) -> Wide:
     for number, place in enumerate(places):
         rows[:, number, place - SIDE : place + SIDE + 1] = taps
     return rows.reshape(-1, length)
-
-
-def _scanned(start: Array, added: Array, step: Array) -> Array:
-    """States x (b, m) before each of b steps x+ = x step + added (b, m), by doubling."""
-    states = np.concatenate([start[None], added[:-1]])
-    distance = 1
-    while distance < len(states) and np.abs(step).max() > NEGLIGIBLE**2:
-        states[distance:] += states[:-distance] @ step
-        step, distance = step @ step, 2 * distance
-    return states

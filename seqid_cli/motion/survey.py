@@ -33,6 +33,7 @@ LEAST_SEGMENT = 256
 DENSE, SPARSE = 262_144, 4  # samples with all segments of their spectra; of the others every 4th
 STEPS = 16  # per half time scale, at which travel is looked at
 MANY = 1 << 60
+TILE = 2048  # samples worked on at once
 
 
 class Welch:
@@ -143,10 +144,15 @@ class Survey:
         """Take fourth differences of samples, where they are to be kept."""
         count = max(0, len(wide) - 4)
         first, step = self._fourth.next_kept()
-        a, b, c, d, e = (wide[first + k : count + k : step] for k in range(5))
-        ab, bc, cd, de = b - a, c - b, d - c, e - d
-        abc, bcd, cde = bc - ab, cd - bc, de - cd
-        self._fourth.push_kept(np.abs((cde - bcd) - (bcd - abc)), count)
+        kept = np.empty((wide.shape[1], len(range(first, count, step)))).T
+        for low in range(0, len(kept), TILE):  # what is made on the way stays in cache
+            high = min(low + TILE, len(kept))
+            start, stop = first + low * step, first + (high - 1) * step + 1
+            a, b, c, d, e = (wide[start + k : stop + k : step] for k in range(5))
+            ab, bc, cd, de = b - a, c - b, d - c, e - d
+            abc, bcd, cde = bc - ab, cd - bc, de - cd
+            np.abs((cde - bcd) - (bcd - abc), out=kept[low:high])
+        self._fourth.push_kept(kept, count)
 
     def _add_levels(self, j: int, levels: Array, position: Array) -> None:
         values = np.round(position, 10)

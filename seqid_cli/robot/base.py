@@ -158,6 +158,7 @@ def base_regressor(
     *,
     spare: int = 0,
     out: Array | None = None,
+    first: int = 0,
     use_compiled: bool | None = None,
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
@@ -169,8 +170,10 @@ def base_regressor(
     q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
     spare : int
         Columns to be filled by the caller; zeros without `out`.
-    out : (n, b + spare, N) array, optional
+    out : (n, b + spare, M) array, optional
         Written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere.
+    first : int
+        Where in `out` the N samples go.
     use_compiled : bool, optional
         Whether compiled loops do it; by default where these samples alone repay loading them.
 
@@ -179,9 +182,10 @@ def base_regressor(
     (N, n, b + spare) array
         Each column contiguous in memory.
     """
-    H = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
-    if by_compiled_loops(q, H, use_compiled):
-        _fill_compiled(robot, basis, q, dq, ddq, H, fresh=out is None)
+    whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
+    H = whole[:, :, first : first + len(q)]
+    if by_compiled_loops(q, whole, use_compiled):
+        _fill_compiled(robot, basis, q, dq, ddq, whole, first, fresh=out is None)
     else:
         _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
     _add_rotors(robot, basis, q, dq, ddq, H)
@@ -208,15 +212,24 @@ def _fill_links(
 
 
 def _fill_compiled(
-    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array, *, fresh: bool
+    robot: Robot,
+    basis: Basis,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    H: Array,
+    first_sample: int,
+    *,
+    fresh: bool,
 ) -> None:
-    """Fill H (n, b, N) with what the links give by compiled loops."""
+    """Fill H (n, b, M), from a sample on, with what the links give by compiled loops."""
     from .regressor_compiled import Targets, fill
 
     links = PER_LINK * robot.n
     P = basis.representative
     if not fresh:
-        H[:, np.flatnonzero(P[links:].any(axis=0))] = 0.0
+        samples = slice(first_sample, first_sample + len(q))
+        H[:, np.flatnonzero(P[links:].any(axis=0)), samples] = 0.0
     source, column = np.nonzero(P[:links])
     link = source // PER_LINK
     behind = np.array([link[:c][column[:c] == k].max(initial=-1) for c, k in enumerate(column)])
@@ -228,7 +241,7 @@ def _fill_compiled(
         P[source, column],
         behind.astype(np.int64),
     )
-    fill(robot.chain, robot.gravity, q, dq, ddq, targets, H)
+    fill(robot.chain, robot.gravity, q, dq, ddq, targets, H, first_sample)
 
 
 def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array) -> None:

@@ -70,7 +70,14 @@ class Targets:
 
 
 def fill(
-    chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array, targets: Targets, out: Array
+    chain: Chain,
+    gravity: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    targets: Targets,
+    out: Array,
+    first: int = 0,
 ) -> None:
     """Compute the regressor and put it where it is wanted.
 
@@ -80,8 +87,10 @@ def fill(
     gravity : (3,) array [m/s^2], base frame
     q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
     targets : Targets
-    out : (n, p, N) array, C-ordered
+    out : (n, p, M) array, C-ordered
         Written to for joints 0..i of the columns of link i only.
+    first : int
+        Where in `out` the N samples go.
     """
     constants = _constants(chain, gravity)
     for start in range(0, len(q), CHUNK):
@@ -100,7 +109,7 @@ def fill(
             targets.column,
             targets.factor,
             targets.behind,
-            start,
+            first + start,
             out,
         )
 

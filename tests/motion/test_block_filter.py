@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli import compiled
-from seqid_cli.motion.block_filter import REACH, BlockLowpass
+from seqid_cli.motion.block_filter import REACH, STEP, BlockLowpass
 from seqid_cli.motion.filtering import Lowpass
 
 Array = NDArray[np.float64]
@@ -124,3 +124,43 @@ def test_compiled_loops_take_any_length_and_some_signals_only(samples: int) -> N
     expected[only] = Lowpass(15.0, 500.0)(rows[only].T).T
     BlockLowpass(15.0, 500.0).filter_rows(rows, only=only, use_compiled=True)
     np.testing.assert_allclose(rows, expected, rtol=0.0, atol=1e-12 * np.nanmax(np.abs(expected)))
+
+
+def gone_on(
+    lowpass: BlockLowpass, rows: Array, part: int, reach: int, *, use_compiled: bool
+) -> Array:
+    """Signals 0, 2, 3 and 4 from `reach` on, filtered part by part; what is behind stays."""
+    only, found = np.array([0, 2, 3, 4]), rows.copy()
+    states = lowpass.state_behind(rows[only, :reach])
+    start = reach
+    while start + part + reach <= rows.shape[1]:
+        room = found[:, start : start + part + reach].copy()
+        known = room.shape[1]
+        lowpass.filter_on(room, known, part, states, only=only, use_compiled=use_compiled)
+        found[:, start : start + part + reach] = room
+        start += part
+    np.testing.assert_array_equal(found[:, start:], rows[:, start:])
+    np.testing.assert_array_equal(found[1], rows[1])
+    return found[:, reach:start]
+
+
+@pytest.mark.parametrize("use_compiled", [False, pytest.param(True, marks=needs_numba)])
+@pytest.mark.parametrize("cutoff_hz", [6.0, 40.0, 200.0])
+def test_signals_that_go_on_are_filtered_part_by_part(
+    cutoff_hz: float, *, use_compiled: bool
+) -> None:
+    lowpass = BlockLowpass(cutoff_hz, 1000.0)
+    assert lowpass.can_go_on(use_compiled=use_compiled)
+    reach = lowpass.memory + REACH
+    rows = np.ascontiguousarray(walk(np.random.default_rng(8), 3 * reach + 4_000, 5).T)
+    expected = lowpass(rows.T).T
+    found = gone_on(lowpass, rows, 10 * STEP, reach, use_compiled=use_compiled)
+    assert found.shape[1] >= 3_000
+    expected = expected[:, reach : reach + found.shape[1]]
+    expected[1] = found[1]
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(rows).max()
+
+
+def test_only_what_is_exact_goes_on() -> None:
+    assert not BlockLowpass(49.0, 100.0).can_go_on(use_compiled=False)
+    assert not BlockLowpass(1.0, 1000.0).can_go_on(use_compiled=False)

@@ -1,0 +1,88 @@
+"""The regressor filtered part by part against that of the whole motion, filtered at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli import compiled
+from seqid_cli.identify.filtered_columns import FilteredColumns
+from seqid_cli.motion.block_filter import REACH, BlockLowpass
+from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.motion import Motion
+from seqid_cli.robot.base import Basis, base_regressor, free_basis
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.bench.arm import RATE_HZ, motion, write_arm
+
+Array = NDArray[np.float64]
+LOWPASS = BlockLowpass(25.0, RATE_HZ)
+MARGIN = LOWPASS.memory + REACH
+PART = 1024
+SAMPLES = 9_500
+needs_numba = pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
+
+
+@dataclass
+class Columns:
+    """A coupling column that shows which samples it was asked for."""
+
+    robot: Robot
+    basis: Basis
+
+    def coupling_column(self, motion: Motion) -> Array:
+        return motion.q**2
+
+
+def moved(samples: int, gap: slice) -> Motion:
+    """Some motion with a gap, its edges as sharp as they come."""
+    q, dq, ddq = motion(np.arange(samples) / RATE_HZ)
+    valid = np.ones(samples, dtype=bool)
+    valid[gap] = False
+    cutoff = Cutoff(LOWPASS.cutoff_hz, np.zeros(7), 0.0, False, np.zeros(7))
+    t = np.arange(samples) / RATE_HZ
+    moving = np.ones((samples, 7), dtype=bool)
+    return Motion(t, q, dq, ddq, q, moving, valid, valid, RATE_HZ, LOWPASS, cutoff)
+
+
+@pytest.mark.parametrize("use_compiled", [False, pytest.param(True, marks=needs_numba)])
+@pytest.mark.parametrize("gap", [slice(0, 0), slice(5_000, 5_030), slice(4_096, 4_097)])
+def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice, *, use_compiled: bool) -> None:
+    robot = load_robot(write_arm(tmp_path))
+    equations = Columns(robot, free_basis(robot))
+    whole = moved(SAMPLES, gap)
+    H = base_regressor(robot, equations.basis, whole.q, whole.dq, whole.ddq)
+    expected = LOWPASS(H, whole.valid)
+    columns = FilteredColumns(equations, PART, MARGIN, use_compiled=use_compiled)
+    for start in range(0, SAMPLES, PART):
+        stop = min(start + PART, SAMPLES)
+        found = columns.of(whole, start, stop)
+        assert found.shape == (stop - start, 7, equations.basis.size + 1)
+        inside = whole.valid[start:stop]
+        off = np.abs(found[:, :, :-1] - expected[start:stop])[inside]
+        assert off.max() < 1e-12 * np.abs(H).max()
+        np.testing.assert_array_equal(found[:, :, -1], whole.q[start:stop] ** 2)
+
+
+def test_columns_are_computed_once_where_no_gap_is_near(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from seqid_cli.identify import filtered_columns
+
+    robot = load_robot(write_arm(tmp_path))
+    asked: list[int] = []
+
+    def counted(*args: Array, **options: object) -> Array:
+        asked.append(len(args[2]))
+        return base_regressor(*args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(filtered_columns, "base_regressor", counted)
+    whole = moved(SAMPLES, slice(0, 0))
+    columns = FilteredColumns(Columns(robot, free_basis(robot)), PART, MARGIN, use_compiled=False)
+    for start in range(0, SAMPLES, PART):
+        columns.of(whole, start, min(start + PART, SAMPLES))
+    assert asked[1:-2].count(PART) >= 6

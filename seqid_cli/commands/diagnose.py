@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import typer
@@ -87,6 +88,7 @@ def run(
     )
 
     from seqid_cli.discover.diagnose import diagnose
+    from seqid_cli.discover.gather import gather, one_each
     from seqid_cli.discover.options import DiscoverOptions
     from seqid_cli.identify.motion_use import motion_uses
     from seqid_cli.identify.options import InertiaOptions
@@ -96,9 +98,19 @@ def run(
         InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=source_for_effects(motion))
     )
     account = Account(job)
-    recordings = list(announced(account, job.screen, job.stages.imu, motion))
-    found = diagnose(recordings, job.robot, job.stages, options=options)
-    uses = motion_uses(recordings, job.robot, job.stages.imu, options=options.motion)
+    gathered = gather(
+        announced(account, job.screen, job.stages.imu, motion),
+        job.robot,
+        job.stages,
+        options=options.motion,
+        paths=job.files,
+        time_source=job.time_source,
+    )
+    found = diagnose(
+        gathered.recordings, job.robot, job.stages, options=options, aside=gathered.aside
+    )
+    uses = motion_uses(one_each(gathered), job.robot, job.stages.imu, options=options.motion)
+    found = replace(found, notes=(*gathered.notes(job.robot), *found.notes))
     file = _document(job, account, found, uses)
     if job.output is not None:
         write_json_atomic(job.output, file, inputs=[*job.files, *job.parameters])

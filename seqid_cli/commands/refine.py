@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from seqid_cli.commands.earlier_logs import read_earlier
 from seqid_cli.commands.job import Account, Job, exit_code, prepare
-from seqid_cli.commands.log_sets import EarlierLogs, find_earlier, held_out_logs
+from seqid_cli.commands.log_sets import find_earlier, held_out_logs
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
@@ -128,51 +129,70 @@ def run(
 def _refine(
     job: Job, previous: ParameterFile, held_out: Sequence[Path], options: DiscoverOptions
 ) -> tuple[ParameterFile, list[str]]:
+    from seqid_cli.discover.gather import gather, one_each
+    from seqid_cli.discover.heldout import WholeLogs
     from seqid_cli.discover.refine import refine
     from seqid_cli.identify.motion_use import motion_uses
 
     training, kept_out = Account(job), Account(replace(job, files=tuple(held_out)))
     imu, source = job.stages.imu, options.motion.source
     fitted, unseen = (
-        list(announced(account, job.screen, imu, source)) for account in (training, kept_out)
+        gather(
+            announced(account, job.screen, imu, source),
+            job.robot,
+            job.stages,
+            options=options.motion,
+            paths=paths,
+            time_source=job.time_source,
+            aside=False,
+        )
+        for account, paths in ((training, job.files), (kept_out, held_out))
     )
     found = find_earlier(
         previous.inputs,
         [path.parent for path in job.parameters],
-        at_hand={recording.sha256: recording.path for recording in fitted},
-        held_out={recording.sha256: recording.path for recording in unseen},
+        at_hand=_paths(fitted.recordings),
+        held_out=_paths(unseen.recordings),
     )
-    earlier, partial = _read_earlier(job, found, fitted)
-    count = sum(map(len, earlier.values()))
+    earlier = read_earlier(job, found, fitted, options.motion)
+    count = sum(map(len, earlier.by_stage.values()))
     job.screen.detail(
-        f"{len(fitted)} logs to fit, {len(unseen)} held out, {count} of earlier stages"
+        f"{len(fitted.recordings)} logs to fit, {len(unseen.recordings)} held out,"
+        f" {count} of earlier stages"
     )
-    stages, loop = refine(fitted, unseen, job.robot, previous, earlier=earlier, options=options)
-    uses = motion_uses([*fitted, *unseen], job.robot, imu, options=options.motion)
+    whole = WholeLogs(tuple(held_out), job.robot, job.time_source) if unseen.looks else None
+    stages, loop = refine(
+        fitted.recordings,
+        unseen.recordings,
+        job.robot,
+        previous,
+        earlier=earlier.by_stage,
+        options=options,
+        whole=whole,
+    )
+    given = [*one_each(fitted), *one_each(unseen)]
+    uses = motion_uses(given, job.robot, imu, options=options.motion)
+    notes = [
+        *(f"fitted: {note}" for note in fitted.notes(job.robot)),
+        *(f"held out: {note}" for note in unseen.notes(job.robot)),
+        *found.notes,
+        *earlier.notes,
+    ]
     file = refined(
         previous,
         robot_id(job.robot),
         training.inputs("effects"),
         stages,
-        _closed_loop(loop, kept_out.inputs(), found.notes, uses),
+        _closed_loop(loop, kept_out.inputs(), notes, uses),
     )
-    return file, [*training.partial, *kept_out.partial, *partial]
+    return file, [*training.partial, *kept_out.partial, *earlier.partial]
 
 
-def _read_earlier(
-    job: Job, found: EarlierLogs, fitted: Sequence[Recording]
-) -> tuple[dict[str, list[Recording]], list[str]]:
-    """Read the logs of earlier stages; one that is fitted anyway is not read a second time."""
-    recordings = {recording.sha256: recording for recording in fitted}
-    files = tuple(path for sha256, path in found.paths.items() if sha256 not in recordings)
-    account = Account(replace(job, files=files))
-    if files:
-        recordings |= {recording.sha256: recording for recording in account}
-    earlier = {
-        stage: [recordings[sha256] for sha256 in logs if sha256 in recordings]
-        for stage, logs in found.by_stage.items()
-    }
-    return earlier, account.partial
+def _paths(recordings: Sequence[Recording]) -> dict[str, Path]:
+    """Where each log is, by its SHA-256."""
+    from seqid_cli.discover.gather import by_digest
+
+    return {sha256: some[0].path for sha256, some in by_digest(recordings).items()}
 
 
 def _closed_loop(

@@ -7,18 +7,21 @@ is not understood, and is said to be so.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.discover.aside import EventAside, events_aside
 from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.confusable import certainty, event_confidence, rivalries
 from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
 from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.loud import loud_joints
+from seqid_cli.discover.notes import loud_notes, offset_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import (
     Diagnosis,
@@ -29,8 +32,9 @@ from seqid_cli.discover.results import (
     Unexplained,
     Verdict,
 )
-from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.discover.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.discover.search import SHAPE, Search
+from seqid_cli.discover.system import Trial
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.discover.whiteness import white
 from seqid_cli.logs.recording import Recording
@@ -43,12 +47,18 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 SLOW_NOISE = 3.0  # times the level of other quantities, that a dependence on time must reach
+ENOUGH_S = 60.0  # of logs, for slow noise to show its usual share
 REST = 0.5  # of the certainty, where a finding may be the rest of another
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
 def diagnose(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: DiscoverOptions,
+    aside: Iterable[Recording] = (),
 ) -> Diagnosis:
     """Find what a model lacks on these logs.
 
@@ -60,6 +70,8 @@ def diagnose(
     stages : Stages
         The model: at least friction or a rigid body; effects that it has are not missing.
     options : DiscoverOptions
+    aside : iterable of Recording
+        Pieces of logs in which nothing but events is looked for (see `gather`).
 
     Raises
     ------
@@ -70,40 +82,60 @@ def diagnose(
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
     kept, notes = usable_logs(recordings, robot)
-    logs = [
-        without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
-        for log in kept
-    ]
-    found = described(investigate(logs, robot, stages, options), robot)
+    logs, others = (
+        [
+            without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
+            for log in some
+        ]
+        for some in (kept, aside)
+    )
+    investigation = investigate(logs, robot, stages, options)
+    apart = events_aside(investigation, others, robot, stages, options)
+    found = described(investigation, robot, apart)
     return replace(found, notes=(*notes, *found.notes))
 
 
-def described(found: Investigation, robot: Robot) -> Diagnosis:
-    """Turn a search into findings, unexplained parts and a verdict."""
+def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = ()) -> Diagnosis:
+    """Turn a search, and the events beside it, into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, tried) for tried in found.search.accepted]
     rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
     findings = [_beside_rest(finding, rest) for finding in findings]
-    if found.events:
-        findings.append(_contact(found))
-    findings = _ordered(findings)
+    if found.events or aside:
+        findings.append(_contact(found, aside))
+    loud = loud_joints(found)
+    findings = _ordered(findings, {robot.joint_names[one.joint]: one.share for one in loud})
+    if not findings and not rest:
+        rest = [Unexplained(robot.joint_names[x.joint], x.quantities, x.share) for x in loud]
     rest = _largest_of_each(rest)
     return Diagnosis(
         verdict=_verdict(findings, rest),
         findings=tuple(findings),
         unexplained=tuple(rest),
         joints=_joints(found, robot),
-        events=tuple(_event(found, robot, event) for event in found.events),
+        events=(
+            *(_event(found, robot, event) for event in found.events),
+            *(one.event for one in aside),
+        ),
         hidden=_hidden(found, robot),
-        notes=(),
+        notes=(*offset_notes(found, robot), *loud_notes(loud, robot)),
     )
 
 
 def _beside_rest(finding: Finding, rest: Sequence[Unexplained]) -> Finding:
-    """Less sure where more of its joint's residual depends on things unknown than it explains.
+    """Less sure where more of its joints' residual depends on things unknown than it explains.
 
     What shows above the cut-off is judged there, and the rest lies below.
     """
-    share = max((part.share for part in rest if part.joint == finding.joint), default=0.0)
+    shares: dict[str, float] = {}
+    for part in rest:
+        shares[part.joint] = max(part.share, shares.get(part.joint, 0.0))
+    return _beside_unknown(finding, shares)
+
+
+def _beside_unknown(finding: Finding, shares: Mapping[str, float]) -> Finding:
+    """Less sure by what share of its joint's residual, or of any if it has none, is not known."""
+    near = [share for joint, share in shares.items() if finding.joint in (None, joint)]
+    share = max(near, default=0.0)
     if not share or CATALOGUE[finding.effect].wide:
         return finding
     unknown = share * (1.0 - finding.explains)
@@ -119,10 +151,15 @@ def _less_sure(finding: Finding, share: float) -> Finding:
     )
 
 
-def _ordered(findings: Sequence[Finding]) -> list[Finding]:
-    """The weightiest first; none is more certain than one that it was found beside."""
+def _ordered(findings: Sequence[Finding], loud: Mapping[str, float]) -> list[Finding]:
+    """The weightiest first; none is more certain than one that it was found beside.
+
+    Where a joint stays `loud` (share of its squared residual that noise does not make), the first
+    has not quite the right shape, and what comes after may be made of that.
+    """
     ordered = sorted(findings, key=lambda f: -f.explains * f.confidence)
     ordered = [_of_company(f, ordered[:k], ordered[k + 1 :]) for k, f in enumerate(ordered)]
+    ordered[1:] = [_beside_unknown(f, loud) for f in ordered[1:]]
     certainties = np.minimum.accumulate([f.confidence for f in ordered])
     return [
         replace(f, confidence=float(c), name_confidence=min(f.name_confidence, float(c)))
@@ -156,12 +193,13 @@ def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:
     return list({u.joint: u for u in reversed(ordered)}.values())[::-1]
 
 
-def _contact(found: Investigation) -> Finding:
+def _contact(found: Investigation, aside: Sequence[EventAside]) -> Finding:
     """The finding that stands for all events."""
     effect = CATALOGUE["external_contact"]
     inside, gained = _event_energy(found), sum(max(t.trial.total, 0) for t in found.search.accepted)
-    score = max(event.score for event in found.events)
-    confidence = event_confidence(score / found.gates.event)
+    inside += sum(one.energy for one in aside)
+    ratios = [event.score / found.gates.event for event in found.events]
+    confidence = event_confidence(max([*ratios, *(one.ratio for one in aside)]))
     return Finding(
         effect=effect.name,
         joint=None,
@@ -172,7 +210,7 @@ def _contact(found: Investigation) -> Finding:
         separate_by=effect.separate_by,
         gain=0.0,
         clean_gain=0.0,
-        note=f"{len(found.events)} interval(s), left out of the search",
+        note=f"{len(found.events) + len(aside)} interval(s), left out of the search",
     )
 
 
@@ -192,10 +230,11 @@ def _event_energy(found: Investigation) -> float:
 
 
 def _event(found: Investigation, robot: Robot, event: Interval) -> Event:
+    log = found.logs[event.scene]
     return Event(
-        log=str(found.logs[event.scene].path),
-        start=event.start,
-        end=event.end,
+        log=str(log.path),
+        start=log.offset + event.start,
+        end=log.offset + event.end,
         joints=tuple(robot.joint_names[j] for j in event.joints),
     )
 
@@ -212,13 +251,15 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
     others = search.without(tried)
     system = others.system()
     again = search.stage.try_all(system, [tried.candidate])[0]
+    stated = _with_errors_of_the_file(others, again)
     touched = [j for j in tried.columns if j < robot.n]
-    rivals = rivalries(again, others.ranked(tuple(CATALOGUE.values()), system, near=touched))
+    every = tuple(CATALOGUE.values())
+    rivals = rivalries(again, others.ranked(every, system, near=touched, doubtful=True))
     candidate, trial = tried.candidate, again.trial
     effect = candidate.effect
     joint = None if candidate.joint is None else robot.joint_names[candidate.joint]
     values = effect.values(
-        robot, candidate.joint, candidate.settings, trial.coefficients, trial.covariance
+        robot, candidate.joint, candidate.settings, stated.coefficients, stated.covariance
     )
     clear_of_gate = 1.0 - float(np.exp(-trial.relative / found.gates.least_of(again)))
     others_than_these = [r for r in rivals if not r.confusable]
@@ -241,6 +282,14 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
         parameters=tuple(values),
         settings=candidate.settings,
     )
+
+
+def _with_errors_of_the_file(others: Search, tried: Tried) -> Trial:
+    """Coefficients and covariance with a base no firmer than the file says of itself."""
+    if others.inflation >= 1.0:
+        return tried.trial
+    system = replace(others, inflation=1.0).system()
+    return others.stage.try_all(system, [tried.candidate])[0].trial
 
 
 def _explains(found: Investigation, tried: Tried) -> float:
@@ -280,9 +329,15 @@ def _left(found: Investigation, robot: Robot) -> list[Unexplained]:
 
 
 def _least_smooth(found: Investigation, smooth: Dependence) -> float:
-    """Share from which a smooth dependence counts; slow noise is itself a function of time."""
+    """Share from which a smooth dependence counts.
+
+    Slow noise is itself a function of time, and its share varies more in short logs.
+    """
     least = found.gates.least(SMOOTH)
-    return SLOW_NOISE * least if smooth.quantities[0] == "time" else least
+    if smooth.quantities[0] != "time":
+        return least
+    few = ENOUGH_S / (BLOCK_S * len(found.search.stage.rows.fold))
+    return SLOW_NOISE * max(1.0, float(np.sqrt(few))) * least
 
 
 def _is_shape(search: Search, smooth: Dependence) -> bool:
@@ -313,8 +368,11 @@ def _joints(found: Investigation, robot: Robot) -> dict[str, JointResidual]:
 
 def _hidden(found: Investigation, robot: Robot) -> tuple[Hidden, ...]:
     visible: dict[tuple[str, int | None], float] = {}
+    accepted = {tried.candidate.key for tried in found.search.accepted}
     for tried in found.result.ranked:
         key = tried.candidate.key
+        if key in accepted:
+            continue
         visible[key] = max(visible.get(key, 0.0), tried.trial.visible)
     return tuple(
         Hidden(name, None if joint is None else robot.joint_names[joint], share)

@@ -22,6 +22,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
+from seqid_cli.discover.event_windows import (
+    OVERLAP,
+    Windows,
+    residual_series,
+    windows_of,
+)
 from seqid_cli.discover.rows import Rows
 from seqid_cli.motion.filtering import runs
 
@@ -30,7 +36,6 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 LENGTHS_S = (0.15, 0.3, 0.6)
-OVERLAP = 4  # windows that cover each moment
 GATE = 5.2
 LOOKED_AT = 3.0  # robust sigmas within its class from which a window is compared with like ones
 MOST_REFERENCES = 3000
@@ -39,7 +44,6 @@ MOST_TIME = 0.05  # share of a log (or LONGEST_S, whichever is more) that events
 LONGEST_S = 2.0  # of one event
 TOUCH_S = 0.1  # between intervals that are one event
 FEW, RARE_S = 3, 10.0  # events that a log may have: this number, or one in so many seconds
-USED = 0.6  # share of a window's samples that must count
 NEIGHBOURS = 24
 APART_S = 1.5  # windows nearer in time are no comparison
 SPEEDS = 4  # classes of speed
@@ -48,7 +52,6 @@ USUAL = 0.95  # share of the windows whose neighbours count as near
 TRUST = 0.75  # of a size from few windows: what they show at least
 ROBUST = 1.4826  # standard deviation per median magnitude, Gaussian
 MOST = 1.645  # magnitude that one in ten exceeds, per standard deviation
-STEEP = 0.1  # of the largest speed: below it directions and reversals are told apart
 
 
 @dataclass(frozen=True)
@@ -60,24 +63,6 @@ class Interval:
     end: float
     joints: tuple[int, ...]
     score: float
-
-
-@dataclass(frozen=True)
-class Windows:
-    """Windows of one length over all scenes.
-
-    `scene`, `centre` (W,) say where; `mean` (W, n) of the scaled residual, NaN where too few
-    samples count; `state` (W, 3n) position, speed and acceleration of each joint, scaled;
-    `reverses` (W, 2n) tells where each joint's velocity and each joint's load change sign.
-    """
-
-    length_s: float
-    scene: Index
-    centre: Array
-    mean: Array
-    state: Array
-    speed: Array
-    reverses: Mask
 
 
 def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) -> list[Interval]:
@@ -99,7 +84,7 @@ def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) ->
     found: list[Interval] = []
     scored = [(windows, scores(windows)) for windows in _all_windows(rows, left_out)]
     for number in range(len(rows.scenes)):
-        found += _of_scene(number, scored, gate)
+        found += events_of_scene(number, scored, gate)
     return found
 
 
@@ -109,6 +94,22 @@ def event_score(rows: Rows, left_out: Sequence[Array]) -> float:
     for windows in _all_windows(rows, left_out):
         top = max(top, float(np.max(combined(scores(windows)), initial=0.0)))
     return top
+
+
+def standing_out(all_windows: Sequence[Windows], *, gate: float = GATE) -> list[Interval]:
+    """Places of one log that stand out against the rest of it, however many there are.
+
+    Parameters
+    ----------
+    all_windows : sequence of Windows
+        Of one log (number 0), by length.
+    gate : float
+        Robust sigmas that a place must reach.
+    """
+    found: list[Interval] = []
+    for windows in all_windows:
+        found += _joined(0, windows, scores(windows), windows.centre, gate)
+    return _merged(found)
 
 
 def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
@@ -128,77 +129,6 @@ def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
 def _all_windows(rows: Rows, left_out: Sequence[Array]) -> list[Windows]:
     series = residual_series(rows, left_out)
     return [windows_of(rows, series, length) for length in LENGTHS_S]
-
-
-def residual_series(rows: Rows, left_out: Sequence[Array]) -> list[Array]:
-    """Scaled residual (M, n) at each scene's kept samples, NaN where a joint does not count."""
-    result = []
-    first = [0] * rows.n
-    for used in rows.used:
-        series = np.full(used.shape, np.nan)
-        for j in range(rows.n):
-            count = int(used[:, j].sum())
-            series[used[:, j], j] = left_out[j][first[j] : first[j] + count]
-            first[j] += count
-        result.append(series)
-    return result
-
-
-def windows_of(rows: Rows, series: Sequence[Array], length_s: float) -> Windows:
-    """Cut all scenes into overlapping windows of one length."""
-    top = np.max([np.max(np.abs(s.motion.dq), axis=0) for s in rows.scenes], axis=0)
-    top = np.maximum(top, 1e-12)
-    scene_of, centre, mean, state, speed, reverses = [], [], [], [], [], []
-    for number, (scene, picked, values) in enumerate(
-        zip(rows.scenes, rows.picked, series, strict=True)
-    ):
-        motion = scene.motion
-        t = motion.t[picked] - motion.t[0]
-        step = float(np.min(np.diff(t), initial=np.inf))
-        begin = np.arange(t[0], t[-1] - length_s + 1e-9, length_s / OVERLAP)
-        low, high = np.searchsorted(t, begin), np.searchsorted(t, begin + length_s)
-        reach = 0.5 / motion.lowpass.cutoff_hz
-        wide = np.searchsorted(t, begin - reach), np.searchsorted(t, begin + length_s + reach)
-        own = [motion.q[picked], np.arcsinh(motion.dq[picked] / (STEEP * top)), motion.ddq[picked]]
-        mean.append(_means(values, low, high, USED * length_s / step))
-        state.append(_means(np.hstack(own), low, high, 1.0))
-        v = motion.dq[picked]
-        speed.append(_means(np.abs(v), low, high, 1.0))
-        turns = np.hstack([_changes(v), _changes(scene.load[picked])])
-        reverses.append(_means(turns, *wide, 1.0) > 0)
-        scene_of.append(np.full(len(begin), number))
-        centre.append(begin + 0.5 * length_s)
-    means = np.concatenate(mean)
-    known = np.isfinite(means).any(axis=1)
-    states = np.concatenate(state)[known]
-    spread = np.std(states, axis=0)
-    return Windows(
-        length_s=length_s,
-        scene=np.concatenate(scene_of)[known],
-        centre=np.concatenate(centre)[known],
-        mean=means[known],
-        state=states / np.where(spread > 0, spread, 1.0),
-        speed=np.concatenate(speed)[known],
-        reverses=np.concatenate(reverses)[known],
-    )
-
-
-def _changes(values: Array) -> Array:
-    """One (M, k) where a column's sign differs from that of the row before, else zero."""
-    sign = np.sign(values)
-    changes: Array = (np.diff(sign, axis=0, prepend=sign[:1]) != 0).astype(float)
-    return changes
-
-
-def _means(values: Array, low: Index, high: Index, fewest: float) -> Array:
-    """Means (W, k) over half-open ranges of the finite values, NaN where fewer than `fewest`."""
-    there = np.isfinite(values)
-    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(np.where(there, values, 0.0), axis=0)])
-    counts = np.vstack([np.zeros(values.shape[1]), np.cumsum(there, axis=0)])
-    count = counts[high] - counts[low]
-    total = sums[high] - sums[low]
-    mean: Array = np.where(count >= max(fewest, 1.0), total / np.maximum(count, 1.0), np.nan)
-    return mean
 
 
 def scores(windows: Windows) -> Array:
@@ -326,7 +256,9 @@ def _robust_size(values: Array) -> float:
     return float(max(ROBUST * median, most / MOST))
 
 
-def _of_scene(number: int, scored: Sequence[tuple[Windows, Array]], gate: float) -> list[Interval]:
+def events_of_scene(
+    number: int, scored: Sequence[tuple[Windows, Array]], gate: float
+) -> list[Interval]:
     """Events of one scene: windows above the gate and what belongs to them, joined.
 
     What fills more than a small share of a log is no event but something that the model lacks.

@@ -37,6 +37,8 @@ MARGIN = 2.0  # over the largest gain on clean data
 # Rows' worth of gain that the luckiest of some hundred candidates has on noise: 2 ln(200), twice
 # that for rows that are correlated, and twice again to be sure.
 CHANCE = 50.0
+MUCH = 0.3  # of the squared residual: an effect that gains it may do so on fewer folds
+STEADY_IF_MUCH = 1.1
 SMOOTH_RUNS = 2  # clean data sets that smooth functions look at, being slow
 EVENT_MARGIN = 1.4
 SMOOTH = ""  # the name under which smooth functions are counted
@@ -74,9 +76,14 @@ class Gates:
         return least * tried.trial.scarcity
 
     def passes(self, tried: Tried) -> bool:
-        """Whether a candidate gains more than clean data show, on the folds alike."""
+        """Whether a candidate gains more than clean data show, on the folds alike.
+
+        Or so much that it matters less how few they are: coefficients of the other folds, where
+        little of it is seen, foretell what quick moves show. A single fold is never enough.
+        """
+        least = LEAST_STEADY if tried.trial.relative < MUCH else STEADY_IF_MUCH
         enough = tried.trial.relative >= self.least_of(tried)
-        return enough and tried.trial.steadiness >= LEAST_STEADY
+        return enough and tried.trial.steadiness >= least
 
 
 def calibrated(

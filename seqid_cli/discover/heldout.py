@@ -6,15 +6,27 @@ share their error, so that single samples would make any gain look certain.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.predict import predict
+from seqid_cli.identify.predict_long import local_effects
+from seqid_cli.identify.prediction import LogPrediction
+from seqid_cli.identify.streaming import LONG, open_if_long, streams
+from seqid_cli.logs.long import likely_rows
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.stored import local_copy
+from seqid_cli.model.effects.fitted import fitted_effects
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
@@ -22,6 +34,7 @@ Array = NDArray[np.float64]
 
 BLOCK_S = 2.0
 FEWEST_BLOCKS = 8  # of a log, however short: an interval needs some
+MOST_BLOCKS = 1000  # of a log that comes in parts
 DRAWS = 2000
 LEVEL = 0.95
 LEAST_GAIN = 0.005  # of the squared error, from which a gain is worth an effect
@@ -75,7 +88,7 @@ class Gain:
 
 
 def held_out_error(
-    recordings: Sequence[Recording],
+    recordings: Iterable[Recording | SurveyedLog],
     robot: Robot,
     stages: Stages,
     *,
@@ -83,21 +96,92 @@ def held_out_error(
     unexplained: bool = False,
 ) -> HeldOutError:
     """Predict logs and add up the squared errors, block by block."""
-    parts: list[list[Array]] = [[], [], [], []]
-    for log in predict(recordings, robot, stages, options=options, unexplained=unexplained):
-        count = max(FEWEST_BLOCKS, round(float(log.t[-1] - log.t[0]) / BLOCK_S))
-        block = np.minimum(np.arange(log.samples) * count // log.samples, count - 1)
+    sums: list[_Sums] = []
+    logs = cast("Iterable[Recording]", recordings)  # those that are passed over are predicted alike
+    for log in predict(logs, robot, stages, options=options, unexplained=unexplained):
+        if log.part == 0:
+            sums.append(_Sums.of(log))
+        sums[-1].add(log)
+    return HeldOutError(*(np.vstack([own.sums[k] for own in sums]) for k in range(4)))
+
+
+@dataclass
+class _Sums:
+    """Sums over the blocks of one log, whose samples come in parts."""
+
+    sums: list[Array]  # (B, n), in the order of HeldOutError
+    samples: int
+    seen: int = 0
+
+    @classmethod
+    def of(cls, first: LogPrediction) -> _Sums:
+        length = float(first.t[-1] - first.t[0])
+        if first.last:
+            count = max(FEWEST_BLOCKS, round(length / BLOCK_S))
+        else:  # blocks of a log that is too long to be held are as many as draws bear
+            length *= first.samples / len(first.t)
+            count = min(max(FEWEST_BLOCKS, round(length / BLOCK_S)), MOST_BLOCKS)
+        n = first.tau.shape[1]
+        return cls([np.zeros((count, n)) for _ in range(4)], first.samples)
+
+    def add(self, log: LogPrediction) -> None:
+        """Add the next samples."""
+        count = len(self.sums[0])
+        at = np.arange(self.seen, self.seen + len(log.t))
+        self.seen += len(log.t)
+        block = np.minimum(at * count // self.samples, count - 1)
         square = (log.tau - log.predicted) ** 2
         used = np.repeat(log.used[:, None], square.shape[1], axis=1)
-        for part, counts in zip((0, 2), (used, used & log.sliding), strict=True):
-            parts[part].append(_by_block(block, count, np.where(counts, square, 0.0)))
-            parts[part + 1].append(_by_block(block, count, counts.astype(np.float64)))
-    return HeldOutError(*(np.vstack(part) for part in parts))
+        for k, counts in zip((0, 2), (used, used & log.sliding), strict=True):
+            self.sums[k] += _by_block(block, count, np.where(counts, square, 0.0))
+            self.sums[k + 1] += _by_block(block, count, counts.astype(np.float64))
 
 
 def _by_block(block: NDArray[np.intp], count: int, values: Array) -> Array:
     columns = [np.bincount(block, weights=v, minlength=count) for v in values.T]
     return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class WholeLogs:
+    """Held-out logs that are too long to be held, whole, to be passed over."""
+
+    paths: tuple[Path, ...]
+    robot: Robot
+    time_source: TimeSource = "header"
+
+    def error(
+        self, stages: Stages, *, options: InertiaOptions, unexplained: bool = False
+    ) -> HeldOutError | None:
+        """Error of a model on all samples; None where it cannot be predicted part by part.
+
+        Raises
+        ------
+        InputError
+            A log can no longer be read.
+        """
+        model = TorqueModel.from_stages(stages, self.robot)
+        effects = fitted_effects(stages, self.robot, unexplained=unexplained)
+        if not (streams(stages, options) and local_effects(model, effects)):
+            return None
+        found: HeldOutError | None = None
+        for path in self.paths:
+            with local_copy(path) as file:
+                log = self._opened(Path(file))
+                if log is None:
+                    return None
+                own = held_out_error(
+                    [log], self.robot, stages, options=options, unexplained=unexplained
+                )
+            found = own if found is None else found.beside(own)
+        return found
+
+    def _opened(self, file: Path) -> Recording | SurveyedLog | None:
+        """A log to be passed over, or a short one; None for a long one that must be held."""
+        least = likely_rows(file)
+        if least < LONG:
+            return read_recording(file, self.robot, time_source=self.time_source) if least else None
+        return open_if_long(file, self.robot, time_source=self.time_source, least=1)
 
 
 def gain(

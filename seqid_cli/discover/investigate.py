@@ -26,11 +26,12 @@ from seqid_cli.discover.dependence import Dependence, dependence
 from seqid_cli.discover.events import Interval, event_masks, find_events
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.gates import SMOOTH, Gates, calibrated
+from seqid_cli.discover.greedy import searched
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.relinearise import moved, relinearised
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.search import Search, searched
+from seqid_cli.discover.search import Search
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages

@@ -21,7 +21,13 @@ from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Tried
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.floor import noise_floor
-from seqid_cli.discover.heldout import LEAST_GAIN, HeldOutError, gain, held_out_error
+from seqid_cli.discover.heldout import (
+    LEAST_GAIN,
+    HeldOutError,
+    WholeLogs,
+    gain,
+    held_out_error,
+)
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.options import DiscoverOptions
@@ -54,6 +60,7 @@ def refine(
     *,
     earlier: Mapping[str, Sequence[Recording]],
     options: DiscoverOptions,
+    whole: WholeLogs | None = None,
 ) -> tuple[Stages, ClosedLoop]:
     """Add effects to a model and prove each on held-out logs.
 
@@ -69,6 +76,9 @@ def refine(
     earlier : mapping of stage name to recordings
         Logs that the file's stages were identified from, where they are at hand.
     options : DiscoverOptions
+    whole : WholeLogs, optional
+        The held-out logs as they are, where `held_out` are pieces of them: effects are judged on
+        the pieces, the errors before and after are of the logs.
 
     Returns
     -------
@@ -94,7 +104,25 @@ def refine(
     withdraw_idle(loop, error)
     if options.with_unexplained:
         _add_smooth(loop)
-    return with_effects(loop.model, robot), _closed(loop, error, (*notes, *more))
+    stages = with_effects(loop.model, robot)
+    before, after, said = _reported(loop, error, file.stages, stages, whole)
+    return stages, _closed(loop, before, after, (*notes, *more, *said))
+
+
+def _reported(
+    loop: Loop, error: HeldOutError, came: Stages, left: Stages, whole: WholeLogs | None
+) -> tuple[HeldOutError, HeldOutError, tuple[str, ...]]:
+    """Errors before and after: of the held-out logs as a whole, where they can be had."""
+    if whole is None:
+        return error, loop.error, ()
+    motion = loop.material.options.motion
+    after = whole.error(left, options=motion, unexplained=True)
+    before = None if after is None else whole.error(came, options=motion)
+    if after is None or before is None:
+        said = "the errors before and after are of the pieces of the held-out logs, too"
+        return error, loop.error, (said,)
+    said = "effects were judged on these pieces; the errors before and after are of the whole logs"
+    return before, after, (said,)
 
 
 def _had(loop: Loop, candidate: Candidate) -> bool:
@@ -260,14 +288,16 @@ def _add_smooth(loop: Loop) -> None:
             loop.model, loop.error = model, error
 
 
-def _closed(loop: Loop, before: HeldOutError, notes: tuple[str, ...]) -> ClosedLoop:
+def _closed(
+    loop: Loop, before: HeldOutError, after: HeldOutError, notes: tuple[str, ...]
+) -> ClosedLoop:
     robot = loop.material.robot
-    old, new = before.rmse(), loop.error.rmse()
+    old, new = before.rmse(), after.rmse()
     # What was measured bounds the noise in it.
     floor = np.fmin(_floor(loop), new)
     judged = [j for j in range(robot.n) if np.isfinite(old[j]) and np.isfinite(new[j])]
     names = {j: robot.joint_names[j] for j in judged}
-    changes = {names[j]: gain(before, loop.error, [j], loop.rng) for j in judged}
+    changes = {names[j]: gain(before, after, [j], loop.rng) for j in judged}
     lost = [f"{name} ({-100 * g.value:.1f} %)" for name, g in changes.items() if g.loses]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
     return ClosedLoop(
@@ -276,7 +306,7 @@ def _closed(loop: Loop, before: HeldOutError, notes: tuple[str, ...]) -> ClosedL
         after={names[j]: float(new[j]) for j in judged},
         noise_floor={names[j]: float(floor[j]) for j in judged},
         gain_interval={name: (g.low, g.high) for name, g in changes.items()},
-        evaluated_on=tuple(str(log.path) for log in loop.held_out),
+        evaluated_on=tuple(dict.fromkeys(str(log.path) for log in loop.held_out)),
         notes=(*notes, *((said,) if lost else ())),
     )
 

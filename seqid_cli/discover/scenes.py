@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.pieces import whole_of
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.scene import (
     LONGEST_SESSION_S,
@@ -92,13 +93,20 @@ def thinned(full: Scene) -> Scene:
 def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
     """Seconds from the earliest log's start to each log's, and whether the logs tell them.
 
-    Logs whose own clocks all begin at zero, or lie years apart, tell nothing of it.
+    Logs whose own clocks all begin at zero, or lie years apart, tell nothing of it. Of pieces it is
+    the logs that are asked, and a piece knows at any rate where in its log it begins.
     """
-    starts = np.array([recording.start for recording in recordings])
-    lengths = np.array([float(recording.t[-1]) for recording in recordings])
-    order = np.argsort(starts, kind="stable")
-    apart = np.all(np.diff(starts[order]) >= 0.5 * lengths[order][:-1])
-    shared = bool(apart and np.ptp(starts) < LONGEST_SESSION_S)
+    wholes = [whole_of(recording) for recording in recordings]
+    # Two logs may have the same content; pieces of one log are one.
+    pairs = zip(recordings, wholes, strict=True)
+    names = [w.sha256 if r.whole else i for i, (r, w) in enumerate(pairs)]
+    logs = dict(zip(names, wholes, strict=True))
+    begun = np.array([whole.start for whole in logs.values()])
+    lengths = np.array([whole.length for whole in logs.values()])
+    order = np.argsort(begun, kind="stable")
+    apart = np.all(np.diff(begun[order]) >= 0.5 * lengths[order][:-1])
+    shared = bool(apart and np.ptp(begun) < LONGEST_SESSION_S)
     if not shared:
-        return [0.0] * len(starts), False
+        return [recording.offset for recording in recordings], False
+    starts = np.array([recording.start for recording in recordings])
     return [float(x) for x in starts - starts.min()], True

@@ -36,7 +36,6 @@ FEW_TERMS = 4  # of a joint's friction: Coulomb, viscous, offset
 BETTER_HELD = 0.02  # of the squared residual left out, that holding the base must be worth
 OWN_OFFSET = 0.75  # of a sample period: time offset that every drive has, and no effect
 REFINED = 6  # candidates whose settings are searched
-TIE = 0.02  # of the gain, that one more parameter must be worth
 ROUNDS_OF_WEIGHTS = 3
 LEAST_VISIBLE = 0.02
 BY_CHANCE = 1e-3  # that any joint's slow effect is slow noise: not believed from there on
@@ -135,7 +134,7 @@ class Search:
         shifted = {j for t in self.accepted if t.candidate.effect.timing for j in t.columns}
         self.timed = tuple(
             abs(d) <= self._own_offset and j not in shifted
-            for j, d in enumerate(self._offsets(system))
+            for j, d in enumerate(self.offsets(system))
         )
         self.noise = self._left(self.system())
 
@@ -147,7 +146,8 @@ class Search:
         left = [np.sqrt(np.mean(r**2)) if len(r) else 1.0 for r in system.residual()]
         return np.maximum(left, 1e-12)
 
-    def _offsets(self, system: System) -> list[float]:
+    def offsets(self, system: System) -> list[float]:
+        """Time [s] by which each joint's torque is early against its position."""
         first = 1 + self.stage.rows.n
         return [float(system.theta[w][0]) for w in system.where[first : first + self.stage.rows.n]]
 
@@ -239,16 +239,19 @@ class Search:
         system: System,
         refine: int = REFINED,
         near: Collection[int] | None = None,
+        *,
+        doubtful: bool = False,
     ) -> list[Tried]:
         """The best setting of every effect at every joint, the largest gain first.
 
         The settings of the first `refine` are searched between the grid's values. With `near`,
-        effects of other joints than these are left out.
+        effects of other joints than these are left out; with `doubtful`, slow effects that slow
+        noise may have given by chance are not.
         """
         residual = self.residual(system)
         candidates = list(candidates_of(self.stage.scenes, effects, residual, near))
         believed = self._believed(self.stage.try_all(system, candidates))
-        best = [t for t in best_of_each(believed) if self._lasts(t, system)]
+        best = [t for t in best_of_each(believed) if doubtful or self._lasts(t, system)]
         head = [self._refined(system, shapes(t, believed)) for t in best[:refine]]
         return sorted([*head, *best[refine:]], key=_order)
 
@@ -373,46 +376,3 @@ def best_of_each(tried: Sequence[Tried]) -> list[Tried]:
 
 def _order(tried: Tried) -> float:
     return -tried.trial.total
-
-
-def simplest(ranked: Sequence[Tried]) -> Tried:
-    """The leader, or a candidate of fewer parameters that does as well."""
-    leader = ranked[0]
-    for other in ranked[1:]:
-        fewer = leader.candidate.freedom - other.candidate.freedom
-        if fewer > 0 and other.trial.total >= (1 - TIE * fewer) * leader.trial.total:
-            leader = other
-    return leader
-
-
-def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -> list[Tried]:
-    """Add effects while the best one passes the gate; returns the last ranking.
-
-    Parameters
-    ----------
-    search : Search
-        Grows by what is accepted.
-    effects : sequence of Effect
-    gate : callable
-        Whether a candidate's gain is more than clean data show.
-    most : int
-        Largest number of effects.
-    """
-    tried_already: set[tuple[str, int | None]] = set()
-    while True:
-        ranked = search.ranked(effects, search.system())
-        passing = [
-            t
-            for t in ranked
-            if gate(t) and not search.is_shape(t) and t.candidate.key not in tried_already
-        ]
-        if not passing or len(search.accepted) >= most:
-            return ranked
-        chosen, before = simplest(passing), len(search.accepted)
-        search.add(chosen)
-        if len(search.accepted) > 1:
-            search.polish()
-            search.prune(gate)
-        # What was taken back does not come again; other lines of a ripple do, while they stay.
-        if not chosen.candidate.effect.wide or len(search.accepted) <= before:
-            tried_already.add(chosen.candidate.key)

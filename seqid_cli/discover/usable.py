@@ -15,6 +15,8 @@ def usable_logs(
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """Leave out logs whose torque is an echo of the command (see `logs.echo`).
 
+    A log that comes in pieces is one if half of these are.
+
     Parameters
     ----------
     recordings : iterable of Recording
@@ -30,18 +32,23 @@ def usable_logs(
     InputError
         If nothing is left.
     """
+    logs: dict[object, list[Recording]] = {}
+    for number, recording in enumerate(recordings):
+        # Two logs may have the same content; pieces of one log are one.
+        key = number if recording.whole is None else (recording.path, recording.whole)
+        logs.setdefault(key, []).append(recording)
     kept: list[Recording] = []
     left_out: list[tuple[str, str]] = []
-    for recording in recordings:
-        joints = _echoed(recording, robot)
-        if joints:
-            left_out.append((str(recording.path), joints))
+    for pieces in logs.values():
+        joints = [found for piece in pieces if (found := _echoed(piece, robot))]
+        if 2 * len(joints) >= len(pieces) and joints:
+            left_out.append((str(pieces[0].path), joints[0]))
         else:
-            kept.append(recording)
+            kept += pieces
     if left_out and not kept:
-        path, joints = left_out[0]
+        path, first = left_out[0]
         others = f" (and {len(left_out) - 1} more logs)" if len(left_out) > 1 else ""
-        raise InputError(f"joint {joints}: {WARNING}{others}", where=path, hint=REMEDY)
+        raise InputError(f"joint {first}: {WARNING}{others}", where=path, hint=REMEDY)
     return kept, tuple(f"{p} is left out: joint {j}: {WARNING}; {REMEDY}" for p, j in left_out)
 
 

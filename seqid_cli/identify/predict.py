@@ -12,7 +12,7 @@ from seqid_cli.identify.inertia import slowest_speeds
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.parts import mapped
-from seqid_cli.identify.predict_long import LongPrediction
+from seqid_cli.identify.predict_long import LongPrediction, local_effects
 from seqid_cli.identify.prediction import LogPrediction, notes_on
 from seqid_cli.identify.streaming import open_if_long, streams
 from seqid_cli.logs.raw import TimeSource
@@ -84,7 +84,7 @@ class _PredictionOf:
 
     def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
         """Open a log that is better passed over than read; None for others."""
-        if self.effects or not streams(self.stages, self.options):
+        if not (streams(self.stages, self.options) and local_effects(self.model, self.effects)):
             return None
         return open_if_long(path, robot, time_source=time_source)
 
@@ -94,7 +94,8 @@ class _PredictionOf:
         """Predict it."""
         del number
         if isinstance(recording, SurveyedLog):
-            return LongPrediction.of(recording, self.model, self.stages, self.options)
+            options, effects = self.options, tuple(self.effects)
+            return LongPrediction.of(recording, self.model, self.stages, options, effects)
         known = (self.robot, self.stages, self.model, self.effects, self.options)
         return _predict_log(recording, *known)
 
@@ -132,6 +133,7 @@ def _predict_log(
         notes=tuple(notes_on(model.surfaces, robot, stages, share)),
         q=motion.q,
         dq=motion.dq,
+        ddq=motion.ddq,
         motion=motion_use(recording.path, robot, motion),
         start=recording.start,
     )

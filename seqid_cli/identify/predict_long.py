@@ -8,7 +8,7 @@ so that the parts together are what the log as a whole gives.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,11 @@ from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction import LogPrediction, notes_on
 from seqid_cli.identify.streaming import chosen_cutoff, overlapping, too_short
+from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.stored import local_copy
-from seqid_cli.model.torque import TorqueModel, sliding
+from seqid_cli.model.effects.apply import added_torque, scene_of_log
+from seqid_cli.model.effects.fitted import Fitted
+from seqid_cli.model.torque import Added, TorqueModel, sliding
 from seqid_cli.motion.blocks import Plan, make_plan, motion_blocks, part_of
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.survey import SurveyedLog
@@ -31,6 +34,15 @@ from seqid_cli.params.schema import Stages
 Array = NDArray[np.float64]
 
 ROWS = 32_768  # samples of a part, and twice the margin at least
+
+
+def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
+    """Whether effects can be predicted part by part, as they come out of the whole log.
+
+    The speed over which the direction of motion changes must be known beforehand as well.
+    """
+    known = all(surface is not None for surface in model.surfaces)
+    return not effects or (known and all(effect.local for effect in effects))
 
 
 @dataclass(frozen=True)
@@ -42,15 +54,21 @@ class LongPrediction:
     plan: Plan
     model: TorqueModel
     stages: Stages
+    effects: tuple[Fitted, ...] = ()
 
     @classmethod
     def of(
-        cls, log: SurveyedLog, model: TorqueModel, stages: Stages, options: InertiaOptions
+        cls,
+        log: SurveyedLog,
+        model: TorqueModel,
+        stages: Stages,
+        options: InertiaOptions,
+        effects: Sequence[Fitted] = (),
     ) -> LongPrediction:
-        """Choose how the log is filtered."""
+        """Choose how the log is filtered; the effects must be `local_effects`."""
         cutoff, step = chosen_cutoff(log, model.robot, options.motion)
         plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
-        return cls(replace(log, survey=None), log.sha256, plan, model, stages)
+        return cls(replace(log, survey=None), log.sha256, plan, model, stages, tuple(effects))
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the temporary file, which is of this process."""
@@ -100,7 +118,8 @@ class LongPrediction:
     ) -> tuple[LogPrediction, NDArray[np.bool_]]:
         """Predict samples [start, stop) of the motion; returns also which are outside friction."""
         slides = sliding(motion, slowest)
-        predicted = self.model.predict_set(motion, slides)
+        added = self._added(motion, slowest) if self.effects else None
+        predicted = self.model.predict_set(motion, slides, added)
         inner = slice(start, stop)
         own = part_of(motion, start, stop)
         assert own.tau is not None
@@ -116,9 +135,25 @@ class LongPrediction:
             sliding=slides[inner],
             q=own.q,
             dq=own.dq,
+            ddq=own.ddq,
             start=self.log.start_ns * 1e-9,
         )
         return found, self.model.outside(own) & slides[inner]
+
+    def _added(self, motion: Motion, slowest: Array) -> Added:
+        """What effects add to samples whose margins are long enough for them."""
+        part = Recording(
+            path=self.log.path,
+            sha256=self.sha256,
+            format=self.log.format,
+            t=motion.t,
+            q=motion.q,
+            valid=motion.valid,
+            health=Health(self.log.rate_hz, self.log.jitter),
+            start=self.log.start_ns * 1e-9,
+        )
+        scene = scene_of_log(part, self.model.robot, self.model, motion)
+        return added_torque(scene, part, self.effects, slowest)
 
     def _told(
         self, part: LogPrediction, motion: Motion, moving: NDArray[np.bool_], share: Array

@@ -25,8 +25,8 @@ class LogPrediction:
 
     `used` (N,) marks the samples that count, away from ends and gaps; `sliding` (N, n) those at
     which a joint certainly slides. Elsewhere friction is known only as an interval, and
-    `predicted` is the value of it that lies nearest to the measured torque. `q`, `dq` (N, n) are
-    the joint positions and velocities behind the prediction, `start` [s] is the first sample of
+    `predicted` is the value of it that lies nearest to the measured torque. `q`, `dq`, `ddq`
+    (N, n) are the joint motion behind the prediction, `start` [s] is the first sample of
     the log on its own clock.
 
     A long log comes in several parts, one behind the other: `samples` are those of the whole log,
@@ -45,6 +45,7 @@ class LogPrediction:
     notes: tuple[str, ...] = ()
     q: Array | None = None
     dq: Array | None = None
+    ddq: Array | None = None
     motion: MotionUse | None = None
     start: float = 0.0
     part: int = 0

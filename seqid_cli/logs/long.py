@@ -155,21 +155,32 @@ def rows_at_least(path: Path, least: int) -> bool:
     InputError
         The file cannot be read.
     """
+    return likely_rows(path) >= least
+
+
+def likely_rows(path: Path) -> int:
+    """Rows that a log is likely to hold, without reading it; 0 where the format does not tell.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
     kind, path = check_log(Path(path)), storage_file(Path(path))
     try:
         if kind == "parquet":
             with pq.ParquetFile(path) as file:
-                return int(file.metadata.num_rows) >= least
+                return int(file.metadata.num_rows)
         if kind == "mcap":
             size = path.stat().st_size
             with path.open("rb") as opened:
                 messages = read_summary(opened, size).messages
-            return (size // BYTES_PER_ROW if messages is None else messages) >= least
+            return size // BYTES_PER_ROW if messages is None else messages
     except ARROW_ERRORS as error:
         raise parquet.damaged(path, error) from error
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return False
+    return 0
 
 
 def open_long(

@@ -28,8 +28,17 @@ class Health:
 
 
 @dataclass(frozen=True)
+class Whole:
+    """The log that a recording is a piece of: its digest, start [s, its own clock], length [s]."""
+
+    sha256: str
+    start: float
+    length: float
+
+
+@dataclass(frozen=True)
 class Recording:
-    """One log on one uniform time base.
+    """One log, or a piece of one, on one uniform time base.
 
     Channels that the log lacks are None; `valid` is False where values were bridged over a gap.
     `accelerometers[name]` is (N, K) m/s^2, one column per accelerometer of the robot file;
@@ -50,11 +59,17 @@ class Recording:
     gyros: dict[str, Array] = field(default_factory=dict)
     start: float = 0.0  # s, the first sample on the log's own clock
     partial: str = ""  # what was lost, where the log was salvaged
+    whole: Whole | None = None  # the log, where this is a piece of it
 
     @property
     def rate_hz(self) -> float:
         """Samples per second."""
         return self.health.rate_hz
+
+    @property
+    def offset(self) -> float:
+        """Seconds from the log's first sample to this recording's."""
+        return 0.0 if self.whole is None else self.start - self.whole.start
 
 
 def torque_of(recording: Recording) -> Array:

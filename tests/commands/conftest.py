@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.__main__ import main
+from seqid_cli.discover.gather import Gathered
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
@@ -104,6 +105,17 @@ def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
     module.read_recordings = fake.read_recordings  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "seqid_cli.logs.read", module)
     return fake
+
+
+@pytest.fixture
+def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold all logs: those of the fake reader are no files that could be passed over."""
+
+    def gather(recordings: Iterable[Recording], *_: object, **__: object) -> Gathered:
+        return Gathered(tuple(recordings))
+
+    monkeypatch.setattr("seqid_cli.discover.gather.gather", gather)
+    monkeypatch.setattr("seqid_cli.discover.gather.values_of", lambda *_: 0)
 
 
 @pytest.fixture

@@ -98,7 +98,9 @@ class Library:
         stages: Stages,
         *,
         options: DiscoverOptions,
+        aside: Iterable[Recording],
     ) -> Diagnosis:
+        assert not list(aside)
         self.calls.append((len(list(recordings)), robot, stages, options))
         if isinstance(self.result, Exception):
             raise self.result
@@ -106,7 +108,7 @@ class Library:
 
 
 @pytest.fixture
-def library(rig: Rig, reader: Reader, monkeypatch: pytest.MonkeyPatch) -> Library:
+def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
     module = ModuleType("seqid_cli.discover.diagnose")
     module.diagnose = fake.diagnose  # type: ignore[attr-defined]

@@ -14,6 +14,7 @@ import jsonschema
 import pytest
 
 from seqid_cli.commands.log_sets import find_earlier, held_out_logs
+from seqid_cli.discover.heldout import WholeLogs
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.errors import InputError, UsageError
@@ -85,7 +86,9 @@ class Library:
         *,
         earlier: Mapping[str, Sequence[Recording]],
         options: DiscoverOptions,
+        whole: WholeLogs | None,
     ) -> tuple[Stages, ClosedLoop]:
+        assert whole is None
         self.training = [str(log.path) for log in training]
         self.held_out = [str(log.path) for log in held_out]
         self.earlier = {stage: [str(log.path) for log in logs] for stage, logs in earlier.items()}
@@ -107,7 +110,7 @@ def replace_effects(stages: Stages, effects: list[EffectOfJoint] | None) -> Stag
 
 
 @pytest.fixture
-def library(rig: Rig, reader: Reader, monkeypatch: pytest.MonkeyPatch) -> Library:
+def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
     module = ModuleType("seqid_cli.discover.refine")
     module.refine = fake.refine  # type: ignore[attr-defined]

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnose import described, diagnose
+from seqid_cli.discover.investigate import Searched, investigate
+from seqid_cli.discover.loud import expected, loud_joints
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
 from seqid_cli.errors import InputError
@@ -23,6 +27,8 @@ from tests.plants.laws import Extra, Stribeck
 from tests.plants.trials import run_drill
 from tests.study.identified import simultaneous
 from tests.study.lab import recording_of, robot_of
+
+Array = NDArray[np.float64]
 
 OPTIONS = DiscoverOptions(clean_runs=1)
 SECONDS = 11.0
@@ -187,3 +193,85 @@ def test_a_log_without_torque() -> None:
     bare = replace(honest.logs[0], tau=None)
     with pytest.raises(InputError, match="neither joint torque nor motor current"):
         diagnose([bare], honest.robot, honest.stages, options=OPTIONS)
+
+
+@lru_cache(maxsize=1)
+def biased_short() -> Diagnosis:
+    """A constant torque in logs of 18 s together: too short to see whether it lasts."""
+    logs = given(("torque_bias", 0, 1.0))
+    few = tuple(part(log, 2.0, 8.0) for log in logs.logs[:3])
+    return Given(few, logs.robot, simultaneous(few, logs.robot)).diagnosed()
+
+
+def part(log: Recording, start: float, end: float, every: int = 1) -> Recording:
+    """A stretch of a log, of every so many samples."""
+    at = slice(round(start * log.rate_hz), round(end * log.rate_hz), every)
+    assert log.tau is not None
+    return replace(
+        log,
+        t=log.t[at] - log.t[at][0],
+        q=log.q[at],
+        tau=log.tau[at],
+        valid=log.valid[at],
+        start=log.start + start,
+        health=replace(log.health, rate_hz=log.rate_hz / every),
+        temperature=None,
+    )
+
+
+def test_a_bias_in_short_logs_is_named_before_what_has_more_parameters() -> None:
+    first = biased_short().findings[0]
+    assert (first.effect, first.joint) == ("torque_bias", "shoulder")
+    assert "asymmetric_friction" in first.confusable_with
+    assert first.name_confidence < 0.8 < first.confidence
+
+
+def test_what_is_found_is_not_said_to_be_hidden() -> None:
+    for found in (humped_diagnosis(), biased_short()):
+        names = {(f.effect, f.joint) for f in found.findings}
+        assert found.hidden
+        assert not names & {(h.effect, h.joint) for h in found.hidden}
+
+
+def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
+    logs = given()
+    slow = tuple(part(log, 0.0, SECONDS, every=5) for log in logs.logs)
+    late = tuple(
+        replace(log, tau=np.column_stack([log.tau[:, 0], delayed(log.tau[:, 1], 0.4)]))
+        for log in slow
+        if log.tau is not None
+    )
+    stages = simultaneous(slow, logs.robot)
+    assert Given(slow, logs.robot, stages).diagnosed().notes == ()
+    (note,) = Given(late, logs.robot, stages).diagnosed().notes
+    told = re.search(r"joint elbow: torque is (\S+) ms late", note)
+    assert told is not None
+    assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
+
+
+def delayed(x: Array, samples: float) -> Array:
+    """A signal as it was a part of a sample earlier."""
+    at = np.arange(len(x), dtype=np.float64)
+    return np.interp(at - samples, at, x)
+
+
+def test_what_noise_does_not_account_for_is_never_nothing() -> None:
+    """A hump that no effect is allowed to explain."""
+    logs = humped()
+    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    (tried,) = found.search.accepted
+    assert loud_joints(found) == ()
+    bare = replace(found, result=Searched(found.search.without(tried), ()), dependences=())
+    said = described(bare, logs.robot)
+    assert said.verdict == "unexplained"
+    assert said.unexplained[0].joint == "elbow"
+    assert said.unexplained[0].depends_on
+    (note,) = said.notes
+    assert "elbow" in note
+    assert "account for" in note
+
+
+def test_clean_logs_are_as_loud_as_expected() -> None:
+    logs = clean()
+    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    np.testing.assert_allclose(found.search.rms() / expected(found), 1.2, atol=0.4)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.discover.event_windows import residual_series
 from seqid_cli.discover.events import (
     Interval,
     combined,
@@ -15,7 +16,6 @@ from seqid_cli.discover.events import (
     event_score,
     find_events,
     gaussian,
-    residual_series,
 )
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene

@@ -71,6 +71,16 @@ def test_a_gain_of_a_single_fold_does_not_pass() -> None:
     assert Gates().passes(tried(0.5, two))
 
 
+def test_a_large_gain_may_come_from_few_folds() -> None:
+    """Of an elastic joint little is seen but in quick moves."""
+    uneven = np.full(FOLDS, 0.1)
+    uneven[3] = 8.0
+    large = tried(0.6, uneven)
+    assert 1.1 < large.trial.steadiness < LEAST_STEADY
+    assert Gates().passes(large)
+    assert not Gates().passes(tried(0.25, uneven))
+
+
 def test_a_gain_that_few_folds_share_must_be_larger() -> None:
     few = np.zeros(FOLDS)
     few[[2, 7]] = 5.0

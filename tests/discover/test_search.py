@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.gates import Gates
-from seqid_cli.discover.search import Search, best_of_each, searched, simplest
+from seqid_cli.discover.greedy import searched, simplest
+from seqid_cli.discover.search import Search, best_of_each
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.errors import InputError
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, Whole
 from tests.discover.drawn_logs import recording, wander
 from tests.model.effects.scenes import two_joint_robot
 
@@ -53,3 +53,15 @@ def test_nothing_left_is_an_error() -> None:
 def test_logs_without_torque_are_not_judged() -> None:
     bare = replace(log("bare", 0, coulomb=0.0), tau=None)
     assert usable_logs([bare], ROBOT) == ([bare], ())
+
+
+def test_pieces_stay_together() -> None:
+    whole = Whole("1" * 64, 0.0, 80.0)
+    good = [replace(log("one", k, coulomb=0.8), whole=whole) for k in range(2)]
+    odd = replace(log("one", 2, coulomb=0.0), whole=whole)
+    assert usable_logs([*good, odd], ROBOT) == ([*good, odd], ())
+    other = Whole("2" * 64, 0.0, 80.0)
+    echo = [replace(log("two", k, coulomb=0.0), whole=other) for k in range(3)]
+    kept, notes = usable_logs([*good, *echo], ROBOT)
+    assert kept == good
+    assert [note.split()[0] for note in notes] == ["two"]

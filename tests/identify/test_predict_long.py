@@ -11,17 +11,22 @@ import pytest
 from seqid_cli.identify import predict_long
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.predict import LogPrediction, predict
-from seqid_cli.identify.predict_long import LongPrediction
+from seqid_cli.identify.predict_long import LongPrediction, local_effects
 from seqid_cli.logs.read import read_recording
+from seqid_cli.model.effects.apply import scene_of_log
+from seqid_cli.model.effects.fitted import FittedEffect, as_stage
+from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion import blocks
+from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.survey import open_surveyed
-from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.params.schema import EffectSession, RigidStage, Stages
 from seqid_cli.robot.base import standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.bench.arm import known_friction, write_arm, write_log
+from tests.model.effects.scenes import settings_of
 
 ROWS = 40_000
 
@@ -96,6 +101,69 @@ def test_the_parts_are_the_held_log(
     parts = list(long_of(path, robot, stages, options).parts())
     assert len(parts) >= 3
     assert_same(parts, held_of(path, robot, stages, options))
+
+
+@pytest.fixture(scope="module")
+def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
+    """Every effect of the catalogue that can be told part by part, each of some N m."""
+    recording = read_recording(folder / "log.parquet", robot)
+    model = TorqueModel.from_stages(stages, robot)
+    motion = estimate_motion(recording, robot, MotionOptions())
+    scene = scene_of_log(recording, robot, model, motion)
+    found = []
+    for effect in CATALOGUE.values():
+        joint = None if effect.arm else 1
+        grid = settings_of(effect, [scene], joint)
+        for settings in grid[:1] if effect.name != "external_contact" else []:
+            columns = effect.columns(scene, joint, settings)
+            size = max(float(np.sqrt(np.mean(X**2))) for X in columns.values())
+            count = len(effect.coefficients(settings))
+            # What shifts torque in time takes its derivative, and that of rounding errors.
+            wanted = 0.1 if effect.timing else 2.0
+            values = np.full(count, wanted / max(size, 1e-9))
+            session = EffectSession(logs=[recording.sha256], starts=[0.0], origin=recording.start)
+            fitted = FittedEffect(effect, joint, settings, values, np.eye(count), session)
+            if fitted.local:
+                found.append(fitted)
+    return found
+
+
+def test_effects_are_told_part_by_part(
+    folder: Path, robot: Robot, stages: Stages, all_local: list[FittedEffect]
+) -> None:
+    path, options = folder / "log.parquet", InertiaOptions(source="encoder")
+    assert len(all_local) >= 18
+    whole = Stages(
+        friction=stages.friction,
+        inertia=stages.inertia,
+        effects=[as_stage(x, robot) for x in all_local],
+    )
+    log = open_surveyed(path, robot)
+    assert log is not None
+    (*_, last) = parts = list(predict([log], robot, whole, options=options))  # type: ignore[list-item]
+    assert last.part > 1
+    held = held_of(path, robot, whole, options)
+    assert_same(parts, held)
+    bare = held_of(path, robot, stages, options)
+    assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
+
+
+def test_effects_that_remember_are_held(
+    robot: Robot, stages: Stages, all_local: list[FittedEffect]
+) -> None:
+    model = TorqueModel.from_stages(stages, robot)
+    assert local_effects(model, all_local)
+    names = {x.effect.name for x in all_local}
+    assert not names & {"backlash", "presliding_hysteresis"}
+    (first, *_) = all_local
+    backlash = FittedEffect(
+        CATALOGUE["backlash"], 1, {"trial_gap": 1e-3}, np.ones(1), np.eye(1), first.session
+    )
+    assert not local_effects(model, [*all_local, backlash])
+    warm = {"warm_up_time": 60.0, "reference_temperature": 20.0}
+    for logged in (0.0, 1.0):
+        thermal = CATALOGUE["thermal_friction"]
+        assert thermal.local({**warm, "logged": logged}) == (logged == 0.0)
 
 
 def test_it_can_be_sent_elsewhere(folder: Path, robot: Robot, stages: Stages) -> None:

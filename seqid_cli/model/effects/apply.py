@@ -64,6 +64,7 @@ def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion:
         motion=motion,
         model=model,
         sign_width=sign_widths(model, np.max(np.abs(motion.dq), axis=0)),
+        start=recording.offset,
         period=1.0 / recording.rate_hz,
         temperature=temperature_at(recording, motion),
     )
@@ -73,18 +74,25 @@ def placed(scene: Scene, recording: Recording, session: EffectSession | None) ->
     """Return the scene as a session counts it: number, start, clock."""
     if session is None:
         return scene
-    if recording.sha256 in session.logs:
-        number = session.logs.index(recording.sha256)
+    known = next((x for x in _names(recording) if x in session.logs), None)
+    if known is not None:
+        number = session.logs.index(known)
+        within = 0.0 if known == recording.sha256 else recording.offset
         if not session.starts:
-            return replace(scene, log=number, start=0.0, shared_clock=False)
-        return replace(scene, log=number, start=session.starts[number], shared_clock=True)
+            return replace(scene, log=number, start=recording.offset, shared_clock=False)
+        return replace(scene, log=number, start=session.starts[number] + within, shared_clock=True)
     last = len(session.logs)
     if session.origin is None or abs(recording.start - session.origin) > LONGEST_SESSION_S:
-        return replace(scene, log=last, start=0.0, shared_clock=False)
+        return replace(scene, log=last, start=recording.offset, shared_clock=False)
     start = recording.start - session.origin
     before = [k for k, other in enumerate(session.starts) if other <= start]
     number = max(before, key=lambda k: session.starts[k]) if before else -1
     return replace(scene, log=number, start=start, shared_clock=True)
+
+
+def _names(recording: Recording) -> list[str]:
+    """Digests by which a session may know a recording: its own, and that of its log."""
+    return [recording.sha256, *([recording.whole.sha256] if recording.whole else [])]
 
 
 def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:

@@ -50,6 +50,10 @@ class Backlash(Effect):
         "others in which it keeps it; an accelerometer on the link sees the landing"
     )
 
+    def local(self, settings: Settings) -> bool:
+        """No: where the gap stands was decided when it was last crossed."""
+        return False
+
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the gap."""
         return (Coefficient("gap", "rad", low=0.0, high=0.1),)

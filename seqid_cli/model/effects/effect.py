@@ -122,6 +122,13 @@ class Effect(abc.ABC):
     alike: ClassVar[tuple[str, ...]] = ()
     separate_by: ClassVar[str]
 
+    def local(self, settings: Settings) -> bool:
+        """Whether its torque at a moment follows from the motion just before and after it.
+
+        Not so where it remembers more, or needs another channel of the log.
+        """
+        return True
+
     @abc.abstractmethod
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the linear parameters, in the order of the columns."""

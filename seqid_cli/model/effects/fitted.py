@@ -45,6 +45,11 @@ class FittedEffect:
         """Whether it is friction, which at rest is an interval."""
         return self.effect.family == "friction"
 
+    @property
+    def local(self) -> bool:
+        """Whether its torque at a moment follows from the motion around it."""
+        return self.effect.local(self.settings)
+
     def torques(self, scene: Scene) -> dict[int, Array]:
         """Torque (N,) N m of every joint that is touched, unfiltered."""
         columns = self.effect.columns(scene, self.joint, self.settings)
@@ -67,6 +72,11 @@ class FittedTerm:
     def rubs(self) -> bool:
         """Whether it is friction, which at rest is an interval."""
         return self.term.factor == "direction"
+
+    @property
+    def local(self) -> bool:
+        """Whether its torque at a moment follows from the motion around it."""
+        return not {axis.measure for axis in self.term.axes} & {"temperature", "time"}
 
     def torques(self, scene: Scene) -> dict[int, Array]:
         """Torque (N,) N m of its joint, unfiltered."""

@@ -66,6 +66,10 @@ class JointElasticity(Effect):
         "the link shows the twist itself"
     )
 
+    def local(self, settings: Settings) -> bool:
+        """Only where the encoder is on the link: a twist rings on."""
+        return settings["encoder_side"] > 0.5
+
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the compliance."""
         return (Coefficient("compliance", "rad/(N m)", low=0.0),)

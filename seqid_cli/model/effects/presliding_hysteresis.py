@@ -46,6 +46,10 @@ class PreslidingHysteresis(Effect):
         """Ask that the joint moves."""
         return joint is not None and moves(scenes, joint)
 
+    def local(self, settings: Settings) -> bool:
+        """No: the deflection remembers the last reversals, however long ago."""
+        return False
+
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the friction that builds up so."""
         return (Coefficient("presliding_torque", "N m", low=0.0),)

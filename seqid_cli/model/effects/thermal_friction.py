@@ -53,6 +53,10 @@ class ThermalFriction(Effect):
         shared = all(scene.shared_clock for scene in scenes)
         return session(scenes) >= (LEAST_SESSION_S if shared else LEAST_LOG_S)
 
+    def local(self, settings: Settings) -> bool:
+        """Only without a logged temperature."""
+        return not settings["logged"]
+
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the change of Coulomb and of viscous friction."""
         if settings["logged"]:

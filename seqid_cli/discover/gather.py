@@ -1,0 +1,299 @@
+"""What is diagnosed of logs of any length: all of them, or pieces that memory bounds.
+
+Logs that fit are held as they are. Of others a pass over each tells how the model's residual runs
+(see `look_over`); pieces are chosen that are spread over the time and varied in motion (see
+`choose`), and each becomes a recording of its own. Further pieces lie about places at which the
+residual stands out: only events are looked for in these (see `aside`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.choose import chosen
+from seqid_cli.discover.look_over import BLOCK_S, LookedOver, look_over
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.parts import Reducible, mapped
+from seqid_cli.identify.streaming import open_if_long
+from seqid_cli.logs.long import likely_rows
+from seqid_cli.logs.pieces import Range, cut, read_pieces, whole_of
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.stored import StoredLog, local_copy
+from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+# What is held of logs, in samples times joints, if every second counts as PER_SECOND samples more
+# than it has: a search takes half a kB for each sample of each joint at the log's own rate, and
+# more than that for each second at the rate of the cut-off. Beside 0.3 GiB for the program that is
+# 0.6 GiB at 1 kHz and 1.3 GiB at 125 Hz (seven joints, measured).
+MOST_VALUES = 1_350_000
+PER_SECOND = 350
+PASSED_OVER = 50_000  # samples from which on a log that does not fit is not held even once
+MOST_ASIDE = 6  # pieces about places that stand out
+ASIDE_S = 4.0  # on either side of such a place
+INNER_S = 1.5  # of a piece, that its filters need before an event
+UNLIKE_S, UNLIKE = 10.0, 2.0  # stretches, and times the upper end of what others have
+USUAL = 0.9  # quantile of stretches that is still usual
+TENTHS, ENDS, CHANGES = 10, 3, 1.5  # parts of the time; ratio of the last to the first ones
+MOST_STRETCHES = 3
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What is diagnosed.
+
+    `recordings` are whole logs or pieces, `aside` pieces about places that stand out, `looks` what
+    the passes over long logs told; nothing where all logs are held.
+    """
+
+    recordings: tuple[Recording, ...]
+    aside: tuple[Recording, ...] = ()
+    looks: tuple[LookedOver, ...] = ()
+
+    def notes(self, robot: Robot) -> tuple[str, ...]:
+        """Say how much of the logs was looked at, and what the passes over them told."""
+        if not self.looks:
+            return ()
+        seconds = sum(float(r.t[-1]) for r in self.recordings)
+        whole = sum(look.whole.length for look in self.looks)
+        about = f" and {len(self.aside)} about places that stand out" if self.aside else ""
+        said = (
+            f"too long to be held: of {whole:.0f} s {seconds:.0f} s were looked at, in "
+            f"{len(self.recordings)} pieces spread over the time and varied in motion{about}; "
+            "the rest was passed over once"
+        )
+        return (said, _residual_note(self.looks, robot), *_time_notes(self.looks, robot))
+
+
+def gather(
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    paths: Sequence[Path] = (),
+    time_source: TimeSource = "header",
+    most_values: int = MOST_VALUES,
+    aside: bool = True,
+) -> Gathered:
+    """Hold logs, or pieces of them where they are too long.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        With torque. If it is `Reducible` it can have long logs passed over instead of read.
+    robot : Robot
+    stages : Stages
+        The model.
+    options : InertiaOptions
+    paths : sequence of Path
+        Of the recordings, where these are not at hand yet.
+    time_source : {"header", "log"}
+        As for `read_recording`.
+    most_values : int
+        Samples times joints that are held, as `MOST_VALUES` counts them.
+    aside : bool
+        Whether places that stand out are wanted.
+
+    Raises
+    ------
+    InputError
+        If a log cannot be read or carries neither torque nor current.
+    """
+    most = most_values / robot.n
+    if isinstance(recordings, Reducible) and sum(map(_likely, paths)) > most:
+        looks = tuple(mapped(recordings, _LookOver(robot, stages, options)))
+        if sum(_size(look.samples, look.rate_hz) for look in looks) <= most:
+            held = [read_recording(p, robot, time_source=time_source) for p in paths]
+            return Gathered(tuple(held))
+        return _pieces(looks, paths, robot, most, time_source, aside=aside)
+    held = list(recordings)
+    if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
+        return Gathered(tuple(held))
+    looks = tuple(look_over(log, robot, stages, options=options) for log in held)
+    return _pieces(looks, held, robot, most, time_source, aside=aside)
+
+
+def by_digest(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
+    """Recordings, or the pieces of each log, by the log's SHA-256."""
+    found: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        found.setdefault(whole_of(recording).sha256, []).append(recording)
+    return found
+
+
+def values_of(paths: Iterable[Path], robot: Robot) -> int:
+    """Samples times joints that logs are likely to hold, as far as their formats tell."""
+    return robot.n * sum(map(likely_rows, paths))
+
+
+def one_each(gathered: Gathered) -> list[Recording]:
+    """One recording of every log: what holds of a piece's sensors holds of the log's."""
+    if not gathered.looks:
+        return list(gathered.recordings)
+    return list({str(recording.path): recording for recording in gathered.recordings}.values())
+
+
+def _size(samples: int, rate_hz: float) -> float:
+    """Samples of a log, and what its seconds count as."""
+    return samples * (1.0 + PER_SECOND / rate_hz)
+
+
+def _likely(path: Path) -> int:
+    """Rows of a local log; of a stored one, that it has to be looked at."""
+    return MOST_VALUES if isinstance(path, StoredLog) else likely_rows(path)
+
+
+@dataclass(frozen=True)
+class _LookOver:
+    """The look over one log."""
+
+    robot: Robot
+    stages: Stages
+    options: InertiaOptions
+
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over; None for others."""
+        return open_if_long(path, robot, time_source=time_source, least=PASSED_OVER)
+
+    def __call__(self, log: Recording | SurveyedLog, number: int) -> LookedOver:
+        """Look over it."""
+        del number
+        return look_over(log, self.robot, self.stages, options=self.options)
+
+
+def _pieces(
+    looks: tuple[LookedOver, ...],
+    logs: Sequence[Path | Recording],
+    robot: Robot,
+    most: float,
+    time_source: TimeSource,
+    *,
+    aside: bool,
+) -> Gathered:
+    """Choose pieces and read them, log by log."""
+    samples = sum(look.samples for look in looks)
+    share = most / sum(_size(look.samples, look.rate_hz) for look in looks)
+    ranges = chosen(looks, share * samples)
+    extra = about_places(looks, ranges) if aside else [[] for _ in looks]
+    regular: list[Recording] = []
+    others: list[Recording] = []
+    for log, look, own, more in zip(logs, looks, ranges, extra, strict=True):
+        if own or more:
+            found = _read(log, look, [*own, *more], robot, time_source)
+            regular += found[: len(own)]
+            others += found[len(own) :]
+    return Gathered(tuple(regular), tuple(others), looks)
+
+
+def _read(
+    log: Path | Recording,
+    look: LookedOver,
+    ranges: Sequence[Range],
+    robot: Robot,
+    time_source: TimeSource,
+) -> list[Recording]:
+    if isinstance(log, Recording):
+        return cut(log, ranges)
+    with local_copy(log) as file:
+        place, kind = Path(file), look.kind
+        found = read_pieces(place, robot, look.whole, ranges, time_source=time_source, kind=kind)
+    return [replace(piece, path=log) for piece in found]
+
+
+def about_places(
+    looks: Sequence[LookedOver], ranges: Sequence[Sequence[Range]]
+) -> list[list[Range]]:
+    """Pieces about the strongest places that stand out and lie in no piece anyway.
+
+    Parameters
+    ----------
+    looks : sequence of LookedOver
+    ranges : sequence of sequence of (float, float)
+        The pieces of each log.
+
+    Returns
+    -------
+    list of list of (float, float)
+        Per log.
+    """
+    places = [(place, k) for k, look in enumerate(looks) for place in look.places]
+    result: list[list[Range]] = [[] for _ in looks]
+    for place, k in sorted(places, key=lambda found: -found[0].score):
+        inside = any(
+            low + INNER_S <= place.start and place.end <= high - INNER_S
+            for low, high in (*ranges[k], *result[k])
+        )
+        if not inside and sum(map(len, result)) < MOST_ASIDE:
+            low, high = place.start - ASIDE_S, place.end + ASIDE_S
+            result[k].append((max(low, 0.0), min(high, looks[k].whole.length)))
+    return result
+
+
+def _residual_note(looks: Sequence[LookedOver], robot: Robot) -> str:
+    counts = sum(look.counts.sum(axis=0) for look in looks)
+    squares = sum(look.squares.sum(axis=0) for look in looks)
+    known = [
+        f"{name} {np.sqrt(s / c):.3g}"
+        for name, s, c in zip(robot.joint_names, squares, counts, strict=True)
+        if c
+    ]
+    return f"RMS residual of all logs as a whole, where joints slide, N m: {', '.join(known)}"
+
+
+def _time_notes(looks: Sequence[LookedOver], robot: Robot) -> Iterator[str]:
+    for look in looks:
+        for j, name in enumerate(robot.joint_names):
+            yield from _over_time(look, j, name)
+            yield from _unlike(look, j, name)
+
+
+def _over_time(look: LookedOver, j: int, name: str) -> Iterator[str]:
+    """The residual in parts of the time, where it has changed from the first to the last."""
+    edges = np.linspace(0, len(look.squares), TENTHS + 1).astype(int)
+    parts = [
+        _rms(look.squares[a:b, j].sum(), look.counts[a:b, j].sum()) for a, b in pairwise(edges)
+    ]
+    early, late = np.mean(parts[:ENDS]), np.mean(parts[-ENDS:])
+    if len(look.squares) >= TENTHS and max(early, late) > CHANGES * min(early, late) > 0.0:
+        numbers = " ".join(f"{part:.3g}" for part in parts)
+        yield f"{look.path}: RMS residual of {name} in tenths of the time: {numbers}"
+
+
+def _unlike(look: LookedOver, j: int, name: str) -> Iterator[str]:
+    """Stretches over which the residual is unlike the rest."""
+    size = round(UNLIKE_S / BLOCK_S)
+    starts = np.arange(0, len(look.squares), size)
+    squares, counts = (np.add.reduceat(x[:, j], starts) for x in (look.squares, look.counts))
+    there = counts > 0
+    rms = np.sqrt(squares / np.maximum(counts, 1.0))
+    usual = float(np.quantile(rms[there], USUAL)) if there.any() else 0.0
+    large = there & (rms > UNLIKE * usual)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], large.astype(int), [0]])))
+    stretches = list(zip(edges[::2], edges[1::2], strict=True))
+    if usual > 0.0 and 0 < len(stretches) <= MOST_STRETCHES:
+        for a, b in stretches:
+            ratio = float(rms[a:b].max()) / usual
+            first, last = a * UNLIKE_S, min(b * UNLIKE_S, look.whole.length)
+            if any(first <= place.start <= last for place in look.places):
+                continue  # looked at anyway
+            yield (
+                f"{look.path}: the residual of {name} from {first:.0f} to {last:.0f} s is "
+                f"{ratio:.1f} times what it hardly exceeds elsewhere: diagnose this stretch by "
+                "itself, as a log of its own"
+            )
+
+
+def _rms(squares: float, counts: float) -> float:
+    return float(np.sqrt(squares / max(counts, 1.0)))

@@ -1,0 +1,263 @@
+"""One pass over a log of any length: how the residual runs, and where it is unlike the rest.
+
+The torque is predicted part by part (see `identify.predict_long`). Kept of it are sums of squares
+over short blocks of time, the motion a few times a second, and the strongest places at which the
+residual stands out against all others of a span of the log (see `events`). None of it says what
+the model lacks; it says where to look (see `choose`), and that nothing is overlooked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.event_windows import Track, windows_of_tracks
+from seqid_cli.discover.events import GATE, LENGTHS_S, Interval, standing_out
+from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.predict import predict
+from seqid_cli.identify.predict_long import LongPrediction
+from seqid_cli.identify.prediction import LogPrediction
+from seqid_cli.logs.pieces import whole_of
+from seqid_cli.logs.recording import Recording, Whole
+from seqid_cli.model.effects.fitted import Fitted, fitted_effects
+from seqid_cli.model.torque import TorqueModel, known_rotors
+from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+BLOCK_S = 2.0  # over which squares are summed
+LOOKS_PER_S = 10.0  # at the motion
+SPAN = 60_000  # kept samples, at least, within which places are compared with each other
+OVERLAP_S = 2.0  # between spans
+MOST_PLACES = 12  # of one log
+SINGLE = np.float32
+
+
+@dataclass(frozen=True)
+class LookedOver:
+    """What a pass over one log remembers.
+
+    Attributes
+    ----------
+    path, whole
+        The log.
+    samples, rate_hz, kind
+        Its length, rate and file format; `kind` is empty for one that is read as a whole.
+    squares, counts : (B, n) arrays
+        Sum of the squared residual [(N m)^2] over each `BLOCK_S`, and how many samples are in it;
+        those at which a joint certainly slides.
+    t, q, dq : (L,), (L, n), (L, n) arrays
+        The motion, some times a second; `slides` (L, n) tells where its residual counts.
+    usable : (L,) mask
+        Where the log has no gap and its filters have settled.
+    places : tuple of Interval
+        Where the residual stands out, the strongest first; s since the first sample.
+    """
+
+    path: Path
+    whole: Whole
+    samples: int
+    rate_hz: float
+    kind: str
+    squares: Array
+    counts: Array
+    t: Array
+    q: NDArray[np.float32]
+    dq: NDArray[np.float32]
+    slides: Mask
+    usable: Mask
+    places: tuple[Interval, ...]
+
+    @property
+    def rms(self) -> Array:
+        """RMS residual (n,) N m where a joint slides; NaN where it never does."""
+        counts = self.counts.sum(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.sqrt(self.squares.sum(axis=0) / counts))
+
+
+def look_over(
+    log: Recording | SurveyedLog, robot: Robot, stages: Stages, *, options: InertiaOptions
+) -> LookedOver:
+    """Pass over one log.
+
+    Parameters
+    ----------
+    log : Recording or SurveyedLog
+        With torque.
+    robot : Robot
+    stages : Stages
+        The model, with its effects: of a log that is passed over, those that can be told part by
+        part.
+    options : InertiaOptions
+        Cut-off; the motion is that of the encoders.
+
+    Raises
+    ------
+    InputError
+        If the log carries neither torque nor current, or no stretch is long enough to filter.
+    """
+    model = TorqueModel.from_stages(stages, robot)
+    looks = _Looks(model)
+    for part in _parts(log, robot, stages, model, options):
+        looks.push(part)
+    looks.end()
+    streamed = isinstance(log, SurveyedLog)
+    return LookedOver(
+        path=log.path,
+        whole=whole_of(log),
+        samples=log.samples if isinstance(log, SurveyedLog) else len(log.t),
+        rate_hz=log.rate_hz,
+        kind=log.format if streamed else "",
+        squares=looks.table(looks.squares),
+        counts=looks.table(looks.counts),
+        t=np.concatenate(looks.t),
+        q=np.concatenate(looks.q),
+        dq=np.concatenate(looks.dq),
+        slides=np.concatenate(looks.slides),
+        usable=np.concatenate(looks.usable),
+        places=_strongest(looks.places),
+    )
+
+
+def _parts(
+    log: Recording | SurveyedLog,
+    robot: Robot,
+    stages: Stages,
+    model: TorqueModel,
+    options: InertiaOptions,
+) -> Iterable[LogPrediction]:
+    options = replace(options, source="encoder")
+    if not isinstance(log, SurveyedLog):
+        return predict([log], robot, stages, options=options, unexplained=True)
+    effects = told_part_by_part(fitted_effects(stages, robot, unexplained=True))
+    return LongPrediction.of(log, model, stages, options, effects).parts()
+
+
+def told_part_by_part(effects: Iterable[Fitted]) -> list[Fitted]:
+    """Effects whose torque follows from the motion around each moment, measured ones aside."""
+    return [x for x in effects if x.local]
+
+
+def _strongest(places: Iterable[Interval]) -> tuple[Interval, ...]:
+    """The strongest places, each once: spans overlap."""
+    kept: list[Interval] = []
+    for place in sorted(places, key=lambda p: -p.score):
+        if all(place.end < other.start or place.start > other.end for other in kept):
+            kept.append(place)
+    return tuple(kept[:MOST_PLACES])
+
+
+@dataclass
+class _Looks:
+    """Takes the parts of a prediction one after the other."""
+
+    model: TorqueModel
+    squares: dict[int, Array] = field(default_factory=dict)  # by block
+    counts: dict[int, Array] = field(default_factory=dict)
+    t: list[Array] = field(default_factory=list)
+    q: list[NDArray[np.float32]] = field(default_factory=list)
+    dq: list[NDArray[np.float32]] = field(default_factory=list)
+    slides: list[Mask] = field(default_factory=list)
+    usable: list[Mask] = field(default_factory=list)
+    places: list[Interval] = field(default_factory=list)
+    _tracks: list[Track] = field(default_factory=list)
+    _held: int = 0
+    _seen: int = 0
+
+    def push(self, part: LogPrediction) -> None:
+        """Take the next samples."""
+        assert part.q is not None
+        assert part.dq is not None
+        assert part.ddq is not None
+        left = part.tau - part.predicted
+        counts = part.sliding & part.used[:, None]
+        self._add_blocks(part.t, np.where(counts, left, 0.0), counts)
+        rate = 1.0 / float(part.t[1] - part.t[0]) if len(part.t) > 1 else LOOKS_PER_S
+        at = self._every(len(part.t), rate / LOOKS_PER_S)
+        self.t.append(part.t[at])
+        self.q.append(part.q[at].astype(SINGLE))
+        self.dq.append(part.dq[at].astype(SINGLE))
+        self.slides.append(counts[at])
+        self.usable.append(part.used[at])
+        kept = self._every(len(part.t), rate / (SAMPLES_PER_CUTOFF * part.cutoff_hz))
+        self._seen += len(part.t)
+        self._add_track(part, np.where(counts, left, np.nan), kept)
+
+    def _every(self, samples: int, stride: float) -> NDArray[np.intp]:
+        """Samples of the next part that lie on a grid over the whole log."""
+        step = max(1, int(stride + 1e-6))  # the stride of a rate that is known from its steps
+        return np.arange(-self._seen % step, samples, step)
+
+    def _add_blocks(self, t: Array, left: Array, counts: Mask) -> None:
+        block = (t / BLOCK_S).astype(np.intp)
+        starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
+        sums = np.add.reduceat(left**2, starts, axis=0)
+        number = np.add.reduceat(counts.astype(np.float64), starts, axis=0)
+        for k, own, there in zip(block[starts].tolist(), sums, number, strict=True):
+            self.squares[k] = self.squares.get(k, 0.0) + own
+            self.counts[k] = self.counts.get(k, 0.0) + there
+
+    def table(self, sums: dict[int, Array]) -> Array:
+        """The sums of all blocks, (B, n)."""
+        result = np.zeros((max(sums) + 1, self.model.robot.n))
+        for k, own in sums.items():
+            result[k] = own
+        return result
+
+    def _add_track(self, part: LogPrediction, left: Array, at: NDArray[np.intp]) -> None:
+        assert part.q is not None
+        assert part.dq is not None
+        assert part.ddq is not None
+        q, dq, ddq = part.q[at], part.dq[at], part.ddq[at]
+        rotor = known_rotors(self.model.robot) if self.model.rotor is None else self.model.rotor
+        load = self.model.rigid(q, dq, ddq) - gear_ratios(self.model.robot) ** 2 * rotor * ddq
+        shown = (part.t[at], q, dq, ddq, load, left[at])
+        self._tracks.append(Track(*shown, cutoff_hz=part.cutoff_hz))
+        self._held += len(at)
+        if self._held >= 2 * SPAN:
+            self._look(last=False)
+
+    def end(self) -> None:
+        """Look at what has not been looked at."""
+        if self._tracks:
+            self._look(last=True)
+
+    def _look(self, *, last: bool) -> None:
+        """Find the places of a span; a short rest at the end is looked at with the one before."""
+        held = _joined(self._tracks)
+        stop = len(held.t) if last else SPAN
+        self.places += list(_standing_out(_part(held, 0, stop)))
+        begin = int(np.searchsorted(held.t, held.t[stop - 1] - OVERLAP_S))
+        rest = _part(held, begin, len(held.t))
+        self._tracks, self._held = [rest], len(rest.t)
+
+
+def _standing_out(track: Track) -> Iterator[Interval]:
+    """Places of one span at which the residual stands out."""
+    if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.residual).any():
+        return
+    top = np.maximum(np.max(np.abs(track.dq), axis=0), 1e-12)
+    windows = [windows_of_tracks([track], top, length) for length in LENGTHS_S]
+    yield from standing_out([w for w in windows if len(w.centre)], gate=GATE)
+
+
+def _joined(tracks: list[Track]) -> Track:
+    names = ("t", "q", "dq", "ddq", "load", "residual")
+    arrays = {name: np.concatenate([getattr(x, name) for x in tracks]) for name in names}
+    return Track(**arrays, cutoff_hz=tracks[0].cutoff_hz)
+
+
+def _part(track: Track, low: int, high: int) -> Track:
+    names = ("t", "q", "dq", "ddq", "load", "residual")
+    arrays = {name: getattr(track, name)[low:high] for name in names}
+    return Track(**arrays, cutoff_hz=track.cutoff_hz)

@@ -1,0 +1,60 @@
+"""Joints whose residual is louder than noise and encoder make it, whatever it depends on.
+
+An effect that nothing here foretells, in a single quick move say, passes no gate; but then what is
+left is more than what a right model would leave, which clean data of these logs tell (see `clean`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.clean import CleanLog
+from seqid_cli.discover.dependence import dependence
+from seqid_cli.discover.floor import rms
+from seqid_cli.discover.investigate import Investigation
+
+Array = NDArray[np.float64]
+
+LOUD = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
+
+
+@dataclass(frozen=True)
+class Loud:
+    """One such joint: what is left over what is expected, and what that looks most like."""
+
+    joint: int
+    times: float
+    quantities: tuple[str, ...]
+
+    @property
+    def share(self) -> float:
+        """Part of the squared residual that is not expected."""
+        return 1.0 - self.times**-2
+
+
+def expected(found: Investigation) -> Array:
+    """RMS (n,) N m that the residual would have with a right model: torque and encoder noise."""
+    search = found.search
+    rows, deviation = search.stage.rows, search.deviation(search.system())
+    scenes = search.stage.scenes
+    echo = [
+        CleanLog(log, scene, np.zeros_like(scene.motion.q), moved).echo
+        for log, scene, moved in zip(found.logs, scenes, deviation, strict=True)
+    ]
+    seen = [rms(rows.of(j, [e[:, j] for e in echo])) for j in range(rows.n)]
+    return np.hypot(seen, found.floor.rms)
+
+
+def loud_joints(found: Investigation) -> tuple[Loud, ...]:
+    """Joints that are too loud after all that was found, the loudest first."""
+    search = found.search
+    times = search.rms() / np.maximum(expected(found), 1e-12)
+    system = search.system()
+    loud = [
+        Loud(j, float(times[j]), dependence(system, j, least_gain=0.0, most=1).quantities)
+        for j in np.flatnonzero(times > LOUD).tolist()
+    ]
+    return tuple(sorted(loud, key=lambda one: -one.times))

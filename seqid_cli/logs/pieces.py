@@ -1,0 +1,199 @@
+"""Pieces of a log, each a recording of its own: with the stamps that it has in the log.
+
+A log that is held is cut; one that is too long for that is passed over once more, and only the rows
+of the pieces are kept. A piece holds all that the log has: temperatures and IMUs as well.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.long import READERS, LongLog
+from seqid_cli.logs.raw import RawLog, Stream, TimeSource
+from seqid_cli.logs.read import _assemble, read_recording
+from seqid_cli.logs.recording import Array, Recording, Whole
+from seqid_cli.robot.types import Robot
+
+Range = tuple[float, float]  # s since the log's first sample
+
+AROUND_S = 0.1  # on either side of a piece, for IMUs whose stamps are not those of the joints
+
+
+def whole_of(log: Recording | LongLog) -> Whole:
+    """What a piece tells of the log that it is of."""
+    if isinstance(log, LongLog):
+        return Whole(log.sha256, log.start_ns * 1e-9, (log.samples - 1) * log.step_s)
+    return log.whole or Whole(log.sha256, log.start, float(log.t[-1]))
+
+
+def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
+    """Cut pieces out of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        As a whole.
+    ranges : sequence of (float, float)
+        First and last moment of each piece, s since the first sample.
+
+    Returns
+    -------
+    list of Recording
+        In the order of `ranges`; `t` begins at 0 in each, `start` is where it begins in the log.
+        Warnings stay with the log.
+    """
+    whole, t = whole_of(recording), recording.t
+    pieces = []
+    for first, last in ranges:
+        part = slice(int(np.searchsorted(t, first - 1e-9)), int(np.searchsorted(t, last + 1e-9)))
+        pieces.append(_piece(recording, part, whole))
+    return pieces
+
+
+def _piece(recording: Recording, part: slice, whole: Whole) -> Recording:
+    def own(values: Array | None) -> Array | None:
+        return None if values is None else values[part].copy()
+
+    t = recording.t[part]
+    return replace(
+        recording,
+        sha256=_digest(whole, float(t[0]), len(t)),
+        t=t - t[0],
+        q=recording.q[part].copy(),
+        valid=recording.valid[part].copy(),
+        dq=own(recording.dq),
+        tau=own(recording.tau),
+        temperature=own(recording.temperature),
+        accelerometers={k: v[part].copy() for k, v in recording.accelerometers.items()},
+        gyros={k: v[part].copy() for k, v in recording.gyros.items()},
+        start=recording.start + float(t[0]),
+        health=replace(recording.health, gaps=(), warnings=()),
+        whole=whole,
+    )
+
+
+def _digest(whole: Whole, first: float, samples: int) -> str:
+    """A digest of its own for every piece of a log."""
+    return hashlib.sha256(f"{whole.sha256} {first:.9f} {samples}".encode()).hexdigest()
+
+
+def read_pieces(
+    path: Path,
+    robot: Robot,
+    whole: Whole,
+    ranges: Sequence[Range],
+    *,
+    time_source: TimeSource = "header",
+    kind: str = "",
+) -> list[Recording]:
+    """Read pieces of a log without holding the rest of it.
+
+    Parameters
+    ----------
+    path, robot, time_source
+        As for `read_recording`.
+    whole : Whole
+        The log.
+    ranges : sequence of (float, float)
+        First and last moment of each piece, s since the first sample; they may overlap.
+    kind : str
+        The format of a log that can be passed over; a log of any other is read as a whole and cut.
+
+    Returns
+    -------
+    list of Recording
+        In the order of `ranges`.
+
+    Raises
+    ------
+    InputError
+        The file can no longer be read, or holds too little of a piece.
+    """
+    if kind not in READERS:
+        return cut(read_recording(path, robot, time_source=time_source), ranges)
+    gathered = [_Gathered.of(whole, *one) for one in ranges]
+    try:
+        for raw in READERS[kind](path, robot, time_source):
+            for one in gathered:
+                one.push(raw)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error})", where=str(path)) from error
+    return [_assembled(one, path, kind, robot, whole) for one in gathered]
+
+
+@dataclass
+class _Gathered:
+    """The rows of one piece as they come."""
+
+    first: int  # ns
+    last: int
+    joints: list[Stream] = field(default_factory=list)
+    imus: dict[str, list[tuple[Stream, ...]]] = field(default_factory=dict)
+    prefer_current: bool = False
+
+    @classmethod
+    def of(cls, whole: Whole, first: float, last: float) -> _Gathered:
+        return cls(int((whole.start + first) * 1e9), int((whole.start + last) * 1e9))
+
+    def push(self, raw: RawLog) -> None:
+        inside = _between(raw.joints, self.first - 1000, self.last + 1000)
+        if len(inside):
+            self.joints.append(inside)
+            self.prefer_current = raw.prefer_current
+        around = int(AROUND_S * 1e9)
+        for name, streams in raw.imus.items():
+            near = tuple(_between(s, self.first - around, self.last + around) for s in streams)
+            if any(map(len, near)):
+                self.imus.setdefault(name, []).append(near)
+
+    def raw(self) -> RawLog:
+        imus = {
+            name: tuple(_joined(one) for one in zip(*parts, strict=True))
+            for name, parts in self.imus.items()
+        }
+        return RawLog(_joined(self.joints), imus, prefer_current=self.prefer_current)
+
+
+def _between(stream: Stream, first: int, last: int) -> Stream:
+    stamps = stream.stamp_ns
+    if not len(stamps) or stamps[0] > last or stamps[-1] < first:
+        return stream.take(slice(0, 0))
+    return stream.take((stamps >= first) & (stamps <= last))
+
+
+def _joined(parts: Sequence[Stream]) -> Stream:
+    """Consecutive parts of a stream; a quantity that some lack is missing there."""
+    there = [part for part in parts if len(part)]
+    if not there:
+        return parts[0]
+    channels = {
+        name: np.concatenate([_values(part, name, there) for part in there])
+        for name in dict.fromkeys(name for part in there for name in part.channels)
+    }
+    return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
+
+
+def _values(part: Stream, name: str, parts: Sequence[Stream]) -> Array:
+    if name in part.channels:
+        return part.channels[name]
+    width = next(other.channels[name].shape[1] for other in parts if name in other.channels)
+    return np.full((len(part), width), np.nan)
+
+
+def _assembled(gathered: _Gathered, path: Path, kind: str, robot: Robot, whole: Whole) -> Recording:
+    if not gathered.joints:
+        seconds = gathered.first * 1e-9 - whole.start
+        raise InputError(f"no longer holds the rows {seconds:.3g} s on", where=str(path))
+    found = _assemble(path, kind, whole.sha256, gathered.raw(), robot, None)
+    return replace(
+        found,
+        sha256=_digest(whole, found.start - whole.start, len(found.t)),
+        health=replace(found.health, gaps=(), warnings=()),
+        whole=whole,
+    )

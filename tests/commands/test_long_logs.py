@@ -1,0 +1,134 @@
+"""`diagnose` on a log that is too long to be held, and what `refine` reads of earlier stages."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.commands import earlier_logs
+from seqid_cli.commands.earlier_logs import read_earlier
+from seqid_cli.commands.job import Job
+from seqid_cli.commands.log_sets import EarlierLogs
+from seqid_cli.commands.render import Screen
+from seqid_cli.discover import gather as gathering
+from seqid_cli.discover.gather import Gathered, gather
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.read import read_recording
+from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.schema import ParameterFile
+from seqid_cli.robot.file import load_robot
+from tests.commands.conftest import Rig
+from tests.discover.long_logs import RIG, Files, LongCase, long_case
+from tests.plants.cases import RIGS
+from tests.plants.robotfile import robot_toml
+
+Array = NDArray[np.float64]
+
+PUSHED = 30.0
+MOST = 68_000
+
+
+def file_of(case: LongCase) -> ParameterFile:
+    identity, friction, inertia = robot_id(case.robot), case.stages.friction, case.stages.inertia
+    return with_stage(None, identity, [], friction=friction, inertia=inertia)
+
+
+def push(t: Array) -> Array:
+    shape = np.exp(-(((t - PUSHED) / 0.1) ** 2))
+    return np.asarray(shape[:, None] * np.array([4.0, 1.5]))
+
+
+@pytest.fixture(autouse=True)
+def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gathering, "PASSED_OVER", 1000)
+    defaults = gather.__kwdefaults__
+    assert defaults is not None
+    monkeypatch.setitem(defaults, "most_values", MOST)
+
+
+def test_a_long_log_is_diagnosed_in_pieces(rig: Rig) -> None:
+    case = long_case().with_torque(push)
+    plant = RIGS[RIG](simple_friction=True)
+    (rig.folder / "robot.toml").write_text(robot_toml(RIG, plant), encoding="ascii")
+    case.written(rig.folder / "long.parquet")
+    file = file_of(case)
+    file.robot = robot_id(load_robot(rig.folder / "robot.toml"))
+    write_json_atomic(rig.folder / "model.json", file)
+    done = rig.run(
+        "diagnose", "long.parquet", "-r", "robot.toml", "-p", "model.json", "-o", "out.json"
+    )
+    assert done.code == 0, done.err
+    document = json.loads((rig.folder / "out.json").read_text())
+    (log,) = document["inputs"]
+    assert (log["path"], log["samples"]) == ("long.parquet", len(case.log.t))
+    (event,) = document["events"]
+    assert event["log"] == "long.parquet"
+    assert event["start"] < PUSHED < event["end"]
+    assert document["verdict"] == "effect_found"
+    assert "of 72 s 40 s were looked at, in 2 pieces" in document["notes"][0]
+    assert "1 about places that stand out" in document["notes"][0]
+    assert len(document["motion"]) == 1
+    assert "40 s were looked at" in done.out + done.err
+
+
+def job_of(case: LongCase, folder: Path) -> Job:
+    return Job(
+        Screen("refine", quiet=True),
+        (folder / "fitted.parquet",),
+        case.robot,
+        file_of(case),
+        (),
+        None,
+        "header",
+    )
+
+
+def fitted_and_found(case: LongCase, folder: Path) -> tuple[Gathered, EarlierLogs]:
+    """The fitted log is of the inertia stage and, like another one, of the friction stage."""
+    paths = [case.written(folder / f"{name}.parquet") for name in ("fitted", "other")]
+    other = case.with_torque(lambda t: np.full((len(t), 2), 0.1)).written(paths[1])
+    fitted = gather(
+        Files(paths[:1], case.robot),
+        case.robot,
+        case.stages,
+        options=InertiaOptions(),
+        paths=paths[:1],
+        aside=False,
+    )
+    digests = [read_recording(path, case.robot).sha256 for path in (paths[0], other)]
+    found = EarlierLogs(
+        dict(zip(digests, paths, strict=True)),
+        {"friction": digests, "inertia": digests},
+        (),
+    )
+    return fitted, found
+
+
+def test_trials_are_read_whole_and_other_logs_in_pieces(tmp_path: Path) -> None:
+    case = long_case()
+    fitted, found = fitted_and_found(case, tmp_path)
+    earlier = read_earlier(job_of(case, tmp_path), found, fitted, InertiaOptions())
+    assert not earlier.notes
+    whole = earlier.by_stage["friction"]
+    assert [len(log.t) for log in whole] == [len(case.log.t)] * 2
+    inertia = earlier.by_stage["inertia"]
+    assert [log for log in inertia if log.whole is not None] == list(fitted.recordings)
+    assert inertia[: len(fitted.recordings)] == list(fitted.recordings)
+
+
+def test_trials_beyond_what_is_held_are_left_aside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(earlier_logs, "MOST_OF_TRIALS", MOST)
+    case = long_case()
+    fitted, found = fitted_and_found(case, tmp_path)
+    earlier = read_earlier(job_of(case, tmp_path), found, fitted, InertiaOptions())
+    assert list(earlier.by_stage["friction"]) == []
+    assert list(earlier.by_stage["inertia"]) == list(fitted.recordings)
+    (note,) = earlier.notes
+    assert note.startswith("the 2 logs of friction, gravity, imu are too long")

@@ -25,7 +25,7 @@ from seqid_cli.discover.event_windows import (
 )
 from seqid_cli.discover.events import LENGTHS_S, Interval, events_of_scene, scores
 from seqid_cli.discover.gates import Gates, calibrated
-from seqid_cli.discover.investigate import STANDS_OUT, Investigation, _of_shape
+from seqid_cli.discover.investigate import STANDS_OUT, Investigation, of_shape
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Event
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, extrapolated, rows_of
@@ -119,7 +119,7 @@ class _Look:
         events = events_of_scene(0, [(w, scores(w)) for w in windows], gate)
         if not self.search.accepted:
             return events
-        return [e for e in events if not _of_shape(self.search, e, self.left, self.shown)]
+        return [e for e in events if not of_shape(self.search, e, self.left, self.shown)]
 
     def track(self) -> Track:
         """The piece's kept samples, with the residual in units of the noise."""

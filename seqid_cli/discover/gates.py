@@ -152,7 +152,6 @@ def _screened(
     looks = [dependence(system, d.joint, least_gain=0.0, most=1) for d in smooth]
     clean[SMOOTH] = max((look.relative for look in looks), default=0.0)
     event = EVENT_MARGIN * event_score(rows, system.left_out()[: rows.n])
-    rows.made.clear()  # what is kept there knows the rows: a ring that would outlive this
     return Gates(clean, max(GATE, event))
 
 

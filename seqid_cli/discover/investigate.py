@@ -197,10 +197,10 @@ def _not_of_shape(search: Search, events: list[Interval]) -> list[Interval]:
         return events
     system = search.system()
     left, shown = search.residual(system), search.shown(system)
-    return [e for e in events if not _of_shape(search, e, left[e.scene], shown[e.scene])]
+    return [e for e in events if not of_shape(search, e, left[e.scene], shown[e.scene])]
 
 
-def _of_shape(search: Search, event: Interval, residual: Array, effects: Array) -> bool:
+def of_shape(search: Search, event: Interval, residual: Array, effects: Array) -> bool:
     """Whether an event's residual (N, n) is small beside its log's effects (N, n) around it."""
     scene = search.stage.scenes[event.scene]
     t = scene.motion.t - scene.motion.t[0]

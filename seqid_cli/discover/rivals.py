@@ -13,7 +13,7 @@ its ends. A constant is left out, for the base has it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -300,35 +300,47 @@ def _lines(rows: Rows, j: int, residual: Array) -> list[Rival]:
     ]
 
 
-class Filtered:
-    """Rivals' rows; those of one source share the filtering, and single precision the memory."""
+@dataclass
+class _Kept:
+    """Columns (M_j, k) by joint and source, and the rivals that last by joint."""
 
-    def __init__(self, rows: Rows) -> None:
-        self.rows = rows
-        self._made: dict[tuple[int, Shape | Line], Single] = {}
-        self._lasting: dict[int, list[Rival]] = {}
+    columns: dict[tuple[int, Shape | Line], Single] = field(default_factory=dict)
+    lasting: dict[int, list[Rival]] = field(default_factory=dict)
+
+
+class Filtered:
+    """Rivals' rows; those of one source share the filtering, and single precision the memory.
+
+    What has been made is kept with the rows, which it does not know itself: nothing of a search
+    that is over stays in memory.
+    """
+
+    def __init__(self, rows: Rows, kept: _Kept) -> None:
+        self.rows, self._kept = rows, kept
 
     @classmethod
     def of(cls, rows: Rows) -> Filtered:
-        """The one that is kept with these rows."""
-        kept = rows.made.setdefault("smooth", cls(rows))
-        assert isinstance(kept, cls)
-        return kept
+        """With what has been made of these rows."""
+        kept = rows.made.setdefault("smooth", _Kept())
+        assert isinstance(kept, _Kept)
+        return cls(rows, kept)
 
     def rivals(self, joint: int, residual: Array) -> list[Rival]:
         """All rivals at a joint; those that last are made once."""
-        if joint not in self._lasting:
-            self._lasting[joint] = lasting(self.rows, joint)
-        return [*self._lasting[joint], *_lines(self.rows, joint, residual)]
+        kept = self._kept.lasting
+        if joint not in kept:
+            kept[joint] = lasting(self.rows, joint)
+        return [*kept[joint], *_lines(self.rows, joint, residual)]
 
     def columns(self, rival: Rival) -> dict[int, Array]:
         """Columns (M_j, k) on the rows of the rival's joint."""
         key = (rival.joint, rival.source)  # one line in time may be at several joints
-        if key not in self._made:
+        made = self._kept.columns
+        if key not in made:
             per_scene = [{rival.joint: rival.source.basis(scene)} for scene in self.rows.scenes]
             basis = self.rows.columns(per_scene, passes=2)[rival.joint]
-            self._made[key] = basis.astype(np.float32)
-        return {rival.joint: self._made[key].astype(np.float64) @ rival.mixing}
+            made[key] = basis.astype(np.float32)
+        return {rival.joint: made[key].astype(np.float64) @ rival.mixing}
 
 
 def best_rivals(

@@ -112,12 +112,12 @@ def test_columns_are_filtered_like_any_effect() -> None:
     rows = rows_of(related_scenes(0, logs=2, seconds=8.0))
     some = [r for r in rivals(rows, 0, np.zeros(rows.count(0))) if "position" in r.label][:3]
     direct = rows.columns([some[-1].columns(scene) for scene in rows.scenes], passes=2)
-    np.testing.assert_allclose(Filtered(rows).columns(some[-1])[0], direct[0], atol=1e-5)
+    np.testing.assert_allclose(Filtered.of(rows).columns(some[-1])[0], direct[0], atol=1e-5)
 
 
 def test_a_line_at_two_joints_has_the_rows_of_each() -> None:
     rows = rows_of(related_scenes(0, logs=2, seconds=8.0))
-    filtered, line = Filtered(rows), Line(3.3, 2)
+    filtered, line = Filtered.of(rows), Line(3.3, 2)
     for joint in (0, 1):
         rival = Rival(joint, ("time",), "line", line, np.eye(4))
         direct = rows.columns([{joint: line.basis(scene)} for scene in rows.scenes], passes=2)

@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 
 LAWS = ("constant", "torque", "direction")
 PEAKS = 4  # per law
+USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
 FINE = 12.0  # cycles per joint turn, from which a ripple need not be a whole number per motor turn
 HIGHEST = 4000.0
@@ -85,10 +86,16 @@ class TorqueRipple(Effect):
     def grid(
         self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
     ) -> Iterator[dict[str, float]]:
-        """Yield the strongest and the clearest lines of every law, and of the best lag."""
+        """Yield the strongest and the clearest lines of every law, and of the best lag.
+
+        And the usual ones: where logs are fast, the spectrum over position does not reach them.
+        """
         assert joint is not None
         gear = abs(float(scenes[0].gear[joint]))
         speed = max(usual_speed(scene, joint) for scene in scenes)
+        for order in USUAL:
+            if order * gear >= FINE:
+                yield {"order": order, "law": 0.0, "lag": 0.0}
         for law, lag, profile in _profiles(scenes, joint, residual):
             lowest = max(LOWEST, CYCLES_IN_RANGE / profile.span)
             orders = (self._named(profile, k / gear, gear) for k in peaks(profile, lowest, PEAKS))

@@ -20,7 +20,7 @@ from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.loud import loud_joints
+from seqid_cli.discover.loud import looks_like, louder_joints
 from seqid_cli.discover.notes import loud_notes, offset_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import (
@@ -102,10 +102,14 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     findings = [_beside_rest(finding, rest) for finding in findings]
     if found.events or aside:
         findings.append(_contact(found, aside))
-    loud = loud_joints(found)
-    findings = _ordered(findings, {robot.joint_names[one.joint]: one.share for one in loud})
+    louder = louder_joints(found)
+    findings = _ordered(findings, {robot.joint_names[one.joint]: one.share for one in louder})
+    loud = [one for one in louder if one.told]
     if not findings and not rest:
-        rest = [Unexplained(robot.joint_names[x.joint], x.quantities, x.share) for x in loud]
+        rest = [
+            Unexplained(robot.joint_names[one.joint], looks_like(found, one.joint), one.share)
+            for one in loud
+        ]
     rest = _largest_of_each(rest)
     return Diagnosis(
         verdict=_verdict(findings, rest),
@@ -151,15 +155,15 @@ def _less_sure(finding: Finding, share: float) -> Finding:
     )
 
 
-def _ordered(findings: Sequence[Finding], loud: Mapping[str, float]) -> list[Finding]:
+def _ordered(findings: Sequence[Finding], louder: Mapping[str, float]) -> list[Finding]:
     """The weightiest first; none is more certain than one that it was found beside.
 
-    Where a joint stays `loud` (share of its squared residual that noise does not make), the first
+    Where a joint stays `louder` (share of its squared residual that noise does not make), the first
     has not quite the right shape, and what comes after may be made of that.
     """
     ordered = sorted(findings, key=lambda f: -f.explains * f.confidence)
     ordered = [_of_company(f, ordered[:k], ordered[k + 1 :]) for k, f in enumerate(ordered)]
-    ordered[1:] = [_beside_unknown(f, loud) for f in ordered[1:]]
+    ordered[1:] = [_beside_unknown(f, louder) for f in ordered[1:]]
     certainties = np.minimum.accumulate([f.confidence for f in ordered])
     return [
         replace(f, confidence=float(c), name_confidence=min(f.name_confidence, float(c)))

@@ -18,16 +18,21 @@ from seqid_cli.discover.investigate import Investigation
 
 Array = NDArray[np.float64]
 
-LOUD = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
+LOUDER = 1.6  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
+LOUD = 2.5  # from which it is worth a word
 
 
 @dataclass(frozen=True)
 class Loud:
-    """One such joint: what is left over what is expected, and what that looks most like."""
+    """One such joint, and what is left there over what is expected."""
 
     joint: int
     times: float
-    quantities: tuple[str, ...]
+
+    @property
+    def told(self) -> bool:
+        """Whether it is too much to be passed over."""
+        return self.times > LOUD
 
     @property
     def share(self) -> float:
@@ -48,13 +53,14 @@ def expected(found: Investigation) -> Array:
     return np.hypot(seen, found.floor.rms)
 
 
-def loud_joints(found: Investigation) -> tuple[Loud, ...]:
-    """Joints that are too loud after all that was found, the loudest first."""
-    search = found.search
-    times = search.rms() / np.maximum(expected(found), 1e-12)
-    system = search.system()
-    loud = [
-        Loud(j, float(times[j]), dependence(system, j, least_gain=0.0, most=1).quantities)
-        for j in np.flatnonzero(times > LOUD).tolist()
-    ]
-    return tuple(sorted(loud, key=lambda one: -one.times))
+def louder_joints(found: Investigation) -> tuple[Loud, ...]:
+    """Joints that are louder than expected after all that was found, the loudest first."""
+    times = found.search.rms() / np.maximum(expected(found), 1e-12)
+    louder = [Loud(j, float(times[j])) for j in np.flatnonzero(times > LOUDER).tolist()]
+    return tuple(sorted(louder, key=lambda one: -one.times))
+
+
+def looks_like(found: Investigation, joint: int) -> tuple[str, ...]:
+    """Quantities that a joint's residual depends on most, however little that foretells."""
+    system = found.search.system()
+    return dependence(system, joint, least_gain=0.0, most=1).quantities

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.diagnose import described, diagnose
 from seqid_cli.discover.investigate import Searched, investigate
-from seqid_cli.discover.loud import expected, loud_joints
+from seqid_cli.discover.loud import expected, louder_joints
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
 from seqid_cli.errors import InputError
@@ -260,7 +260,7 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     logs = humped()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
     (tried,) = found.search.accepted
-    assert loud_joints(found) == ()
+    assert louder_joints(found) == ()
     bare = replace(found, result=Searched(found.search.without(tried), ()), dependences=())
     said = described(bare, logs.robot)
     assert said.verdict == "unexplained"

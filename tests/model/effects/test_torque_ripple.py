@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.torque_ripple import LAWS, TorqueRipple
+from seqid_cli.model.effects.torque_ripple import LAWS, TorqueRipple, highest_order
 from tests.model.effects.fitting import Array
 from tests.model.effects.scenes import GEAR, scene_of, two_joint_robot, wander
 
@@ -78,6 +78,18 @@ def test_without_a_line_no_lag_is_tried() -> None:
     scene, _ = rippling(2.0, 0, seed=4)
     noise = np.random.default_rng(4).normal(size=scene.motion.q.shape)
     assert all(s["lag"] == 0.0 for s in TorqueRipple().grid([scene], 1, [noise]))
+
+
+def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> None:
+    """Two waves per turn of a large gear are above what most samples of a fast log resolve."""
+    effect, gear = TorqueRipple(), 400.0
+    scene, residual = rippling(2.0, 0, seed=5, gear=gear)
+    assert highest_order([scene], 1) < 2.0 * gear
+    found = [s["order"] for s in effect.grid([scene], 1, [residual]) if s["law"] == 0.0]
+    assert {1.0, 2.0} <= set(found)
+    coarse, residual = rippling(2.0, 0, seed=5, gear=4.0)
+    orders = [s["order"] for s in effect.grid([coarse], 1, [residual])]
+    assert 1.0 not in orders  # four waves per turn are a smooth function of position
 
 
 def test_a_joint_that_does_not_move_has_no_orders() -> None:

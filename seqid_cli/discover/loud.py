@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 LOUDER = 1.6  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 LOUD = 2.5  # from which it is worth a word
+DETAIL = 0.002  # of a joint's torque, that no model gets right
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,10 @@ class Loud:
 
 
 def expected(found: Investigation) -> Array:
-    """RMS (n,) N m that the residual would have with a right model: torque and encoder noise."""
+    """RMS (n,) N m that the residual would have with a right model.
+
+    Torque noise, what the encoder's noise makes of the motion, and a detail of the torque itself.
+    """
     search = found.search
     rows, deviation = search.stage.rows, search.deviation(search.system())
     scenes = search.stage.scenes
@@ -50,7 +54,9 @@ def expected(found: Investigation) -> Array:
         for log, scene, moved in zip(found.logs, scenes, deviation, strict=True)
     ]
     seen = [rms(rows.of(j, [e[:, j] for e in echo])) for j in range(rows.n)]
-    return np.hypot(seen, found.floor.rms)
+    torque = [scene.motion.filtered(scene.modelled) for scene in scenes]
+    detail = [DETAIL * rms(rows.of(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
+    return np.hypot(np.hypot(seen, found.floor.rms), detail)
 
 
 def louder_joints(found: Investigation) -> tuple[Loud, ...]:

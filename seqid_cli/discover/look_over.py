@@ -40,6 +40,7 @@ SPAN = 60_000  # kept samples, at least, within which places are compared with e
 OVERLAP_S = 2.0  # between spans
 MOST_PLACES = 12  # of one log
 SINGLE = np.float32
+SERIES = ("t", "q", "dq", "ddq", "load", "residual")  # of a track, sample by sample
 
 
 @dataclass(frozen=True)
@@ -252,12 +253,10 @@ def _standing_out(track: Track) -> Iterator[Interval]:
 
 
 def _joined(tracks: list[Track]) -> Track:
-    names = ("t", "q", "dq", "ddq", "load", "residual")
-    arrays = {name: np.concatenate([getattr(x, name) for x in tracks]) for name in names}
+    arrays = {name: np.concatenate([getattr(x, name) for x in tracks]) for name in SERIES}
     return Track(**arrays, cutoff_hz=tracks[0].cutoff_hz)
 
 
 def _part(track: Track, low: int, high: int) -> Track:
-    names = ("t", "q", "dq", "ddq", "load", "residual")
-    arrays = {name: getattr(track, name)[low:high] for name in names}
+    arrays = {name: getattr(track, name)[low:high] for name in SERIES}
     return Track(**arrays, cutoff_hz=track.cutoff_hz)

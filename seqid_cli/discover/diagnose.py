@@ -100,10 +100,12 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     findings = [_finding(found, robot, tried) for tried in found.search.accepted]
     rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
     findings = [_beside_rest(finding, rest) for finding in findings]
-    if found.events or aside:
-        findings.append(_contact(found, aside))
     louder = louder_joints(found)
-    findings = _ordered(findings, {robot.joint_names[one.joint]: one.share for one in louder})
+    beyond_noise = {robot.joint_names[one.joint]: one.share for one in louder}
+    if found.events or aside:
+        contact = _contact(found, aside)
+        findings.append(_less_sure(contact, _apart(found, robot, beyond_noise)))
+    findings = _ordered(findings, beyond_noise)
     loud = [one for one in louder if one.told]
     if not findings and not rest:
         rest = [
@@ -200,8 +202,8 @@ def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:
 def _contact(found: Investigation, aside: Sequence[EventAside]) -> Finding:
     """The finding that stands for all events."""
     effect = CATALOGUE["external_contact"]
-    inside, gained = _event_energy(found), sum(max(t.trial.total, 0) for t in found.search.accepted)
-    inside += sum(one.energy for one in aside)
+    gained = sum(max(t.trial.total, 0) for t in found.search.accepted)
+    inside = sum(_event_energies(found)) + sum(one.energy for one in aside)
     ratios = [event.score / found.gates.event for event in found.events]
     confidence = event_confidence(max([*ratios, *(one.ratio for one in aside)]))
     return Finding(
@@ -218,10 +220,10 @@ def _contact(found: Investigation, aside: Sequence[EventAside]) -> Finding:
     )
 
 
-def _event_energy(found: Investigation) -> float:
-    """Squared residual inside the events above what the rest of the logs has, in noise units."""
+def _event_energies(found: Investigation) -> list[float]:
+    """Squared residual inside each event above what the rest of the logs has, in noise units."""
     search = found.search
-    total = 0.0
+    energies = []
     left = search.residual(search.system())
     for event in found.events:
         scene = search.stage.scenes[event.scene]
@@ -229,8 +231,22 @@ def _event_energy(found: Investigation) -> float:
         at = (t >= event.start) & (t <= event.end)
         scaled = left[event.scene][at] / search.noise[: search.stage.rows.n]
         thin = SAMPLES_PER_CUTOFF * scene.motion.lowpass.cutoff_hz / scene.motion.rate_hz
-        total += thin * float(np.sum(np.maximum(scaled**2 - 1.0, 0.0)))
-    return total
+        energies.append(thin * float(np.sum(np.maximum(scaled**2 - 1.0, 0.0))))
+    return energies
+
+
+def _apart(found: Investigation, robot: Robot, unknown: Mapping[str, float]) -> float:
+    """Share of the clearest event in what it and all else unknown at its joints amount to.
+
+    A push stands alone. Where much is `unknown` (share of a joint's squared residual) all along,
+    the largest moment of it may be nothing else.
+    """
+    rows = found.search.stage.rows
+    beyond = [unknown.get(name, 0.0) * rows.count(j) for j, name in enumerate(robot.joint_names)]
+    shares = [1.0 if not found.events else 0.0]
+    for event, energy in zip(found.events, _event_energies(found), strict=True):
+        shares.append(energy / max(energy + max(beyond[j] for j in event.joints), 1e-300))
+    return max(shares)
 
 
 def _event(found: Investigation, robot: Robot, event: Interval) -> Event:

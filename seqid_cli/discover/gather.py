@@ -22,7 +22,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.parts import Reducible, mapped
 from seqid_cli.identify.streaming import open_if_long
 from seqid_cli.logs.long import likely_rows
-from seqid_cli.logs.pieces import Range, cut, read_pieces, whole_of
+from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
@@ -140,9 +140,7 @@ def values_of(paths: Iterable[Path], robot: Robot) -> int:
 
 def one_each(gathered: Gathered) -> list[Recording]:
     """One recording of every log: what holds of a piece's sensors holds of the log's."""
-    if not gathered.looks:
-        return list(gathered.recordings)
-    return list({str(recording.path): recording for recording in gathered.recordings}.values())
+    return [pieces[-1] for pieces in by_log(gathered.recordings)]
 
 
 def _size(samples: int, rate_hz: float) -> float:

@@ -59,10 +59,11 @@ def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -
         if not passing or len(search.accepted) >= most:
             return ranked
         chosen, before = _steadier(search, effects, simplest(passing), gate), len(search.accepted)
-        search.add(chosen)
+        told = search.at_its_joint(chosen)
+        search.add(told)
         if len(search.accepted) > 1:
             search.polish()
             search.prune(gate)
         # What was taken back does not come again; other lines of a ripple do, while they stay.
         if not chosen.candidate.effect.wide or len(search.accepted) <= before:
-            tried_already.add(chosen.candidate.key)
+            tried_already |= {chosen.candidate.key, told.candidate.key}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.pieces import whole_of
+from seqid_cli.logs.pieces import by_log, whole_of
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.scene import (
     LONGEST_SESSION_S,
@@ -96,13 +96,9 @@ def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
     Logs whose own clocks all begin at zero, or lie years apart, tell nothing of it. Of pieces it is
     the logs that are asked, and a piece knows at any rate where in its log it begins.
     """
-    wholes = [whole_of(recording) for recording in recordings]
-    # Two logs may have the same content; pieces of one log are one.
-    pairs = zip(recordings, wholes, strict=True)
-    names = [w.sha256 if r.whole else i for i, (r, w) in enumerate(pairs)]
-    logs = dict(zip(names, wholes, strict=True))
-    begun = np.array([whole.start for whole in logs.values()])
-    lengths = np.array([whole.length for whole in logs.values()])
+    logs = [whole_of(pieces[0]) for pieces in by_log(recordings)]
+    begun = np.array([whole.start for whole in logs])
+    lengths = np.array([whole.length for whole in logs])
     order = np.argsort(begun, kind="stable")
     apart = np.all(np.diff(begun[order]) >= 0.5 * lengths[order][:-1])
     shared = bool(apart and np.ptp(begun) < LONGEST_SESSION_S)

@@ -39,6 +39,7 @@ REFINED = 6  # candidates whose settings are searched
 ROUNDS_OF_WEIGHTS = 3
 LEAST_VISIBLE = 0.02
 BY_CHANCE = 1e-3  # that any joint's slow effect is slow noise: not believed from there on
+AS_GOOD = 0.98  # of its gain, that an effect told at its other joint must have
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -298,6 +299,22 @@ class Search:
         self.energies[tried.candidate.key] = self.energy(tried)
         self.accepted.append(tried)
         self.settle()
+
+    def at_its_joint(self, tried: Tried) -> Tried:
+        """An effect between two joints, told at the one whose residual it explains most."""
+        c = tried.candidate
+        partner = c.effect.seen_from_partner(c.joint, c.settings)
+        if partner is None:
+            return tried
+        joint, settings = partner
+        before = self.system()
+        left = replace(self, accepted=[*self.accepted, tried]).system().loss.sum(axis=0)
+        rest = left / np.maximum(before.loss.sum(axis=0), 1e-300)
+        if rest[c.joint] <= rest[joint]:
+            return tried
+        found = self.stage.try_all(before, [replace(c, joint=joint, settings=settings)])
+        as_good = found and found[0].trial.total >= AS_GOOD * tried.trial.total
+        return found[0] if as_good and self.stage.plausible(found[0]) else tried
 
     def marginal(self, tried: Tried) -> Tried:
         """An accepted effect as it gains beside all others."""

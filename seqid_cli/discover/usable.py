@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.echo import REMEDY, WARNING, echoes
+from seqid_cli.logs.pieces import by_log
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.types import Robot
 
@@ -32,14 +33,9 @@ def usable_logs(
     InputError
         If nothing is left.
     """
-    logs: dict[object, list[Recording]] = {}
-    for number, recording in enumerate(recordings):
-        # Two logs may have the same content; pieces of one log are one.
-        key = number if recording.whole is None else (recording.path, recording.whole)
-        logs.setdefault(key, []).append(recording)
     kept: list[Recording] = []
     left_out: list[tuple[str, str]] = []
-    for pieces in logs.values():
+    for pieces in by_log(recordings):
         joints = [found for piece in pieces if (found := _echoed(piece, robot))]
         if 2 * len(joints) >= len(pieces) and joints:
             left_out.append((str(pieces[0].path), joints[0]))

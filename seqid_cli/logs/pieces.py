@@ -7,7 +7,7 @@ of the pieces are kept. A piece holds all that the log has: temperatures and IMU
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -30,6 +30,19 @@ def whole_of(log: Recording | LongLog) -> Whole:
     if isinstance(log, LongLog):
         return Whole(log.sha256, log.start_ns * 1e-9, (log.samples - 1) * log.step_s)
     return log.whole or Whole(log.sha256, log.start, float(log.t[-1]))
+
+
+def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
+    """Recordings, or the pieces of each log together, in the order of the first of each.
+
+    Two whole recordings are two logs even where their content is the same.
+    """
+    logs: dict[object, list[Recording]] = {}
+    for number, recording in enumerate(recordings):
+        whole = recording.whole
+        key = number if whole is None else (str(recording.path), whole.sha256, whole.start)
+        logs.setdefault(key, []).append(recording)
+    return list(logs.values())
 
 
 def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:

@@ -247,3 +247,19 @@ def test_the_time_offset_is_taken_out_where_a_timing_effect_is_accepted() -> Non
     assert search.timed == (True, True)
     search.add(tried(search, "actuator_lag", 0))
     assert search.timed == (False, True)
+
+
+@pytest.mark.parametrize("drive", [0, 1])
+def test_a_coupled_pair_is_named_at_the_joint_that_it_explains_most(drive: int) -> None:
+    """Whichever joint's drive it is: the second joint is the quieter one."""
+
+    def coupled(scene: Scene) -> Array:
+        settings = {"neighbour": 1.0 - 2.0 * drive, "ratio": 1.0}
+        X = CATALOGUE["transmission_coupling"].columns(scene, drive, settings)
+        c = np.array([1.5, 0.3, 0.02])
+        return np.stack([X[j] @ c for j in (0, 1)], axis=1)
+
+    search = search_in(arm_scenes(coupled))
+    searched(search, effects("transmission_coupling"), Gates().passes, most=2)
+    assert accepted(search) == [("transmission_coupling", 1)]
+    assert search.accepted[0].candidate.settings["ratio"] == 1.0

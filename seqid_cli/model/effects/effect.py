@@ -183,6 +183,15 @@ class Effect(abc.ABC):
         """
         return None
 
+    def seen_from_partner(
+        self, joint: int | None, settings: Settings
+    ) -> tuple[int, dict[str, float]] | None:
+        """Return joint and settings that make the same of an effect between two joints.
+
+        None for one that is of its joint alone.
+        """
+        return None
+
     def values(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:

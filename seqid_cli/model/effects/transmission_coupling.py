@@ -4,10 +4,14 @@
     tau_j = tau_u,            tau_k = a tau_u                  (virtual work)
 
 F_c [N m], F_v [N m s/rad], J [kg m^2] at the joint, k the neighbour, `ratio` a by how much the
-drive of joint j turns with it: 1 or -1, unless another is clearly better. Usual in wrists, whose
-last motor sits behind the joint before it: Gautier, Janot, Vandanjon, "A new closed-loop output
-error method for parameter identification of robot dynamics", IEEE Trans. Control Syst. Technol.
-21(2), 2013 (Staubli TX40, a = 1).
+drive of joint j turns with it: 1 or -1, unless another is clearly better; of a ball screw that
+slides and turns it is the lead over 2 pi [m/rad], or its inverse. Usual in wrists, whose last motor
+sits behind the joint before it: Gautier, Janot, Vandanjon, "A new closed-loop output error method
+for parameter identification of robot dynamics", IEEE Trans. Control Syst. Technol. 21(2), 2013
+(Staubli TX40, a = 1).
+
+Seen from joint k the same drive has the ratio 1 / a. The joint whose residual it explains most
+gives its name.
 
 What the model already has acts on dq_j. The effect moves it, so that its columns are differences:
 s(u) - s(dq_j) and so on.
@@ -15,7 +19,7 @@ s(u) - s(dq_j) and so on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +30,7 @@ from seqid_cli.model.effects.scene import Scene
 Array = NDArray[np.float64]
 
 RATIOS = (-1.0, -0.4, -0.15, 0.15, 0.4, 1.0)
+LARGEST_RATIO = 1e5  # of a thread of 0.06 mm a turn
 
 
 class TransmissionCoupling(Effect):
@@ -38,7 +43,7 @@ class TransmissionCoupling(Effect):
     family = "transmission"
     settings = (
         Setting("neighbour", "1", low=-1.0, high=1.0, continuous=False),
-        Setting("ratio", "1", low=-1.0, high=1.0, usual=(-1.0, 1.0)),
+        Setting("ratio", "1", low=-LARGEST_RATIO, high=LARGEST_RATIO, usual=(-1.0, 1.0)),
     )
     alike = ("asymmetric_friction", "rotor_inertia")
     separate_by = (
@@ -54,15 +59,34 @@ class TransmissionCoupling(Effect):
         )
 
     def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """A pair of revolute joints is needed."""
-        assert joint is not None
-        robot = scenes[0].robot
-        return not robot.chain.prismatic[joint] and bool(_neighbours(scenes[0], joint))
+        """A neighbour is needed."""
+        return scenes[0].robot.n > 1
 
     def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
-        """Neighbours and ratios."""
+        """Neighbours of the joint's own kind, and ratios."""
         assert joint is not None
-        return {"neighbour": _neighbours(scenes[0], joint), "ratio": RATIOS}
+        near = [d for d in _neighbours(scenes[0], joint) if not _mixed(scenes[0], joint, d)]
+        return {"neighbour": near, "ratio": RATIOS}
+
+    def grid(
+        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
+    ) -> Iterator[dict[str, float]]:
+        """Neighbours and ratios; between sliding and turning in units of their top speeds."""
+        assert joint is not None
+        yield from super().grid(scenes, joint, residual)
+        for d in _neighbours(scenes[0], joint):
+            if _mixed(scenes[0], joint, d):
+                unit = _top_speed(scenes, joint) / max(_top_speed(scenes, joint + d), 1e-9)
+                yield from ({"neighbour": float(d), "ratio": unit * ratio} for ratio in RATIOS)
+
+    def seen_from_partner(
+        self, joint: int | None, settings: Settings
+    ) -> tuple[int, dict[str, float]]:
+        """The same drive, told at the neighbour."""
+        assert joint is not None
+        partner = joint + int(settings["neighbour"])
+        inverse = float(np.clip(1.0 / settings["ratio"], -LARGEST_RATIO, LARGEST_RATIO))
+        return partner, {"neighbour": -settings["neighbour"], "ratio": inverse}
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """What direction, rate and acceleration of the combination add, on both joints."""
@@ -79,7 +103,15 @@ class TransmissionCoupling(Effect):
         return {joint: drive - already, partner: ratio * drive}
 
 
-def _neighbours(scene: Scene, joint: int) -> list[float]:
+def _neighbours(scene: Scene, joint: int) -> list[int]:
+    return [k - joint for k in (joint - 1, joint + 1) if 0 <= k < scene.robot.n]
+
+
+def _mixed(scene: Scene, joint: int, neighbour: int) -> bool:
+    """Whether one of the two slides and the other turns."""
     prismatic = scene.robot.chain.prismatic
-    near = [k for k in (joint - 1, joint + 1) if 0 <= k < scene.robot.n]
-    return [float(k - joint) for k in near if not prismatic[k]]
+    return bool(prismatic[joint] != prismatic[joint + neighbour])
+
+
+def _top_speed(scenes: Sequence[Scene], joint: int) -> float:
+    return max(float(np.max(np.abs(scene.motion.dq[:, joint]))) for scene in scenes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from seqid_cli.model.effects.transmission_coupling import TransmissionCoupling
 from tests.model.effects.added import scenes_with
 from tests.model.effects.fitting import FINE_HZ, Array, Law
 from tests.model.effects.measured import fitted
-from tests.model.effects.scenes import SIGN_WIDTH
+from tests.model.effects.scenes import SIGN_WIDTH, scene_of, two_joint_robot, wander
 
 COULOMB, VISCOUS, INERTIA = 2.1, 0.6, 0.05
 RATIOS = (1.0, -1.0, 0.3, -0.3)
@@ -63,3 +65,35 @@ def test_equal_drives_are_one_torque_beside_each_joints_own_friction() -> None:
     there = effect.columns(scene, 1, {"neighbour": -1.0, "ratio": 1.0})
     np.testing.assert_allclose(here[0] + own[0], there[0], atol=1e-12)
     np.testing.assert_allclose(here[1], there[1] + own[1], atol=1e-12)
+
+
+def test_a_drive_is_the_same_from_either_joint() -> None:
+    """Coefficients differ by the ratio: speed and torque are told at the other joint."""
+    ratio = 0.4
+    scene, effect = scenes_with(with_both(ratio), logs=1)[0], TransmissionCoupling()
+    scene = replace(scene, sign_width=SIGN_WIDTH * np.array([ratio, 1.0]))
+    settings = {"neighbour": 1.0, "ratio": ratio}
+    here = effect.columns(scene, 0, settings)
+    seen = effect.seen_from_partner(0, settings)
+    assert seen == (1, {"neighbour": -1.0, "ratio": pytest.approx(1 / ratio)})
+    there = effect.columns(scene, *seen)
+    v, a = scene.motion.dq, scene.motion.ddq
+    own = [
+        np.column_stack([np.tanh(v[:, j] / scene.sign_width[j]), v[:, j], a[:, j]]) for j in (0, 1)
+    ]
+    scale = np.array([ratio, ratio**2, ratio**2])
+    np.testing.assert_allclose(here[0] + own[0], there[0] * scale, atol=1e-12)
+    np.testing.assert_allclose(here[1], (there[1] + own[1]) * scale, atol=1e-12)
+
+
+def test_a_screw_that_slides_and_turns() -> None:
+    """Ratios between a slide and a turn are in units of their top speeds."""
+    q = wander(20.0, seed=4, rests=()) * np.array([1.0, 0.05])
+    scene, effect = scene_of(q, robot=two_joint_robot(prismatic=True)), TransmissionCoupling()
+    top = np.max(np.abs(scene.motion.dq), axis=0)
+    ratios = [s["ratio"] for s in effect.grid([scene], 1, [])]
+    assert max(ratios) == pytest.approx(top[1] / top[0])
+    assert max(ratios) < 0.2
+    partner, settings = effect.seen_from_partner(1, {"neighbour": -1.0, "ratio": max(ratios)})
+    assert partner == 0
+    assert settings["ratio"] in [pytest.approx(s["ratio"]) for s in effect.grid([scene], 0, [])]

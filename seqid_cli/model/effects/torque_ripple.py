@@ -3,7 +3,8 @@
     tau = m (c_s sin(p) + c_c cos(p)),        p = order N (q - lag dq)
 
 `order` is in cycles per motor turn (N the gear ratio; per joint turn where the robot file gives
-none, N = 1). The multiplier m is the law by which the ripple scales:
+none, N = 1). On a slide N is the motor's angle per length [rad/m], 2 pi over the screw's lead.
+The multiplier m is the law by which the ripple scales:
 
     law 0, constant:   m = 1            cogging, also without current [N m]
     law 1, torque:     m = tau_model    commutation, phase gains, mesh under load [-]
@@ -47,7 +48,9 @@ PEAKS = 4  # per law
 USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
 FINE = 12.0  # cycles per joint turn, from which a ripple need not be a whole number per motor turn
+FINE_IN_RANGE = 8.0  # cycles in the range of a slide, likewise: it has no turn
 HIGHEST = 4000.0
+HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
 CYCLES_IN_RANGE = 2.0
 WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
 TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
@@ -78,11 +81,6 @@ class TorqueRipple(Effect):
         unit = "1" if settings["law"] == 1.0 else "N m"
         return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Angles repeat at revolute joints."""
-        assert joint is not None
-        return not scenes[0].robot.chain.prismatic[joint]
-
     def grid(
         self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
     ) -> Iterator[dict[str, float]]:
@@ -98,10 +96,11 @@ class TorqueRipple(Effect):
                 yield {"order": order, "law": 0.0, "lag": 0.0}
         for law, lag, profile in _profiles(scenes, joint, residual):
             lowest = max(LOWEST, CYCLES_IN_RANGE / profile.span)
+            fine_from = FINE_IN_RANGE / profile.span if _slides(scenes[0], joint) else FINE
             orders = (self._named(profile, k / gear, gear) for k in peaks(profile, lowest, PEAKS))
             for order in dict.fromkeys(orders):
                 turned = order * gear * lag * speed
-                fine = order == round(order) or order * gear >= FINE
+                fine = order == round(order) or order * gear >= fine_from
                 if fine and (lag == 0.0 or turned > TURNED):
                     yield {"order": order, "law": float(law), "lag": lag}
 
@@ -167,7 +166,7 @@ def multiplier(scene: Scene, joint: int, law: int) -> Array:
 
 def highest_order(scenes: Sequence[Scene], joint: int) -> float:
     """Most cycles per joint turn that speed, sampling rate and encoder can tell apart."""
-    limits = [HIGHEST]
+    limits = [HIGHEST_OF_SLIDE if _slides(scenes[0], joint) else HIGHEST]
     for scene in scenes:
         speed = usual_speed(scene, joint)
         step = float(scene.motion.cutoff.encoder_step[joint])
@@ -176,6 +175,10 @@ def highest_order(scenes: Sequence[Scene], joint: int) -> float:
         if speed > 0.0:
             limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / max(speed, 1e-6))
     return min(limits)
+
+
+def _slides(scene: Scene, joint: int) -> bool:
+    return bool(scene.robot.chain.prismatic[joint])
 
 
 def usual_speed(scene: Scene, joint: int) -> float:

@@ -99,6 +99,24 @@ def test_a_joint_that_does_not_move_has_no_orders() -> None:
         assert np.isfinite(settings["order"])
 
 
-def test_slides_do_not_turn() -> None:
-    robot = two_joint_robot(prismatic=True)
-    assert not TorqueRipple().available([scene_of(wander(6.0), robot=robot)], 1)
+def test_a_screw_repeats_along_its_slide() -> None:
+    scene = scene_of(wander(20.0, rests=()), robot=two_joint_robot(prismatic=True))
+    order = 4.0  # cycles per turn of its motor
+    wave = 3.0 * np.sin(order * scene.gear[1] * scene.motion.q[:, 1] + 0.4)
+    residual = [np.stack([np.zeros(scene.samples), wave], axis=1)]
+    offered = list(TorqueRipple().grid([scene], 1, residual))
+    assert {"order": order, "law": 0.0, "lag": 0.0} in offered
+    sines = 3.0 * np.array([np.cos(0.4), np.sin(0.4)])
+    X = TorqueRipple().columns(scene, 1, {"order": order, "law": 0.0, "lag": 0.0})[1]
+    np.testing.assert_allclose(X @ sines, wave, atol=1e-9)
+
+
+def test_a_bend_over_the_range_of_a_slide_is_no_ripple() -> None:
+    """Waves that are no whole number per motor turn must be many in the range."""
+    scene = scene_of(wander(20.0, rests=()), robot=two_joint_robot(prismatic=True))
+    span = float(np.ptp(scene.motion.q[:, 1]))
+    wave = np.sin(2 * np.pi * 3.3 / span * scene.motion.q[:, 1])
+    residual = [np.stack([np.zeros(scene.samples), wave], axis=1)]
+    offered = [s["order"] for s in TorqueRipple().grid([scene], 1, residual)]
+    assert offered
+    assert all(order == round(order) or order * scene.gear[1] * span > 50.0 for order in offered)

@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 CHANGED = 0.05  # relative excess over a free base from which the file counts as off
 CLEARLY = 0.7  # of what a joint's effects leave: smooth functions must leave less to replace them
 MOST = 0.8  # of what they explain: effects that do as much stay, and the rest is told beside them
+ANOTHER = 0.1  # of what effects leave: where smooth functions leave less, the shape is another
 BY_EFFECTS = 0.5  # of what a broad base alone leaves: its effects must leave less
 WORTH = 0.08  # of the squared residual, by which they must be better
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
@@ -245,7 +246,8 @@ def _outside(search: Search, gates: Gates) -> tuple[Dependence, ...]:
         better = by_smooth < CLEARLY * by_effects
         worth = by_effects - by_smooth > WORTH * without
         short = without - by_effects < MOST * (without - by_smooth)
-        if smooth.rivals and better and worth and short:
+        another = by_smooth < ANOTHER * by_effects
+        if smooth.rivals and better and (another or (worth and short)):
             found.append(smooth)
     return tuple(found)
 

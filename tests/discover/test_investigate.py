@@ -1,14 +1,23 @@
-"""Events beside accepted effects: which of them may be no more than the error of a shape."""
+"""Errors of an accepted effect's shape: events that are no more than that, and shapes of others."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from seqid_cli.discover.events import Interval
-from seqid_cli.discover.investigate import of_shape
+from seqid_cli.discover.gates import Gates
+from seqid_cli.discover.greedy import searched
+from seqid_cli.discover.investigate import _outside, of_shape
 from seqid_cli.discover.search import Search
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
 from tests.discover.arms import arm_scenes, search_in
+
+Array = NDArray[np.float64]
 
 PUSH = Interval(scene=0, start=5.0, end=5.3, joints=(1,), score=9.0)
 
@@ -41,3 +50,24 @@ def test_where_an_effect_changes_sign_its_shape_may_be_off_by_all_of_it(search: 
     assert not is_of_shape(search, 8.0, 10.0, 10.0)
     assert is_of_shape(search, 8.0, -10.0, 10.0)
     assert not is_of_shape(search, 30.0, -10.0, 10.0)
+
+
+def bent(scene: Scene) -> Array:
+    """A wide hump over the second joint's position: a cubic in a rough way."""
+    hump = 4.0 * np.exp(-(((scene.motion.q[:, 1] - 0.4) / 0.7) ** 2))
+    return np.stack([np.zeros(scene.samples), hump], axis=1)
+
+
+def sprung(scene: Scene) -> Array:
+    q = scene.motion.q[:, 1]
+    return np.stack([np.zeros(scene.samples), -3.0 * q - 2.0 * q**3], axis=1)
+
+
+@pytest.mark.parametrize("extra", [bent, sprung])
+def test_a_name_is_not_kept_for_what_has_another_shape(extra: Callable[[Scene], Array]) -> None:
+    search = search_in(arm_scenes(extra))
+    searched(search, [CATALOGUE["spring"]], Gates().passes, most=1)
+    assert [t.candidate.key for t in search.accepted] == [("spring", 1)]
+    assert search.rms()[1] < 0.5 * search.bare[1]
+    told = [(d.joint, d.quantities) for d in _outside(search, Gates())]
+    assert told == ([(1, ("position",))] if extra is bent else [])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.aside import EventAside, events_aside
 from seqid_cli.discover.candidates import Tried
+from seqid_cli.discover.company import beside_rest, less_sure, ordered
 from seqid_cli.discover.confusable import certainty, event_confidence, rivalries
 from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.events import Interval
@@ -48,7 +49,6 @@ Array = NDArray[np.float64]
 
 SLOW_NOISE = 3.0  # times the level of other quantities, that a dependence on time must reach
 ENOUGH_S = 60.0  # of logs, for slow noise to show its usual share
-REST = 0.5  # of the certainty, where a finding may be the rest of another
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
@@ -99,13 +99,13 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     """Turn a search, and the events beside it, into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, tried) for tried in found.search.accepted]
     rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
-    findings = [_beside_rest(finding, rest) for finding in findings]
+    findings = [beside_rest(finding, rest) for finding in findings]
     louder = louder_joints(found)
     beyond_noise = {robot.joint_names[one.joint]: one.share for one in louder}
     if found.events or aside:
         contact = _contact(found, aside)
-        findings.append(_less_sure(contact, _apart(found, robot, beyond_noise)))
-    findings = _ordered(findings, beyond_noise)
+        findings.append(less_sure(contact, _apart(found, robot, beyond_noise)))
+    findings = ordered(findings, beyond_noise)
     loud = [one for one in louder if one.told]
     if not findings and not rest:
         rest = [
@@ -125,72 +125,6 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
         hidden=_hidden(found, robot),
         notes=(*offset_notes(found, robot), *loud_notes(loud, robot)),
     )
-
-
-def _beside_rest(finding: Finding, rest: Sequence[Unexplained]) -> Finding:
-    """Less sure where more of its joints' residual depends on things unknown than it explains.
-
-    What shows above the cut-off is judged there, and the rest lies below.
-    """
-    shares: dict[str, float] = {}
-    for part in rest:
-        shares[part.joint] = max(part.share, shares.get(part.joint, 0.0))
-    return _beside_unknown(finding, shares)
-
-
-def _beside_unknown(finding: Finding, shares: Mapping[str, float]) -> Finding:
-    """Less sure by what share of its joint's residual, or of any if it has none, is not known."""
-    near = [share for joint, share in shares.items() if finding.joint in (None, joint)]
-    share = max(near, default=0.0)
-    if not share or CATALOGUE[finding.effect].wide:
-        return finding
-    unknown = share * (1.0 - finding.explains)
-    return _less_sure(finding, finding.explains / max(finding.explains + unknown, 1e-12))
-
-
-def _less_sure(finding: Finding, share: float) -> Finding:
-    """Both confidences times `share`."""
-    return replace(
-        finding,
-        confidence=share * finding.confidence,
-        name_confidence=share * finding.name_confidence,
-    )
-
-
-def _ordered(findings: Sequence[Finding], louder: Mapping[str, float]) -> list[Finding]:
-    """The weightiest first; none is more certain than one that it was found beside.
-
-    Where a joint stays `louder` (share of its squared residual that noise does not make), the first
-    has not quite the right shape, and what comes after may be made of that.
-    """
-    ordered = sorted(findings, key=lambda f: -f.explains * f.confidence)
-    ordered = [_of_company(f, ordered[:k], ordered[k + 1 :]) for k, f in enumerate(ordered)]
-    ordered[1:] = [_beside_unknown(f, louder) for f in ordered[1:]]
-    certainties = np.minimum.accumulate([f.confidence for f in ordered])
-    return [
-        replace(f, confidence=float(c), name_confidence=min(f.name_confidence, float(c)))
-        for f, c in zip(ordered, certainties, strict=True)
-    ]
-
-
-def _of_company(finding: Finding, before: Sequence[Finding], after: Sequence[Finding]) -> Finding:
-    """Findings alike at one joint may be one effect: the lesser is half as sure."""
-    weightier, lesser = (_alike(finding, others) for others in (before, after))
-    names = dict.fromkeys((*finding.confusable_with, *weightier, *lesser))
-    share = REST if weightier else 1.0
-    return replace(_less_sure(finding, share), confusable_with=tuple(names))
-
-
-def _alike(finding: Finding, others: Sequence[Finding]) -> list[str]:
-    return [
-        f.effect
-        for f in others
-        if f.joint == finding.joint
-        and (
-            f.effect in CATALOGUE[finding.effect].alike
-            or finding.effect in CATALOGUE[f.effect].alike
-        )
-    ]
 
 
 def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:

@@ -192,6 +192,10 @@ class Effect(abc.ABC):
         """
         return None
 
+    def one_source(self, settings: Settings, others: Settings) -> bool:
+        """Return whether the same effect at two joints, with these settings, may be one thing."""
+        return False
+
     def values(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:

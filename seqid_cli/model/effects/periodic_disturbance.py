@@ -101,6 +101,11 @@ class PeriodicDisturbance(Effect):
             wide[:, 2 * scene.log : 2 * scene.log + 2] = line
         return {joint: wide}
 
+    def one_source(self, settings: Settings, others: Settings) -> bool:
+        """Return whether the two frequencies are one, as far as the logs' length tells."""
+        apart = abs(settings["frequency"] - others["frequency"])
+        return bool(apart * max(settings["span"], others["span"]) < 1.0)
+
     def values(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,11 +65,6 @@ class Stage:
         self.rows = rows
         self.high = high_band(rows)
         self._made: dict[tuple[object, ...], Joints] = {}
-
-    @cached_property
-    def nothing(self) -> list[Array]:
-        """A column of zeros (M_j, 1) for each joint."""
-        return [np.zeros((self.rows.count(j), 1)) for j in range(self.rows.n)]
 
     @property
     def scenes(self) -> tuple[Scene, ...]:

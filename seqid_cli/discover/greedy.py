@@ -6,19 +6,8 @@ from collections.abc import Sequence
 
 from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.search import Gate, Search
+from seqid_cli.discover.tellings import at_its_joint, sharper, simplest
 from seqid_cli.model.effects.effect import Effect
-
-TIE = 0.02  # of the gain, that one more parameter must be worth
-
-
-def simplest(ranked: Sequence[Tried]) -> Tried:
-    """The leader, or a candidate of fewer parameters that does as well."""
-    leader = ranked[0]
-    for other in ranked[1:]:
-        fewer = leader.candidate.freedom - other.candidate.freedom
-        if fewer > 0 and other.trial.total >= (1 - TIE * fewer) * leader.trial.total:
-            leader = other
-    return leader
 
 
 def _steadier(search: Search, effects: Sequence[Effect], chosen: Tried, gate: Gate) -> Tried:
@@ -59,7 +48,7 @@ def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -
         if not passing or len(search.accepted) >= most:
             return ranked
         chosen, before = _steadier(search, effects, simplest(passing), gate), len(search.accepted)
-        told = search.at_its_joint(chosen)
+        told = at_its_joint(search, sharper(search, chosen, passing))
         search.add(told)
         if len(search.accepted) > 1:
             search.polish()

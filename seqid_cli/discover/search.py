@@ -39,7 +39,6 @@ REFINED = 6  # candidates whose settings are searched
 ROUNDS_OF_WEIGHTS = 3
 LEAST_VISIBLE = 0.02
 BY_CHANCE = 1e-3  # that any joint's slow effect is slow noise: not believed from there on
-AS_GOOD = 0.98  # of its gain, that an effect told at its other joint must have
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -174,7 +173,7 @@ class Search:
             held = base.friction_hold(j, self.inflation, free=self.broad)
             blocks.append(Block({j: base.friction[j]}, held, lasting=True))
         for j in range(n):
-            columns = base.timing[j] if self.timed[j] else self.stage.nothing[j]
+            columns = base.nuisances[j] if self.timed[j] else base.untimed[j]
             blocks.append(Block({j: columns}, np.diag(base.bounds[2][j]), lasting=True))
         return blocks
 
@@ -300,22 +299,6 @@ class Search:
         self.accepted.append(tried)
         self.settle()
 
-    def at_its_joint(self, tried: Tried) -> Tried:
-        """An effect between two joints, told at the one whose residual it explains most."""
-        c = tried.candidate
-        partner = c.effect.seen_from_partner(c.joint, c.settings)
-        if partner is None:
-            return tried
-        joint, settings = partner
-        before = self.system()
-        left = replace(self, accepted=[*self.accepted, tried]).system().loss.sum(axis=0)
-        rest = left / np.maximum(before.loss.sum(axis=0), 1e-300)
-        if rest[c.joint] <= rest[joint]:
-            return tried
-        found = self.stage.try_all(before, [replace(c, joint=joint, settings=settings)])
-        as_good = found and found[0].trial.total >= AS_GOOD * tried.trial.total
-        return found[0] if as_good and self.stage.plausible(found[0]) else tried
-
     def marginal(self, tried: Tried) -> Tried:
         """An accepted effect as it gains beside all others."""
         return self.stage.try_all(self.without(tried).system(), [tried.candidate])[0]
@@ -349,8 +332,15 @@ class Search:
 
 
 def _again(tried: Tried, accepted: Tried) -> bool:
-    """Whether it is the accepted effect once more, and not another line of it."""
-    return tried.candidate.key == accepted.candidate.key and not tried.candidate.effect.wide
+    """Whether it is the accepted effect once more, and not another line of it.
+
+    A line that is told by the rows below the cut-off has its shaken arm above it.
+    """
+    one, other = tried.candidate, accepted.candidate
+    if one.key != other.key:
+        return False
+    above = other.below and not one.below
+    return not one.effect.wide or (above and one.effect.one_line(one.settings, other.settings))
 
 
 def _apart(tried: Tried, other: Tried) -> bool:

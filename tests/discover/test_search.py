@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.gates import Gates
-from seqid_cli.discover.greedy import searched, simplest
+from seqid_cli.discover.greedy import searched
 from seqid_cli.discover.search import Search, best_of_each
+from seqid_cli.discover.tellings import simplest
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
@@ -25,6 +26,7 @@ SOME = ("stribeck", "spring", "asymmetric_friction", "load_dependent_friction", 
 DRAG = 0.3  # N m s^2/rad^2
 HUMP, SPEED = 1.2, 0.3  # N m, rad/s
 MASS = 0.8  # kg
+RIPPLE, LOOP = 2.0, 60.0  # N m; rad/s, of the position loop
 
 
 def effects(*names: str) -> list[Effect]:
@@ -263,3 +265,21 @@ def test_a_coupled_pair_is_named_at_the_joint_that_it_explains_most(drive: int) 
     searched(search, effects("transmission_coupling"), Gates().passes, most=2)
     assert accepted(search) == [("transmission_coupling", 1)]
     assert search.accepted[0].candidate.settings["ratio"] == 1.0
+
+
+def shaken(scene: Scene) -> Array:
+    """A ripple of the second drive whose fast waves move the arm instead of the drive's current."""
+    gear, v = scene.gear[1], scene.motion.dq[:, 1]
+    wave = RIPPLE * np.exp(1j * gear * scene.motion.q[:, 1])
+    answered = wave / (1.0 + (1j * gear * v / LOOP) ** 3)
+    return np.stack([np.zeros(scene.samples), answered.imag], axis=1)
+
+
+def test_a_ripple_is_told_where_the_drive_holds_against_it() -> None:
+    search = search_in(arm_scenes(shaken))
+    searched(search, effects("torque_ripple"), Gates().passes, most=3)
+    assert accepted(search) == [("torque_ripple", 1)]
+    found = search.accepted[0]
+    assert found.candidate.settings == {"order": 1.0, "law": 0.0, "lag": 0.0}
+    amplitude = float(np.hypot(*found.trial.coefficients))
+    assert amplitude == pytest.approx(RIPPLE, rel=0.05)

@@ -192,6 +192,10 @@ class Effect(abc.ABC):
         """
         return None
 
+    def one_line(self, settings: Settings, others: Settings) -> bool:
+        """Return whether two lines of a `wide` effect at one joint are the same."""
+        return True
+
     def one_source(self, settings: Settings, others: Settings) -> bool:
         """Return whether the same effect at two joints, with these settings, may be one thing."""
         return False

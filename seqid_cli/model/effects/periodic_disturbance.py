@@ -101,6 +101,10 @@ class PeriodicDisturbance(Effect):
             wide[:, 2 * scene.log : 2 * scene.log + 2] = line
         return {joint: wide}
 
+    def one_line(self, settings: Settings, others: Settings) -> bool:
+        """Whether the frequencies are one."""
+        return self.one_source(settings, others)
+
     def one_source(self, settings: Settings, others: Settings) -> bool:
         """Return whether the two frequencies are one, as far as the logs' length tells."""
         apart = abs(settings["frequency"] - others["frequency"])

@@ -53,6 +53,7 @@ HIGHEST = 4000.0
 HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
 CYCLES_IN_RANGE = 2.0
 WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
+SAME_ORDER = 1e-3
 TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
 LAGS_S = (0.005, 0.01, 0.015, 0.02)
 CLEAR = 15.0  # times the level around it, that a line with lag must have: the luckiest of noise
@@ -111,6 +112,10 @@ class TorqueRipple(Effect):
         if whole >= 1.0 and profile.gain(whole * gear) >= enough * profile.gain(order * gear):
             return whole
         return order
+
+    def one_line(self, settings: Settings, others: Settings) -> bool:
+        """Whether the orders are one."""
+        return bool(np.isclose(settings["order"], others["order"], rtol=SAME_ORDER))
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """Sine and cosine of the angle, times the law's multiplier."""

@@ -92,7 +92,7 @@ class TransmissionCoupling(Effect):
         """What direction, rate and acceleration of the combination add, on both joints."""
         assert joint is not None
         partner, ratio = joint + int(settings["neighbour"]), float(settings["ratio"])
-        width = scene.sign_width[joint]
+        width = np.hypot(scene.sign_width[joint], ratio * scene.sign_width[partner])
         own, other = (
             np.stack([scene.motion.dq[:, j], scene.motion.ddq[:, j]], axis=1)
             for j in (joint, partner)

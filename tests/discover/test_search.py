@@ -26,7 +26,7 @@ SOME = ("stribeck", "spring", "asymmetric_friction", "load_dependent_friction", 
 DRAG = 0.3  # N m s^2/rad^2
 HUMP, SPEED = 1.2, 0.3  # N m, rad/s
 MASS = 0.8  # kg
-RIPPLE, LOOP = 2.0, 60.0  # N m; rad/s, of the position loop
+RIPPLE, LOOP = 2.0, 80.0  # N m; rad/s, of the position loop
 
 
 def effects(*names: str) -> list[Effect]:
@@ -271,7 +271,7 @@ def shaken(scene: Scene) -> Array:
     """A ripple of the second drive whose fast waves move the arm instead of the drive's current."""
     gear, v = scene.gear[1], scene.motion.dq[:, 1]
     wave = RIPPLE * np.exp(1j * gear * scene.motion.q[:, 1])
-    answered = wave / (1.0 + (1j * gear * v / LOOP) ** 3)
+    answered = wave / (1.0 + (gear * v / LOOP) ** 4)
     return np.stack([np.zeros(scene.samples), answered.imag], axis=1)
 
 

@@ -10,7 +10,8 @@ Tibshirani, "An introduction to the bootstrap", chapter 6.5, 1993.
 
 Where a joint does not certainly slide its torque is the measured one. Such samples do not count;
 but how long a joint sticks when it turns back reaches others through the low-pass, and makes clean
-logs look as if torque were late. IMU channels are kept as recorded.
+logs look as if torque were late. A push, which is nothing clean, is not kept even there. IMU
+channels are kept as recorded.
 """
 
 from __future__ import annotations
@@ -85,9 +86,14 @@ class CleanLogs:
         scenes: Sequence[Scene],
         residual: Sequence[Array],
         deviation: Sequence[Array],
+        events: Sequence[Mask] | None = None,
     ) -> CleanLogs:
-        """Prepare the draws; arguments as those of `clean_recordings`."""
-        given = zip(recordings, scenes, residual, deviation, strict=True)
+        """Prepare the draws; arguments as those of `clean_recordings`.
+
+        `events` (N,) per log are the scene's samples at which something else acts on the arm.
+        """
+        apart = [np.zeros(s.samples, dtype=bool) for s in scenes] if events is None else events
+        given = zip(recordings, scenes, residual, deviation, apart, strict=True)
         return cls(tuple(CleanLog(*one) for one in given))
 
     def draw(self, rng: np.random.Generator) -> list[Recording]:
@@ -97,12 +103,13 @@ class CleanLogs:
 
 @dataclass(frozen=True)
 class CleanLog:
-    """One log, ready to be drawn; arguments as those of `clean_recordings`."""
+    """One log, ready to be drawn; arguments as those of `CleanLogs.of`."""
 
     recording: Recording
     scene: Scene
     residual: Array
     deviation: Array
+    event: Mask
 
     def draw(self, rng: np.random.Generator) -> Recording:
         """Draw new noise."""
@@ -167,7 +174,7 @@ class CleanLog:
         The ramps between them, straight, lie in what does not count.
         """
         motion, rate = self.scene.motion, self.recording.rate_hz
-        away = ~self.scene.slides
+        away = ~(self.scene.slides | self.event[:, None])
         reach = max(1, round(RAMP * rate / motion.lowpass.cutoff_hz))
         size = (2 * reach + 1, 1)
         inner = binary_erosion(

@@ -17,7 +17,7 @@ from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Stage, Tried
 from seqid_cli.discover.clean import CleanLogs
 from seqid_cli.discover.dependence import Dependence, dependence
-from seqid_cli.discover.events import GATE, event_score
+from seqid_cli.discover.events import GATE, Interval, event_masks, event_score
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
@@ -92,6 +92,7 @@ def calibrated(
     smooth: Sequence[Dependence],
     stages: Stages,
     options: DiscoverOptions,
+    events: Sequence[Interval] = (),
 ) -> Gates:
     """Screen clean data sets made from what a search has arrived at.
 
@@ -107,6 +108,8 @@ def calibrated(
         What smooth functions found beside the effects; that is no noise either.
     stages : Stages
     options : DiscoverOptions
+    events : sequence of Interval
+        What clean data do not have.
     """
     scenes = search.stage.scenes
     told = replace(search, smooth=(*search.smooth, *(r for look in smooth for r in look.rivals)))
@@ -119,13 +122,14 @@ def calibrated(
     ]
     left = quiet(search.stage.rows, told.residual(system))
     deviation = told.deviation(system)
+    masks = event_masks(search.stage.rows, events)
     rng = np.random.default_rng(options.seed)
     gates = Gates()
     for run in range(options.clean_runs):
         # The file is as uncertain as it says: what it has wrong leaves residuals, too.
         wrong = told.base.drawn_deviation(rng)
         truth = [one + other for one, other in zip(deviation, wrong, strict=True)]
-        drawn = CleanLogs.of(freed, scenes, left, truth).draw(rng)
+        drawn = CleanLogs.of(freed, scenes, left, truth, masks).draw(rng)
         looked = smooth if run < SMOOTH_RUNS else ()
         gates = gates.joined(_screened(drawn, search, looked, stages, options))
     return gates

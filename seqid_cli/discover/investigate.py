@@ -141,13 +141,14 @@ def _judged(
     options: DiscoverOptions,
 ) -> tuple[Searched, list[Interval], Gates]:
     """Hold what was found against clean data; what is found instead, too."""
-    gates = calibrated(logs, result.search, smooth, stages, options)
+    gates = calibrated(logs, result.search, smooth, stages, options, events)
     if events and (min(e.score for e in events) < gates.event or not _stand_out(events, gates)):
         broad = result.search.broad
         result, events = _without_events(rows, stages, gates, options, broad=broad)
     result = _again(result.search, gates, options)
     if {t.candidate.effect.name for t in result.search.accepted} - set(gates.clean):
-        gates = gates.joined(calibrated(logs, result.search, smooth, stages, options))
+        anew = calibrated(logs, result.search, smooth, stages, options, events)
+        gates = gates.joined(anew)
         _take_back(result.search, gates)
     return result, events, gates
 

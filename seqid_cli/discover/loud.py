@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.clean import CleanLog
 from seqid_cli.discover.dependence import dependence
+from seqid_cli.discover.events import event_masks
 from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
 
@@ -48,10 +49,10 @@ def expected(found: Investigation) -> Array:
     """
     search = found.search
     rows, deviation = search.stage.rows, search.deviation(search.system())
-    scenes = search.stage.scenes
+    scenes, events = search.stage.scenes, event_masks(rows, found.events)
     echo = [
-        CleanLog(log, scene, np.zeros_like(scene.motion.q), moved).echo
-        for log, scene, moved in zip(found.logs, scenes, deviation, strict=True)
+        CleanLog(log, scene, np.zeros_like(scene.motion.q), moved, event).echo
+        for log, scene, moved, event in zip(found.logs, scenes, deviation, events, strict=True)
     ]
     seen = [rms(rows.of(j, [e[:, j] for e in echo])) for j in range(rows.n)]
     torque = [scene.motion.filtered(scene.modelled) for scene in scenes]

@@ -172,6 +172,10 @@ def test_the_seed_decides(fit: Fit) -> None:
     assert not np.array_equal(one.q, other.q)
 
 
+def no_event(scene: Scene) -> NDArray[np.bool_]:
+    return np.zeros(scene.samples, dtype=bool)
+
+
 def test_torque_noise_above_the_band_has_the_measured_size(fit: Fit) -> None:
     again = drawn(fit, 3)
     for old, new in zip(fit.logs, again.logs, strict=True):
@@ -184,8 +188,8 @@ def test_torque_noise_above_the_band_has_the_measured_size(fit: Fit) -> None:
 def test_what_the_refitted_base_adds_is_in_the_torque(fit: Fit) -> None:
     log, scene, nothing = fit.logs[0], fit.scenes[0], np.zeros_like(fit.residual[0])
     smooth = 0.1 * scene.motion.filtered(np.cos(scene.motion.q), times=2)
-    without = CleanLog(log, scene, nothing, nothing)
-    extra = CleanLog(log, scene, nothing, smooth).torque - without.torque
+    without = CleanLog(log, scene, nothing, nothing, no_event(scene))
+    extra = CleanLog(log, scene, nothing, smooth, no_event(scene)).torque - without.torque
     found = low_passed(log, scene, extra) - smooth
     slides = sliding(scene.motion, 10.0 * scene.sign_width)
     # It is not added where torque is the measured one, which reaches a little further.
@@ -198,7 +202,7 @@ def test_where_nothing_slides_torque_is_the_measured_one(fit: Fit) -> None:
     still = replace(scene, motion=replace(scene.motion, moving=scene.motion.moving.copy()))
     pause = slice(scene.samples // 3, scene.samples // 2)
     still.motion.moving[pause, 0] = False
-    clean = CleanLog(log, still, fit.residual[0], fit.deviation[0])
+    clean = CleanLog(log, still, fit.residual[0], fit.deviation[0], no_event(scene))
     middle = (scene.samples * 5 // 12) * round(log.rate_hz / scene.motion.rate_hz)
     again = clean.draw(np.random.default_rng(0))
     assert again.tau is not None
@@ -209,9 +213,23 @@ def test_where_nothing_slides_torque_is_the_measured_one(fit: Fit) -> None:
     assert np.max(np.abs(np.diff(clean.resting, axis=0))) < 0.1
 
 
+def test_a_push_is_not_clean_even_at_rest(fit: Fit) -> None:
+    log, scene = fit.logs[0], fit.scenes[0]
+    assert log.tau is not None
+    still = replace(scene, motion=replace(scene.motion, moving=np.zeros_like(scene.motion.moving)))
+    factor = round(log.rate_hz / scene.motion.rate_hz)
+    pushed, event = log.tau.copy(), no_event(scene)
+    event[300:340] = True
+    pushed[300 * factor : 340 * factor] += 50.0
+    hit = replace(log, tau=pushed)
+    clean = CleanLog(hit, still, fit.residual[0], fit.deviation[0], event).torque
+    assert np.max(np.abs(clean - log.tau)[310 * factor : 330 * factor]) < 25.0
+    np.testing.assert_allclose(clean[: 250 * factor], log.tau[: 250 * factor], atol=1e-12)
+
+
 def test_noise_free_clean_torque_is_the_model_where_joints_slide(fit: Fit) -> None:
     log, scene, nothing = fit.logs[0], fit.scenes[0], np.zeros_like(fit.residual[0])
-    clean = CleanLog(log, scene, nothing, nothing)
+    clean = CleanLog(log, scene, nothing, nothing, no_event(scene))
     off = low_passed(log, scene, clean.torque) - modelled_filtered(scene)
     slides = sliding(scene.motion, 20.0 * scene.sign_width)
     for j in range(JOINTS):

@@ -31,7 +31,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.relinearise import moved, relinearised
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.search import Search
+from seqid_cli.discover.search import Search, above_too
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
@@ -258,21 +258,23 @@ def _beside(
 ) -> Searched:
     """Search anew with smooth functions in place of those joints' effects.
 
-    What touches those joints below the cut-off is left out, and constant changes: with part of a
-    joint's torque free, nothing tells them any more. What the whole arm has shown beside them
-    stays, and so does what shows above the cut-off alone.
+    What touches those joints below the cut-off alone is left out, and constant changes: with part
+    of a joint's torque free, nothing tells them any more. What the whole arm has shown beside them
+    stays, and so does what shows above the cut-off.
     """
     taken = {dependence.joint for dependence in outside}
 
     def gate(tried: Tried) -> bool:
-        return gates.passes(tried) and not taken & _below(tried, search.stage.rows.n)
+        free = above_too(tried) or not taken & _below(tried, search.stage.rows.n)
+        return gates.passes(tried) and free
 
     smooth = [rival for dependence in outside for rival in dependence.rivals]
     fresh = Search.begin(
         search.stage, search.base, kept=search.kept, broad=search.broad, smooth=smooth
     )
     for tried in search.accepted:
-        apart = tried.candidate.joint is None or not _below(tried, search.stage.rows.n)
+        n = search.stage.rows.n
+        apart = tried.candidate.joint is None or above_too(tried) or not _below(tried, n)
         if apart and gates.passes(fresh.marginal(tried)):
             fresh.add(tried)
     effects = [effect for effect in CATALOGUE.values() if not effect.change]

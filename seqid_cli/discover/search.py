@@ -191,9 +191,10 @@ class Search:
         filtered = Filtered.of(self.stage.rows)
         blocks = []
         for rival in self.smooth:
-            held = known_beforehand(float(self.bare[rival.joint]), rival.size)
-            prior = np.sqrt(held) * np.eye(rival.size)
-            blocks.append(Block(filtered.columns(rival), prior))
+            held = known_beforehand(float(self.base.start[rival.joint]), rival.size)
+            prior = np.sqrt(held) * np.eye(rival.size + 1)
+            columns = {j: _with_constant(X) for j, X in filtered.columns(rival).items()}
+            blocks.append(Block(columns, prior))
         return blocks
 
     def deviation(self, system: System) -> list[Array]:
@@ -212,7 +213,7 @@ class Search:
         added = system.where[1 + 2 * n :]
         for rival, where in zip(self.smooth, added, strict=False):
             for torque, scene in zip(explained, self.stage.scenes, strict=True):
-                shown = rival.columns(scene)[rival.joint] @ theta[where]
+                shown = _with_constant(rival.columns(scene)[rival.joint]) @ theta[where]
                 torque[:, rival.joint] += scene.motion.filtered(shown, times=2)
         for tried, where in self.placed(system):
             _add_effect(explained, self.stage, tried.candidate, theta[where])
@@ -345,8 +346,17 @@ def _again(tried: Tried, accepted: Tried) -> bool:
 
 def _apart(tried: Tried, other: Tried) -> bool:
     """Whether a candidate lives above the cut-off, where the other's shape has no error."""
-    above = tried.candidate.effect.wide and not tried.candidate.below
-    return above and not other.candidate.effect.wide
+    return above_too(tried) and not other.candidate.effect.wide
+
+
+def above_too(tried: Tried) -> bool:
+    """Whether the rows above the cut-off tell of it as well."""
+    return tried.candidate.effect.wide and not tried.candidate.below
+
+
+def _with_constant(X: Array) -> Array:
+    """Columns (N, k + 1): smooth functions have no constant, and not every base has one."""
+    return np.column_stack([X, np.ones(len(X))])
 
 
 def _block(tried: Tried) -> Block:

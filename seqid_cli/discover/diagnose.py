@@ -103,8 +103,9 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     louder = louder_joints(found)
     beyond_noise = {robot.joint_names[one.joint]: one.share for one in louder}
     if found.events or aside:
-        contact = _contact(found, aside)
-        findings.append(less_sure(contact, _apart(found, robot, beyond_noise)))
+        energies = _event_energies(found)
+        contact = _contact(found, aside, energies)
+        findings.append(less_sure(contact, _apart(found, robot, beyond_noise, energies)))
     findings = ordered(findings, beyond_noise)
     loud = [one for one in louder if one.told]
     if not findings and not rest:
@@ -133,11 +134,13 @@ def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:
     return list({u.joint: u for u in reversed(ordered)}.values())[::-1]
 
 
-def _contact(found: Investigation, aside: Sequence[EventAside]) -> Finding:
-    """The finding that stands for all events."""
+def _contact(
+    found: Investigation, aside: Sequence[EventAside], energies: Sequence[float]
+) -> Finding:
+    """The finding that stands for all events; `energies` are those of the search's."""
     effect = CATALOGUE["external_contact"]
     gained = sum(max(t.trial.total, 0) for t in found.search.accepted)
-    inside = sum(_event_energies(found)) + sum(one.energy for one in aside)
+    inside = sum(energies) + sum(one.energy for one in aside)
     ratios = [event.score / found.gates.event for event in found.events]
     confidence = event_confidence(max([*ratios, *(one.ratio for one in aside)]))
     return Finding(
@@ -169,7 +172,9 @@ def _event_energies(found: Investigation) -> list[float]:
     return energies
 
 
-def _apart(found: Investigation, robot: Robot, unknown: Mapping[str, float]) -> float:
+def _apart(
+    found: Investigation, robot: Robot, unknown: Mapping[str, float], energies: Sequence[float]
+) -> float:
     """Share of the clearest event in what it and all else unknown at its joints amount to.
 
     A push stands alone. Where much is `unknown` (share of a joint's squared residual) all along,
@@ -178,7 +183,7 @@ def _apart(found: Investigation, robot: Robot, unknown: Mapping[str, float]) -> 
     rows = found.search.stage.rows
     beyond = [unknown.get(name, 0.0) * rows.count(j) for j, name in enumerate(robot.joint_names)]
     shares = [1.0 if not found.events else 0.0]
-    for event, energy in zip(found.events, _event_energies(found), strict=True):
+    for event, energy in zip(found.events, energies, strict=True):
         shares.append(energy / max(energy + max(beyond[j] for j in event.joints), 1e-300))
     return max(shares)
 

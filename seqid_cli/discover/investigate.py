@@ -262,10 +262,10 @@ def _beside(
     of a joint's torque free, nothing tells them any more. What the whole arm has shown beside them
     stays, and so does what shows above the cut-off.
     """
-    taken = {dependence.joint for dependence in outside}
+    taken, n = {dependence.joint for dependence in outside}, search.stage.rows.n
 
     def gate(tried: Tried) -> bool:
-        free = above_too(tried) or not taken & _below(tried, search.stage.rows.n)
+        free = above_too(tried) or not taken & _below(tried, n)
         return gates.passes(tried) and free
 
     smooth = [rival for dependence in outside for rival in dependence.rivals]
@@ -273,7 +273,6 @@ def _beside(
         search.stage, search.base, kept=search.kept, broad=search.broad, smooth=smooth
     )
     for tried in search.accepted:
-        n = search.stage.rows.n
         apart = tried.candidate.joint is None or above_too(tried) or not _below(tried, n)
         if apart and gates.passes(fresh.marginal(tried)):
             fresh.add(tried)

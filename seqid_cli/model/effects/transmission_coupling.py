@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import top_speed
 from seqid_cli.model.effects.scene import Scene
 
 Array = NDArray[np.float64]
@@ -76,7 +77,7 @@ class TransmissionCoupling(Effect):
         yield from super().grid(scenes, joint, residual)
         for d in _neighbours(scenes[0], joint):
             if _mixed(scenes[0], joint, d):
-                unit = _top_speed(scenes, joint) / max(_top_speed(scenes, joint + d), 1e-9)
+                unit = top_speed(scenes, joint) / top_speed(scenes, joint + d)
                 yield from ({"neighbour": float(d), "ratio": unit * ratio} for ratio in RATIOS)
 
     def seen_from_partner(
@@ -111,7 +112,3 @@ def _mixed(scene: Scene, joint: int, neighbour: int) -> bool:
     """Whether one of the two slides and the other turns."""
     prismatic = scene.robot.chain.prismatic
     return bool(prismatic[joint] != prismatic[joint + neighbour])
-
-
-def _top_speed(scenes: Sequence[Scene], joint: int) -> float:
-    return max(float(np.max(np.abs(scene.motion.dq[:, joint]))) for scene in scenes)

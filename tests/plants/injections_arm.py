@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tests.plants.injections_drive import at
 from tests.plants.injections_friction import clear
-from tests.plants.rated import rated_torque, reach, tool_point
+from tests.plants.rated import reach, strongest, tool_point, travel
 from tests.plants.rigid import rot_x, rot_z
 from tests.plants.rigs import GRAVITY, standard_parameters
 from tests.plants.simulate import Plant
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 def payload(plant: Plant, joint: int, size: float) -> Plant:
     """Body at the tool point whose weight is a clear torque for the strongest joint."""
-    mass = 0.05 * size * float(rated_torque(plant).max()) / (GRAVITY * reach(plant))
+    mass = 0.05 * size * strongest(plant) / (GRAVITY * reach(plant))
     body = standard_parameters(mass, tuple(tool_point(plant)), (0.05, 0.05, 0.05), np.eye(3))
     phi = plant.arm.phi.copy()
     phi[-1] += body
@@ -41,7 +41,7 @@ def rotor_inertia(plant: Plant, joint: int, size: float) -> Plant:
 
 def contact(plant: Plant, joint: int, size: float) -> Plant:
     """Pushes of the last link that are 10 % of rated times size for the strongest joint."""
-    force = 0.10 * size * float(rated_torque(plant).max()) / reach(plant)
+    force = 0.10 * size * strongest(plant) / reach(plant)
     model = Contact(plant.arm, tool_point(plant), force)
     return replace(plant, hidden=plant.hidden.with_torque(model))
 
@@ -70,9 +70,10 @@ def bump(plant: Plant, joint: int, size: float) -> Plant:
 def other_speed(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(4 v_other + 0.6)."""
     torque, source = clear(plant, joint, size), other(plant, joint)
+    pace = 4.0 / travel(plant, source)
 
     def law(q: Array, dq: Array) -> float:
-        return -torque * float(np.sin(4.0 * dq[source] + 0.6))
+        return -torque * float(np.sin(pace * dq[source] + 0.6))
 
     return replace(plant, hidden=plant.hidden.with_torque(State(joint, law)))
 
@@ -87,8 +88,9 @@ def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:
 def two_positions(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(3 q_j) cos(2 q_k + 0.5) of this joint and the one before."""
     torque, source = clear(plant, joint, size), other(plant, joint)
+    one, two = 3.0 / travel(plant, joint), 2.0 / travel(plant, source)
 
     def law(q: Array, dq: Array) -> float:
-        return -torque * float(np.sin(3.0 * q[joint]) * np.cos(2.0 * q[source] + 0.5))
+        return -torque * float(np.sin(one * q[joint]) * np.cos(two * q[source] + 0.5))
 
     return replace(plant, hidden=plant.hidden.with_torque(State(joint, law)))

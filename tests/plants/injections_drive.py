@@ -15,7 +15,7 @@ from tests.plants.drives import EncoderWave, Gain, Hum, Lag, Offset, Ripple, Sat
 from tests.plants.hidden import Spring
 from tests.plants.injections_friction import clear
 from tests.plants.mechanics import swung
-from tests.plants.rated import rated_torque
+from tests.plants.rated import rated_torque, travel
 from tests.plants.rigid import Rigid
 from tests.plants.simulate import Plant
 
@@ -70,7 +70,7 @@ def elastic(plant: Plant, joint: int, size: float) -> Plant:
 def elastic_two(plant: Plant, joint: int, size: float) -> Plant:
     """Stiffness K1 up to a knee at 30 % of rated torque, twice as stiff beyond it."""
     rated = float(rated_torque(plant)[joint])
-    soft = rated / (BEND * size)
+    soft = rated / (BEND * size * travel(plant, joint))
     damping = _damping(plant, joint, soft, 0.03)
     part = Spring(joint, soft, damping, knee=0.3 * rated / soft, hard=2.0 * soft)
     return replace(plant, hidden=plant.hidden.with_spring(part))
@@ -93,8 +93,9 @@ def _damping(plant: Plant, joint: int, stiffness: float, ratio: float) -> float:
 
 
 def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.0) -> Plant:
-    stiffness = float(rated_torque(plant)[joint]) / bend
-    part = Spring(joint, stiffness, _damping(plant, joint, stiffness, ratio), gap)
+    unit = travel(plant, joint)
+    stiffness = float(rated_torque(plant)[joint]) / (bend * unit)
+    part = Spring(joint, stiffness, _damping(plant, joint, stiffness, ratio), gap * unit)
     return replace(plant, hidden=plant.hidden.with_spring(part))
 
 
@@ -103,7 +104,7 @@ def coupling(plant: Plant, joint: int, size: float, *, rotors: bool = False) -> 
     if joint == 0:
         raise ValueError("the first joint has no joint before it to be coupled with")
     a = np.eye(plant.arm.n)
-    a[joint, joint - 1] = 0.2 * size
+    a[joint, joint - 1] = 0.2 * size * travel(plant, joint) / travel(plant, joint - 1)
     return replace(plant, hidden=replace(plant.hidden, coupling=a, coupled_rotors=rotors))
 
 

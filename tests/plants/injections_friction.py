@@ -13,7 +13,7 @@ import numpy as np
 from tests.plants.heat import Heat, WarmingFriction
 from tests.plants.hysteresis import Bristles, Cable
 from tests.plants.laws import Asymmetry, Curve, Extra, LevelWave, MeshLoss, Power, Stribeck
-from tests.plants.rated import dry_level, rated_torque
+from tests.plants.rated import dry_level, rated_torque, travel
 from tests.plants.simulate import Plant
 from tests.plants.torques import LinearSpring
 
@@ -84,7 +84,7 @@ def root_viscous(plant: Plant, joint: int, size: float) -> Plant:
 
 def presliding(plant: Plant, joint: int, size: float) -> Plant:
     """Bristles (LuGre) that slip after 20 mrad times size at the joint."""
-    stiffness = dry_level(plant, joint) / (0.020 * size)
+    stiffness = dry_level(plant, joint) / (0.020 * size * travel(plant, joint))
     inertia = float(plant.arm.reflected[joint])
     return replace(
         plant,
@@ -95,7 +95,7 @@ def presliding(plant: Plant, joint: int, size: float) -> Plant:
 def level_wave(plant: Plant, joint: int, size: float) -> Plant:
     """Coulomb level that varies as cos(3 q), by at most 80 % of it."""
     more = min(clear(plant, joint, size), 0.8 * dry_level(plant, joint))
-    return _add(plant, joint, LevelWave(more, 3.0, 0.0))
+    return _add(plant, joint, LevelWave(more, 3.0 / travel(plant, joint), 0.0))
 
 
 def flipping_ripple(plant: Plant, joint: int, size: float) -> Plant:
@@ -150,5 +150,6 @@ def cable(plant: Plant, joint: int, size: float) -> Plant:
     """Cubic spring with Maxwell slip of 0.15 rad of half its torque; sized as the spring."""
     middle, half = _middle(plant, joint)
     torque = clear(plant, joint, size)
-    model = Cable(joint, torque / (0.6 * half) ** 3, middle, 0.5 * torque, 0.15)
+    reach = 0.15 * travel(plant, joint)
+    model = Cable(joint, torque / (0.6 * half) ** 3, middle, 0.5 * torque, reach)
     return replace(plant, hidden=plant.hidden.with_torque(model))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from tests.plants.cases import RIGS
-from tests.plants.drawn import drawn_arm
+from tests.plants.drawn import SLIDING, drawn_arm
 from tests.plants.friction import SurfaceFriction
 from tests.plants.injections_arm import other
 from tests.plants.simulate import Plant
@@ -21,7 +21,7 @@ Effects = tuple[tuple[str, int, float], ...]  # name, joint, size
 
 RIG_NAMES: Mapping[str, str] = {"two": "vertical_two_joint", "six": "six_joint"}
 ARM = "arm_"  # and a number: an arm drawn at random
-ARMS = 24
+ARMS = (*range(24), *range(SLIDING, SLIDING + 8))
 ARM_KINDS = 3  # of effects on each of them
 ARM_SEED = 3000
 SEEDS = range(5)
@@ -284,7 +284,7 @@ def starts() -> Iterator[Condition]:
 
 def other_arms() -> Iterator[Condition]:
     """Arms that nothing was ever set on: each clean, and with some kinds in turn."""
-    for number in range(ARMS):
+    for number in ARMS:
         rig, seed = f"{ARM}{number}", ARM_SEED + number
         yield Condition("other_arms", rig, seed + SEEDS_APART)
         for k in range(ARM_KINDS):
@@ -295,6 +295,11 @@ def other_arms() -> Iterator[Condition]:
 def matrix() -> tuple[Condition, ...]:
     """All cases of the study, seed by seed."""
     return (*clean(), *catalogue(), *pairs(), *outside(), *other_laws(), *starts(), *other_arms())
+
+
+def in_the_model(condition: Condition, name: str) -> bool:
+    """Whether the file of a case has the effect already: a body of logs with it is a link's."""
+    return name == "payload" and condition.start in ("simultaneous", "sequential_with")
 
 
 def quick() -> tuple[Condition, ...]:

@@ -13,7 +13,16 @@ from seqid_cli.discover.results import Diagnosis
 from tests.plants.drawn import JOINTS
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE
 from tests.study.tables import number, table
-from tests.study.undeclared_cases import CHANGES, SENSORS, SIZES, Condition, Truth, built, declared
+from tests.study.undeclared_cases import (
+    CHANGES,
+    SENSORS,
+    SIZES,
+    Condition,
+    Truth,
+    built,
+    declared,
+    in_the_model,
+)
 from tests.study.undeclared_run import Record
 from tests.study.undeclared_score import (
     INVISIBLE,
@@ -50,7 +59,9 @@ class Judged:
     @property
     def seen(self) -> bool:
         """Whether all effects leave something to find."""
-        return all(map(visible, self.record.excess))
+        names = [name for name, _, _ in self.condition.effects]
+        missing = all(not in_the_model(self.condition, name) for name in names)
+        return missing and all(map(visible, self.record.excess))
 
     @property
     def first_right(self) -> bool:
@@ -320,12 +331,18 @@ def other_arms(cases: Sequence[Judged]) -> str:
     """Arms drawn at random, by the number of their joints."""
     alone = [c for c in cases if c.condition.group == "other_arms"]
     counts = {c.record.key: declared(c.condition).arm.n for c in alone}
-    groups = {f"{n} joints": [c for c in alone if counts[c.record.key] == n] for n in JOINTS}
+    turning, sliding = ([c for c in alone if _slides(c) == x] for x in (False, True))
+    groups = {f"{n} joints": [c for c in turning if counts[c.record.key] == n] for n in JOINTS}
+    groups["some that slide"] = sliding
     groups["all"] = alone
     rows = [[name, *_arm_cells(group)] for name, group in groups.items() if group]
     header = ["arms drawn at random", "clean: finding", "clean: verdict not nothing_missing"]
     header += ["one effect: right", "found at all", f"wrong and above {SURE:g}", "if not right"]
     return table(header, rows) if rows else ""
+
+
+def _slides(case: Judged) -> bool:
+    return bool(declared(case.condition).arm.slides)
 
 
 def _arm_cells(group: Sequence[Judged]) -> list[str]:

@@ -50,7 +50,7 @@ def read_earlier(
     notes = []
     if values_of(needed.values(), job.robot) > MOST_OF_TRIALS:
         notes.append(
-            f"the {len(needed)} logs of {', '.join(TRIALS)} are too long to be held together;"
+            f"the {len(needed)} logs of earlier stages are too long to be held together;"
             " the model is fitted again without them"
         )
         needed = {}

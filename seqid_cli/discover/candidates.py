@@ -20,6 +20,7 @@ GOLDEN = 0.381966
 SEARCH_STEPS = 9
 SHARPENED = 3  # times that settings are moved to where the coefficients say
 CLOSE = 0.8  # of the best grid point's gain, from which another shape is searched as well
+NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
 AS_USUAL = 0.98  # of the best gain, from which a setting's usual value is taken
 TOGETHER = 64  # candidates whose columns are low-passed at once
 
@@ -45,7 +46,7 @@ class Candidate:
     @property
     def freedom(self) -> int:
         """Number of parameters that are fitted: coefficients and continuous settings."""
-        searched = sum(setting.continuous for setting in self.effect.settings)
+        searched = sum(s.continuous or bool(s.then) for s in self.effect.settings)
         return len(self.effect.coefficients(self.settings)) + searched
 
 
@@ -196,6 +197,7 @@ def refined(stage: Stage, system: System, tried: Tried, spacing: float = 2.5) ->
         if setting.continuous:
             best = _searched(stage, system, best, setting, spacing)
             best = _as_usual(stage, system, best, setting)
+    best = _followed(stage, system, best)
     for number in range(SHARPENED):
         candidate = best.candidate
         settings = candidate.effect.sharpened(candidate.settings, best.trial.coefficients)
@@ -242,6 +244,25 @@ def _searched(
             a, x, gx = x, y, gy
             y = b - GOLDEN * (b - a)
             gy = gain(y)
+    return best
+
+
+def _followed(stage: Stage, system: System, tried: Tried) -> Tried:
+    """Take the next values of settings that have some while the gain grows."""
+    best = tried
+    specs = tried.candidate.effect.settings
+    for setting in specs:
+        now = tried.candidate.settings.get(setting.name)
+        ahead = setting.then[setting.then.index(now) + 1 :] if now in setting.then else setting.then
+        for value in ahead:
+            settings = {**best.candidate.settings, setting.name: value}
+            found = stage.try_all(system, [replace(best.candidate, settings=settings)])
+            for other in specs if found else ():
+                if other.continuous:
+                    found = [_searched(stage, system, found[0], other, NEAR)]
+            if not found or found[0].trial.total <= best.trial.total:
+                break
+            best = found[0]
     return best
 
 

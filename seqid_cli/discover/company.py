@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from seqid_cli.discover.results import Finding, Unexplained
 from seqid_cli.model.effects.registry import CATALOGUE
 
+LESSER = 0.5  # of what is above the noise floor, that the first finding explains
 REST = 0.5  # of the certainty, where a finding may be the rest of another
 
 
@@ -43,15 +44,20 @@ def less_sure(finding: Finding, share: float) -> Finding:
     )
 
 
-def ordered(findings: Sequence[Finding], louder: Mapping[str, float]) -> list[Finding]:
+def ordered(
+    findings: Sequence[Finding], louder: Mapping[str, float], told: Collection[str] = ()
+) -> list[Finding]:
     """The weightiest first; none is more certain than one that it was found beside.
 
     Where a joint stays `louder` (share of its squared residual that noise does not make), the first
-    has not quite the right shape, and what comes after may be made of that.
+    has not quite the right shape, and what comes after may be made of that. Where it is so loud
+    that it is `told`, a first that explains the lesser part may be no more than the likest thing.
     """
     row = sorted(findings, key=lambda f: (-f.explains * f.confidence, -f.gain))
     row = [_of_company(f, row[:k], row[k + 1 :]) for k, f in enumerate(row)]
     row[1:] = [_beside_unknown(f, louder) for f in row[1:]]
+    if row and row[0].explains < LESSER:
+        row[0] = _beside_unknown(row[0], {j: x for j, x in louder.items() if j in told})
     certainties = np.minimum.accumulate([f.confidence for f in row])
     return [
         replace(f, confidence=float(c), name_confidence=min(f.name_confidence, float(c)))

@@ -106,8 +106,9 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
         energies = _event_energies(found)
         contact = _contact(found, aside, energies)
         findings.append(less_sure(contact, _apart(found, robot, beyond_noise, energies)))
-    findings = ordered(findings, beyond_noise)
     loud = [one for one in louder if one.told]
+    told = [robot.joint_names[one.joint] for one in loud]
+    findings = ordered(findings, beyond_noise, told)
     if not findings and not rest:
         rest = [
             Unexplained(robot.joint_names[one.joint], looks_like(found, one.joint), one.share)
@@ -240,6 +241,7 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
         clean_gain=found.gates.clean.get(effect.name, 0.0),
         parameters=tuple(values),
         settings=candidate.settings,
+        note=effect.lacking(robot, candidate.joint),
     )
 
 

@@ -47,7 +47,8 @@ def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -
         ]
         if not passing or len(search.accepted) >= most:
             return ranked
-        chosen, before = _steadier(search, effects, simplest(passing), gate), len(search.accepted)
+        best, before = simplest(passing), len(search.accepted)
+        chosen = _steadier(search, effects, best, gate)
         told = at_its_joint(search, sharper(search, chosen, passing))
         search.add(told)
         if len(search.accepted) > 1:
@@ -55,4 +56,4 @@ def searched(search: Search, effects: Sequence[Effect], gate: Gate, most: int) -
             search.prune(gate)
         # What was taken back does not come again; other lines of a ripple do, while they stay.
         if not chosen.candidate.effect.wide or len(search.accepted) <= before:
-            tried_already |= {chosen.candidate.key, told.candidate.key}
+            tried_already |= {t.candidate.key for t in (best, chosen, told)}

@@ -48,7 +48,7 @@ WORTH = 0.08  # of the squared residual, by which they must be better
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 AROUND_S = 0.5
 STANDS_OUT = 1.5  # times the gate, that the strongest event must reach for any to be believed
-MOVED = 0.05  # of a joint's rigid-body torque, from which effects are looked at from there
+MOVED = 0.01  # of a joint's rigid-body torque, from which effects are looked at from there
 RELINEARISED = 2  # times at most
 AS_GOOD = 0.05  # relative excess that a kept file with few changes may have
 

@@ -165,6 +165,10 @@ def _of_others(rows: Rows, j: int) -> list[Rival]:
         for measure in measures if k != j else ():
             quantities = (f"other_joint:{names[k]}",)
             found += _smooth(rows, j, quantities, measure, f"{measure} of {names[k]}", owner=k)
+        if k != j:  # rubs more where another joint stands, as rails do that are not parallel
+            both = (f"other_joint:{names[k]}", "direction")
+            label = f"position of {names[k]} x direction"
+            found += _smooth(rows, j, both, "position", label, owner=k)
     return found
 
 

@@ -37,6 +37,7 @@ FEWEST_FOLDS = 3  # in which a joint must have rows
 LEAST_OF_FOLD = 0.02  # of a joint's rows, that a fold must have to count
 SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
 REACH_OUTSIDE = 0.25  # periods of the cut-off, over which the low-pass mixes samples
+SIMPLE = 2  # coefficients: Coulomb and viscous
 MOST_OUTSIDE = 0.6  # share of a log outside the identified friction, from which it counts all
 
 
@@ -152,16 +153,21 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
 
 
 def extrapolated(scene: Scene) -> Mask:
-    """Samples (N, n) where a friction surface is only held at the edge of what was identified.
+    """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
 
     What is left there is the surface's extrapolation, nothing that the model lacks. A joint that
-    is hardly ever inside is not masked: then the surface is all there is.
+    is hardly ever inside is not masked: then the surface is all there is; nor is Coulomb and
+    viscous friction, which the base has as columns that go on beyond.
     """
     motion = scene.motion
     reach = max(1, int(REACH_OUTSIDE * motion.rate_hz / motion.lowpass.cutoff_hz))
-    outside = binary_dilation(scene.model.outside(motion), np.ones((2 * reach + 1, 1), dtype=bool))
+    outside = scene.model.outside(motion)
     for j, surface in enumerate(scene.model.surfaces):
-        simple = surface is None or surface.positive.shape[0] == 1
+        if surface is not None:
+            outside[:, j] |= surface.vague(motion.q[:, j], motion.dq[:, j])
+    outside = binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool))
+    for j, surface in enumerate(scene.model.surfaces):
+        simple = surface is None or surface.positive.size <= SIMPLE
         if simple or np.mean(outside[:, j]) > MOST_OUTSIDE:
             outside[:, j] = False
     return outside

@@ -16,6 +16,7 @@ the part that does not flip with the direction, an offset, stays at rest.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -25,6 +26,9 @@ from seqid_cli.params.schema import FrictionJoint
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+CELLS = 33  # per axis, at which a surface's standard error is looked at
+VAGUE = 0.05  # of the friction, from which its standard error leaves it open
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,31 @@ class FrictionSurface:
     def outside(self, q: Array, v: Array) -> Mask:
         """Samples (N,) at which the surface is held at the edge of what was identified."""
         return self.scaling.outside(q, v, sign_width=self.sign_width)
+
+    def vague(self, q: Array, v: Array) -> Mask:
+        """Samples (N,) at which the surface's own standard error is a clear share of it.
+
+        Inside the ranges that the trials have reached, but in none of them at this speed here.
+        """
+        cell = [
+            np.rint(0.5 * (z + 1.0) * (CELLS - 1)) for z in (self.scaling.x(q), self.scaling.u(v))
+        ]
+        row, column = (z.astype(np.intp) for z in cell)
+        mask: Mask = self._vague[row, column] & (np.abs(v) > self.sign_width)
+        return mask
+
+    @cached_property
+    def _vague(self) -> Mask:
+        """The same on a grid (CELLS, CELLS) over scaled position and speed."""
+        x, u = (z.ravel() for z in np.meshgrid(*2 * [np.linspace(-1.0, 1.0, CELLS)], indexing="ij"))
+        basis = tensor_basis(x, u, *(k - 1 for k in self.positive.shape))
+        size = self.positive.size
+        found = np.zeros(len(x), dtype=bool)
+        for number, values in enumerate((self.positive, self.negative)):
+            own = slice(number * size, (number + 1) * size) if self.directional else slice(size)
+            variance = np.einsum("nk,kl,nl->n", basis, self.covariance[own, own], basis)
+            found |= variance > (VAGUE * (basis @ values.ravel())) ** 2
+        return found.reshape(CELLS, CELLS)
 
 
 def tensor_basis(x: Array, u: Array, position_order: int, velocity_order: int) -> Array:

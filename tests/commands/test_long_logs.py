@@ -131,4 +131,4 @@ def test_trials_beyond_what_is_held_are_left_aside(
     assert list(earlier.by_stage["friction"]) == []
     assert list(earlier.by_stage["inertia"]) == list(fitted.recordings)
     (note,) = earlier.notes
-    assert note.startswith("the 2 logs of friction, gravity, imu are too long")
+    assert note.startswith("the 2 logs of earlier stages are too long")

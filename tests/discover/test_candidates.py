@@ -15,6 +15,7 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.time_skew import delayed
 from tests.discover.arms import Extra, arm_scenes, at_joint, candidate, search_in
+from tests.model.effects.two_mass import LOG_HZ, Gear, run, scene
 
 Array = NDArray[np.float64]
 
@@ -185,3 +186,31 @@ def test_joints_at_which_effects_are_looked_for() -> None:
 def test_what_touches_no_row_is_left_out() -> None:
     search = search_in(arm_scenes(logs=2, seconds=8.0))
     assert search.stage.try_all(search.system(), [candidate("external_contact", None)]) == []
+
+
+def sprung(gear: Gear, seed: int) -> Scene:
+    """A log of motor and link with a spring between them, once the begin has died away."""
+    log = run(gear, seed=seed, seconds=12.0)
+    seen = scene(log, cutoff_hz=12.0)
+    usable = seen.motion.usable & (seen.motion.t > 3.0)
+    every = round(LOG_HZ / seen.motion.rate_hz)
+    torque = log.torque[::every][: seen.samples, None]
+    motion = replace(seen.motion, usable=usable)
+    return replace(seen, motion=motion, measured=torque, period=1.0 / motion.rate_hz, log=seed)
+
+
+def test_a_resonance_is_met_blunt_and_followed_to_its_damping() -> None:
+    """The stiffness that the blunt shape fits best is off; the sharper one brings it back."""
+    gear = Gear(2500.0, 2.7)  # 8.9 Hz, 3 % of critical
+    search = search_in([sprung(gear, seed) for seed in range(2)])
+    met = best(search, "joint_elasticity", 0)
+    assert met.candidate.settings["damping_ratio"] == 0.15
+    found = refined(search.stage, search.system(), met)
+    assert found.candidate.settings["damping_ratio"] in {0.03, 0.06}
+    assert abs(met.candidate.settings["trial_stiffness"] - 2500.0) > 500.0
+    assert found.candidate.settings["trial_stiffness"] == pytest.approx(2500.0, rel=0.06)
+    assert 1.0 / found.trial.coefficients[0] == pytest.approx(2500.0, rel=0.03)
+    blunt = found.candidate.settings | {"damping_ratio": 0.15}
+    again = replace(found.candidate, settings=blunt)
+    (rival,) = search.stage.try_all(search.system(), [again])
+    assert rival.trial.total < found.trial.total

@@ -72,3 +72,14 @@ def test_after_the_first_a_louder_joint_makes_less_sure() -> None:
     row = ordered([found("stribeck"), found("drift", explains=0.5)], {"elbow": 0.8})
     assert row[0].confidence == 0.99
     assert row[1].confidence < 0.6
+
+
+def test_a_first_that_explains_little_where_much_is_left_is_less_sure() -> None:
+    """A wave above the cut-off is judged there."""
+    loud = {"elbow": 0.85}
+    (little,) = ordered([found("transmission_coupling", explains=0.2)], loud, ["elbow"])
+    assert little.confidence == pytest.approx(0.99 * 0.2 / (0.2 + 0.85 * 0.8))
+    untold, most = (found("backlash", explains=x) for x in (0.2, 0.6))
+    assert ordered([untold], loud)[0].confidence == 0.99
+    assert ordered([most], loud, ["elbow"])[0].confidence == 0.99
+    assert ordered([wave("elbow", 0.4, 7.3)], loud, ["elbow"])[0].confidence == 0.99

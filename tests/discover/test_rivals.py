@@ -29,6 +29,11 @@ def friction_of_place(scene: Scene) -> np.ndarray:
     return 0.3 * scene.sign[:, 1] * np.cos(3 * scene.motion.q[:, 1])
 
 
+def rail(scene: Scene) -> np.ndarray:
+    """Rubs more where the other joint stands further out."""
+    return 0.3 * scene.sign[:, 1] * np.sin(2 * scene.motion.q[:, 0])
+
+
 def cubic(scene: Scene) -> np.ndarray:
     return 0.5 * (scene.motion.ddq[:, 1] / 8) ** 3
 
@@ -52,6 +57,7 @@ def hum(scene: Scene) -> np.ndarray:
         (bump, ("position",)),
         (wave_of_other, (OTHER,)),
         (friction_of_place, ("position", "direction")),
+        (rail, (OTHER, "direction")),
         (cubic, ("acceleration",)),
         (both_places, ("position", OTHER)),
     ],

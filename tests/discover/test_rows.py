@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from seqid_cli.discover.rows import BLOCK_S, FOLDS, FOLDS_OF_ONE, Rows, rows_of
+from seqid_cli.discover.rows import BLOCK_S, FOLDS, FOLDS_OF_ONE, Rows, extrapolated, rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sliding
 from tests.discover.arms import arm_scenes
-from tests.model.effects.scenes import RATE_HZ, motion_of, scene_of, wander
+from tests.model.effects.scenes import RATE_HZ, friction_surface, motion_of, scene_of, wander
 
 
 @pytest.fixture(scope="module")
@@ -153,3 +153,25 @@ def test_a_single_move_of_a_joint_does_not_count() -> None:
     assert not both.used[1][:, 1].any()
     assert both.used[1][:, 0].any()
     assert both.used[0][:, 1].any()
+
+
+def test_speeds_beyond_a_friction_curve_do_not_count() -> None:
+    """Coulomb and viscous friction go on beyond; a curve of higher order is only held there."""
+    scene = scene_of(wander(12.0))
+    top = float(np.abs(scene.motion.dq[:, 0]).max())
+    fast = np.abs(scene.motion.dq[:, 0]) > 0.6 * top
+    for orders, counted in ((2, False), (1, True)):
+        first = friction_surface(2.0, 0.5, top=0.55 * top)
+        more = np.zeros((1, orders - 1))
+        size = orders + 1
+        curve = replace(
+            first,
+            positive=np.hstack([first.positive, more]),
+            negative=np.hstack([first.negative, more]),
+            covariance=1e-6 * np.eye(size),
+        )
+        model = replace(scene.model, surfaces=(curve, scene.model.surfaces[1]))
+        beyond = extrapolated(replace(scene, model=model))
+        assert beyond[fast, 0].any() != counted
+        assert beyond[fast, 0].all() != counted
+        assert not beyond[:, 1].any()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.discover import greedy
 from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.gates import Gates
 from seqid_cli.discover.greedy import searched
@@ -95,6 +96,30 @@ def test_their_parameters_come_out_beside_each_other(two: list[Scene]) -> None:
 def test_no_more_effects_than_asked_for(two: list[Scene]) -> None:
     search = search_in(two)
     searched(search, effects("stribeck", "quadratic_drag"), Gates().passes, most=1)
+    assert len(search.accepted) == 1
+
+
+def test_a_stand_in_that_is_taken_back_does_not_come_for_ever(
+    two: list[Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a slower effect stands in for is done with as well, when that one goes again."""
+    search = search_in(two)
+    begun = search.ranked(effects("stribeck"), search.system())[0]
+    search.add(begun)
+    bias = tried(search, "torque_bias", 0)
+    calls: list[str] = []
+
+    def stand_in(*of: object) -> Tried:
+        calls.append("asked")
+        assert len(calls) < 10
+        return bias
+
+    monkeypatch.setattr(greedy, "_steadier", stand_in)
+    monkeypatch.setattr(
+        Search, "prune", lambda self, gate: self.accepted.__delitem__(slice(1, None))
+    )
+    searched(search, effects("quadratic_drag"), Gates().passes, most=4)
+    assert calls == ["asked"]
     assert len(search.accepted) == 1
 
 

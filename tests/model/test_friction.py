@@ -213,3 +213,22 @@ def test_from_the_parameter_file_and_back(any_surface: FrictionSurface) -> None:
     np.testing.assert_array_equal(back.covariance, any_surface.covariance)
     q, v = states()
     np.testing.assert_array_equal(back.torque(q, v), any_surface.torque(q, v))
+
+
+@pytest.mark.parametrize("directional", [False, True])
+def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
+    """Slow passes near the middle only: what the surface says of slow motion far out is its own."""
+    own = surface(directional=directional)
+    rng = np.random.default_rng(2)
+    u = rng.uniform(-1.0, 1.0, 4000)
+    x = rng.uniform(-1.0, 1.0, 4000) * np.where(u < 0.0, 0.3, 1.0)
+    basis = tensor_basis(x, u, 3, 2)
+    block = 1.5**2 * np.linalg.inv(basis.T @ basis)
+    covariance = np.kron(np.eye(2 if directional else 1), block)
+    own = replace(own, covariance=covariance)
+    middle, half = 0.5 * sum(POSITION), 0.5 * (POSITION[1] - POSITION[0])
+    slow, fast = np.array([0.2, -0.2]), np.array([3.8, -3.8])
+    assert own.vague(np.full(2, middle + 0.98 * half), slow).all()
+    assert not own.vague(np.full(2, middle + 0.98 * half), fast).any()
+    assert not own.vague(np.full(2, middle), slow).any()
+    assert not own.vague(np.array([middle + 0.98 * half]), np.array([0.5 * WIDTH])).any()

@@ -50,7 +50,9 @@ class Setting:
 
     `low` and `high` bound the search between the grid's values; a setting that is not `continuous`
     (an order, the number of a log) keeps the grid's value. `logarithmic` ones are searched by
-    ratio. A `usual` value is taken where no other does clearly better.
+    ratio. A `usual` value is taken where no other does clearly better. From the grid's value on
+    those of `then` are followed one after the other while the gain grows, with the other settings
+    searched anew at each: of a shape that is found only in its blunt form.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Setting:
     continuous: bool = True
     logarithmic: bool = False
     usual: tuple[float, ...] = ()
+    then: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,10 @@ class Effect(abc.ABC):
             Value(spec.name, float(x), float(e), unit_of(spec.unit, slides))
             for spec, x, e in zip(self.coefficients(settings), c, errors, strict=True)
         ]
+
+    def lacking(self, robot: Robot, joint: int | None) -> str:
+        """Return why the parameters do not follow from what is found; empty where they do."""
+        return ""
 
     def plausible(
         self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array

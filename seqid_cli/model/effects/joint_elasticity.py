@@ -9,10 +9,11 @@ Encoder on the link (encoder_side 1): rotor and motor friction feel dq_m = dq + 
     tau_effect = N^2 J tau_L'' / K + (d tau_friction / d dq) tau_L' / K
 
 tau_L [N m] is what the gear passes on, M [kg m^2] the links' inertia about the joint with the
-others held, K [N m/rad] the stiffness, D damping well above a gear's own: a
-resonance then forgets how the log began. Well below the
-resonance x = -tau_L / K, and only the compliance 1/K matters, which is the coefficient; nearer to
-it the shape depends on K too, which is the setting `trial_stiffness`: both must agree. Spong,
+others held, K [N m/rad] the stiffness, D [N m s/rad] the damping. Well below the resonance
+x = -tau_L / K, and only the compliance 1/K matters, which is the coefficient; nearer to it the
+shape depends on K and D too, by the settings `trial_stiffness`, which must agree with 1/K, and
+`damping_ratio`, of critical: looked for first with more of it than a gear has, so that a coarse
+grid of resonances meets the true one, then with less. Spong,
 "Modeling and control of elastic joint robots", J. Dyn. Sys. Meas. Control 109(4), 1987; Gautier,
 Jubien, Janot, "New iterative learning identification and model based control of robots using only
 actual motor torque data", IROS 2013.
@@ -26,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dtbsv
 
+from seqid_cli.model.effects.apart import rotor_lacking
 from seqid_cli.model.effects.effect import (
     Coefficient,
     Columns,
@@ -42,7 +44,8 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-DAMPING = 0.15  # of critical
+BLUNT = 0.15  # damping, of critical
+SHARPER = (0.06, 0.03, 0.015)
 SOFTEST, STIFFEST = 0.25, 6.0  # resonance of the grid's ends over the low-pass's cut-off
 POINTS = 8
 AGREEMENT = 4.0  # of compliance and trial stiffness, as a ratio
@@ -57,6 +60,7 @@ class JointElasticity(Effect):
     settings = (
         Setting("trial_stiffness", "N m/rad", low=1e-2, high=1e8, logarithmic=True),
         Setting("encoder_side", "1", low=0.0, high=1.0, continuous=False),
+        Setting("damping_ratio", "1", low=0.0, high=1.0, continuous=False, then=SHARPER),
     )
     passes = 1
     timing = True
@@ -87,25 +91,38 @@ class JointElasticity(Effect):
         cutoff = scenes[0].motion.lowpass.cutoff_hz
         share = np.geomspace(SOFTEST, STIFFEST, POINTS)
         stiffness = inertia * (2 * np.pi * cutoff * share) ** 2
-        yield from ({"trial_stiffness": float(k), "encoder_side": 0.0} for k in stiffness)
-        yield from ({"trial_stiffness": float(k), "encoder_side": 1.0} for k in stiffness[::2])
+        for side, some in ((0.0, stiffness), (1.0, stiffness[::2])):
+            for k in some:
+                yield {
+                    "trial_stiffness": float(k),
+                    "encoder_side": side,
+                    "damping_ratio": BLUNT,
+                }
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""
         assert joint is not None
         if settings["encoder_side"] > 0.5:
             return _of_the_motor(scene, joint, settings["trial_stiffness"])
-        torque = link_deviation(scene, joint, twist(scene, joint, settings["trial_stiffness"]))
+        damping = settings.get("damping_ratio", BLUNT)
+        bent = twist(scene, joint, settings["trial_stiffness"], damping)
+        torque = link_deviation(scene, joint, bent)
         return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
 
     def values(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the stiffness 1 / c, its error by the delta method."""
+        if self.lacking(robot, joint):
+            return []
         compliance = max(float(c[0]), 1e-12)
         error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
         unit = unit_of("N m/rad", bool(robot.chain.prismatic[joint or 0]))
         return [Value("stiffness", 1.0 / compliance, error, unit)]
+
+    def lacking(self, robot: Robot, joint: int | None) -> str:
+        """Return that the rotor's inertia is, where nobody knows it."""
+        return rotor_lacking(robot, joint)
 
     def plausible(
         self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
@@ -122,15 +139,15 @@ class JointElasticity(Effect):
         return bool(1.0 / c[0] > LOWEST_RESONANCE**2 * band)
 
 
-def twist(scene: Scene, joint: int, stiffness: float) -> Array:
-    """Twist K x (N,) N m of a joint of given stiffness, driven by the measured motion.
+def twist(scene: Scene, joint: int, stiffness: float, ratio: float = BLUNT) -> Array:
+    """Twist K x (N,) N m of a joint of given stiffness and damping, driven by the measured motion.
 
     Trapezoidal (average acceleration) steps, stable however stiff the joint is; before the first
     sample of each stretch without a gap the twist is taken for quasi-static.
     """
     load = scene.load[:, joint]
     mass = np.maximum(link_inertia(scene, joint)[:, joint], 1e-9) / stiffness
-    damping = 2.0 * DAMPING * np.sqrt(mass)
+    damping = 2.0 * ratio * np.sqrt(mass)
     result = -load
     for start, stop in runs(scene.motion.valid, scene.samples):
         if stop - start > 3:

@@ -97,7 +97,11 @@ def diagnose(
 
 def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = ()) -> Diagnosis:
     """Turn a search, and the events beside it, into findings, unexplained parts and a verdict."""
-    findings = [_finding(found, robot, tried) for tried in found.search.accepted]
+    wider = wider_errors(found.search)
+    findings = [
+        _finding(found, robot, tried, more)
+        for tried, more in zip(found.search.accepted, wider, strict=True)
+    ]
     rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
     findings = [beside_rest(finding, rest) for finding in findings]
     louder = louder_joints(found)
@@ -205,8 +209,20 @@ def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained]) -> Verdic
     return "unexplained" if rest else "nothing_missing"
 
 
-def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
-    """Describe one accepted effect."""
+def wider_errors(search: Search) -> list[Array]:
+    """How much wider the coefficients of each accepted effect scatter than white noise would.
+
+    From the scatter over blocks of time, which has noise that lasts and shapes that are not quite
+    right.
+    """
+    system = search.system()
+    white, block = np.diag(system.covariance()), np.diag(system.block_covariance())
+    wider = np.sqrt(np.maximum(block / np.maximum(white, 1e-300), 1.0))
+    return [wider[at] for _, at in search.placed(system)]
+
+
+def _finding(found: Investigation, robot: Robot, tried: Tried, wider: Array) -> Finding:
+    """Describe one accepted effect, its standard errors `wider` (k,) times white noise's."""
     search = found.search
     others = search.without(tried)
     system = others.system()
@@ -218,8 +234,9 @@ def _finding(found: Investigation, robot: Robot, tried: Tried) -> Finding:
     candidate, trial = tried.candidate, again.trial
     effect = candidate.effect
     joint = None if candidate.joint is None else robot.joint_names[candidate.joint]
+    covariance = stated.covariance * np.outer(wider, wider)
     values = effect.values(
-        robot, candidate.joint, candidate.settings, stated.coefficients, stated.covariance
+        robot, candidate.joint, candidate.settings, stated.coefficients, covariance
     )
     clear_of_gate = 1.0 - float(np.exp(-trial.relative / found.gates.least_of(again)))
     others_than_these = [r for r in rivals if not r.confusable]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover import greedy
 from seqid_cli.discover.candidates import Tried
+from seqid_cli.discover.diagnose import wider_errors
 from seqid_cli.discover.gates import Gates
 from seqid_cli.discover.greedy import searched
 from seqid_cli.discover.search import Search, best_of_each
@@ -308,3 +309,21 @@ def test_a_ripple_is_told_where_the_drive_holds_against_it() -> None:
     assert found.candidate.settings == {"order": 1.0, "law": 0.0, "lag": 0.0}
     amplitude = float(np.hypot(*found.trial.coefficients))
     assert amplitude == pytest.approx(RIPPLE, rel=0.05)
+
+
+def test_noise_that_lasts_makes_coefficients_less_certain() -> None:
+    """Rows are five per period of the cut-off and hold two: white noise alone gives the root."""
+
+    def lasting(scene: Scene) -> Array:
+        rng = np.random.default_rng(scene.log)
+        slow = np.convolve(rng.normal(size=scene.samples + 239), np.ones(240) / 12.0, "valid")
+        return np.asarray(stribeck(scene) + 0.1 * slow)
+
+    wider = {}
+    for name, torque in (("white", stribeck), ("lasting", lasting)):
+        search = search_in(arm_scenes(at_joint(1, torque)))
+        search.add(search.ranked(effects("stribeck"), search.system())[0])
+        (found,) = wider_errors(search)
+        wider[name] = float(found[0])
+    assert 1.2 < wider["white"] < 2.0
+    assert wider["lasting"] > 1.5 * wider["white"]

@@ -223,7 +223,7 @@ def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
     u = rng.uniform(-1.0, 1.0, 4000)
     x = rng.uniform(-1.0, 1.0, 4000) * np.where(u < 0.0, 0.3, 1.0)
     basis = tensor_basis(x, u, 3, 2)
-    block = 1.5**2 * np.linalg.inv(basis.T @ basis)
+    block = np.linalg.inv(basis.T @ basis)
     covariance = np.kron(np.eye(2 if directional else 1), block)
     own = replace(own, covariance=covariance)
     middle, half = 0.5 * sum(POSITION), 0.5 * (POSITION[1] - POSITION[0])

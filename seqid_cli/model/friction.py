@@ -29,6 +29,7 @@ Mask = NDArray[np.bool_]
 
 CELLS = 33  # per axis, at which a surface's standard error is looked at
 VAGUE = 0.05  # of the friction, from which its standard error leaves it open
+UNUSUAL = 4.0  # times the surface's median standard error, that it must be as well
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ class FrictionSurface:
         return self.scaling.outside(q, v, sign_width=self.sign_width)
 
     def vague(self, q: Array, v: Array) -> Mask:
-        """Samples (N,) at which the surface's own standard error is a clear share of it.
+        """Samples (N,) at which the surface's own standard error is a clear share of it, and large.
 
         Inside the ranges that the trials have reached, but in none of them at this speed here.
         """
@@ -147,7 +148,9 @@ class FrictionSurface:
         for number, values in enumerate((self.positive, self.negative)):
             own = slice(number * size, (number + 1) * size) if self.directional else slice(size)
             variance = np.einsum("nk,kl,nl->n", basis, self.covariance[own, own], basis)
-            found |= variance > (VAGUE * (basis @ values.ravel())) ** 2
+            usual = float(np.median(variance))
+            clear = variance > (VAGUE * (basis @ values.ravel())) ** 2
+            found |= clear & (variance > UNUSUAL**2 * usual)
         return found.reshape(CELLS, CELLS)
 
 

@@ -216,7 +216,7 @@ def wider_errors(search: Search) -> list[Array]:
     right.
     """
     system = search.system()
-    white, block = np.diag(system.covariance()), np.diag(system.block_covariance())
+    white, block = np.diag(system.covariance), np.diag(system.block_covariance())
     wider = np.sqrt(np.maximum(block / np.maximum(white, 1e-300), 1.0))
     return [wider[at] for _, at in search.placed(system)]
 
@@ -235,7 +235,7 @@ def _finding(found: Investigation, robot: Robot, tried: Tried, wider: Array) -> 
     effect = candidate.effect
     joint = None if candidate.joint is None else robot.joint_names[candidate.joint]
     covariance = stated.covariance * np.outer(wider, wider)
-    values = effect.values(
+    values = effect.reported(
         robot, candidate.joint, candidate.settings, stated.coefficients, covariance
     )
     clear_of_gate = 1.0 - float(np.exp(-trial.relative / found.gates.least_of(again)))

@@ -282,7 +282,7 @@ def held(new: Stages, old: Stages, search: Search) -> Stages:
     at = np.flatnonzero((error > 0.0) & (before[1] > 0.0))
     if not len(at):
         return new
-    white = system.covariance()[np.ix_(at, at)]
+    white = system.covariance[np.ix_(at, at)]
     white *= float(np.median(error[at] ** 2 / np.diag(white)))
     scale = np.sqrt(np.diag(white))
     variance, direction = np.linalg.eigh(white / np.outer(scale, scale))

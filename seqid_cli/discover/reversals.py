@@ -27,18 +27,10 @@ def reversal_columns(scene: Scene) -> Array:
     motion = scene.motion
     friction = motion.filtered(scene.friction, times=2)
     blunt = differentiate(friction, motion.rate_hz, motion.valid)[1]
-    shifted = motion.filtered(_slope(scene) * _jerk(scene), times=2)
+    shifted = motion.filtered(scene.friction_slope() * _jerk(scene), times=2)
     return np.stack([blunt, shifted], axis=2)
 
 
 def _jerk(scene: Scene) -> Array:
     motion = scene.motion
     return differentiate(motion.ddq, motion.rate_hz, motion.valid)[0]
-
-
-def _slope(scene: Scene) -> Array:
-    """Friction's slope over speed (N, n), over as much as a sample resolves: the area counts."""
-    motion = scene.motion
-    half = np.maximum(scene.sign_width, 2.0 * np.abs(motion.ddq) / motion.rate_hz)
-    ahead, behind = (scene.model.friction(motion.q, motion.dq + side * half) for side in (1, -1))
-    return np.asarray((ahead - behind) / (2.0 * half))

@@ -214,6 +214,7 @@ class System:
         """Solution (p,) of the base over all folds."""
         return self._whole[1]
 
+    @cached_property
     def covariance(self) -> Array:
         """White-noise covariance (p, p) of `theta`."""
         return self._solved(self._whole[0], np.eye(self.size))
@@ -223,7 +224,7 @@ class System:
 
         Holds for residuals that are correlated within a block of time.
         """
-        bread = self.covariance()
+        bread = self.covariance
         scores = np.zeros((len(self.rows.fold), self.size))
         for j, (index, X) in enumerate(self._local[: self.rows.n]):
             r = self.y[j] / self.noise[j] - X @ self.theta[index]

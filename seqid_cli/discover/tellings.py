@@ -18,7 +18,7 @@ from seqid_cli.discover.search import Search
 Array = NDArray[np.float64]
 
 TIE = 0.02  # of the gain, that one more parameter must be worth
-CLEARLY = 0.5  # of what one telling leaves: another leaves less
+TELLS_MORE = 0.5  # of what one telling leaves: another leaves less
 AS_GOOD = 0.98  # of its gain, that an effect told at its other joint must have
 
 
@@ -41,7 +41,7 @@ def at_its_joint(search: Search, tried: Tried) -> Tried:
     joint, settings = partner
     before = search.system()
     rest = _left(search, tried) / np.maximum(before.loss.sum(axis=0), 1e-300)
-    if CLEARLY * rest[c.joint] <= rest[joint]:
+    if TELLS_MORE * rest[c.joint] <= rest[joint]:
         return tried
     found = search.stage.try_all(before, [replace(c, joint=joint, settings=settings)])
     as_good = found and found[0].trial.total >= AS_GOOD * tried.trial.total
@@ -59,7 +59,7 @@ def sharper(search: Search, tried: Tried, ranked: Sequence[Tried]) -> Tried:
     if c.below or c.joint is None or not same:
         return tried
     all_rows, below = (_left(search, t)[c.joint] for t in (tried, same[0]))
-    return same[0] if below < CLEARLY * all_rows else tried
+    return same[0] if below < TELLS_MORE * all_rows else tried
 
 
 def _left(search: Search, tried: Tried) -> Array:

@@ -134,7 +134,7 @@ def test_the_base_alone(rows: Rows) -> None:
     X, y, _, joint = stacked(system, None)
     theta = solved(X, y, system.blocks)
     np.testing.assert_allclose(system.theta, theta, rtol=1e-6)
-    np.testing.assert_allclose(system.covariance(), np.linalg.inv(X.T @ X), rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(system.covariance, np.linalg.inv(X.T @ X), rtol=1e-6, atol=1e-12)
     for j, left in enumerate(system.residual()):
         np.testing.assert_allclose(left, NOISE[j] * (y - X @ theta)[joint == j], atol=1e-7)
 

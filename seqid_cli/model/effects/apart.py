@@ -6,7 +6,7 @@ from seqid_cli.robot.base import free_basis
 from seqid_cli.robot.types import Robot
 
 
-def rotor_lacking(robot: Robot, joint: int | None) -> str:
+def rotor_lacking(robot: Robot, joint: int) -> str:
     """Say what is missing where motor and link move apart, but nobody knows their shares.
 
     What comes late, or flies free, is the link's inertia; the base parameters of the first joints
@@ -17,7 +17,6 @@ def rotor_lacking(robot: Robot, joint: int | None) -> str:
     str
         Empty where the robot file has the rotor's inertia, or the motions tell it from the link's.
     """
-    assert joint is not None
     known = robot.joints[joint].rotor_inertia is not None
     if known or f"Ia_{joint + 1}" in free_basis(robot).names:
         return ""

@@ -19,20 +19,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.model.effects.apart import rotor_lacking
 from seqid_cli.model.effects.effect import (
     Coefficient,
     Columns,
     Effect,
     Setting,
     Settings,
-    Value,
 )
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.motion.filtering import differentiate, runs
 from seqid_cli.motion.motion import Motion
-from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
@@ -47,6 +44,7 @@ class Backlash(Effect):
     name = "backlash"
     family = "transmission"
     settings = (Setting("trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False),)
+    apart = True
     alike = ("presliding_hysteresis", "joint_elasticity", "time_skew")
     separate_by = (
         "slow and fast moves in which the load of this joint changes its sign while it moves, and "
@@ -111,18 +109,6 @@ class Backlash(Effect):
         deviation = play(scene.load[:, joint], inertia, scene.motion, gap) / -gap
         torque = link_deviation(scene, joint, deviation)
         return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
-
-    def lacking(self, robot: Robot, joint: int | None) -> str:
-        """Return that the rotor's inertia is, where nobody knows it."""
-        return rotor_lacking(robot, joint)
-
-    def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
-    ) -> list[Value]:
-        """Return the gap; flights of a link of unknown inertia do not tell it."""
-        if self.lacking(robot, joint):
-            return []
-        return super().values(robot, joint, settings, c, covariance)
 
     def plausible(
         self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array

@@ -20,6 +20,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.model.effects.apart import rotor_lacking
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.units import unit_of
 from seqid_cli.robot.types import Robot
@@ -105,6 +106,8 @@ class Effect(abc.ABC):
     change : bool
         Whether a constant effect of this kind hides in the base parameters once they are free: it
         is then visible against earlier parameters only.
+    apart : bool
+        Whether motor and link move apart, so that the parameters take the link's inertia alone.
     alike : tuple of str
         Names that this one can be taken for in principle, whatever the motion.
     separate_by : str
@@ -122,6 +125,7 @@ class Effect(abc.ABC):
     first_order: ClassVar[bool] = False
     slow: ClassVar[bool] = False
     change: ClassVar[bool] = False
+    apart: ClassVar[bool] = False
     alike: ClassVar[tuple[str, ...]] = ()
     separate_by: ClassVar[str]
 
@@ -203,6 +207,14 @@ class Effect(abc.ABC):
         """Return whether the same effect at two joints, with these settings, may be one thing."""
         return False
 
+    def reported(
+        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return the `values`, or none where something is `lacking` that they stand on."""
+        if self.lacking(robot, joint):
+            return []
+        return self.values(robot, joint, settings, c, covariance)
+
     def values(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
@@ -216,7 +228,7 @@ class Effect(abc.ABC):
 
     def lacking(self, robot: Robot, joint: int | None) -> str:
         """Return why the parameters do not follow from what is found; empty where they do."""
-        return ""
+        return rotor_lacking(robot, joint) if self.apart and joint is not None else ""
 
     def plausible(
         self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array

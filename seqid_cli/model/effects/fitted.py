@@ -117,7 +117,9 @@ def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
     """Write an effect down; `fitted_effects` restores it exactly."""
     effect, settings = fitted.effect, fitted.settings
     joint = None if fitted.joint is None else robot.joint_names[fitted.joint]
-    physical = effect.values(robot, fitted.joint, settings, fitted.coefficients, fitted.covariance)
+    physical = effect.reported(
+        robot, fitted.joint, settings, fitted.coefficients, fitted.covariance
+    )
     return EffectOfJoint(
         effect=effect.name,
         joint=joint,

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dtbsv
 
-from seqid_cli.model.effects.apart import rotor_lacking
 from seqid_cli.model.effects.effect import (
     Coefficient,
     Columns,
@@ -64,6 +63,7 @@ class JointElasticity(Effect):
     )
     passes = 1
     timing = True
+    apart = True
     alike = ("time_skew", "actuator_lag", "encoder_eccentricity")
     separate_by = (
         "steps of acceleration without a reversal, and a chirp towards the resonance; a sensor on "
@@ -113,16 +113,10 @@ class JointElasticity(Effect):
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the stiffness 1 / c, its error by the delta method."""
-        if self.lacking(robot, joint):
-            return []
         compliance = max(float(c[0]), 1e-12)
         error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
         unit = unit_of("N m/rad", bool(robot.chain.prismatic[joint or 0]))
         return [Value("stiffness", 1.0 / compliance, error, unit)]
-
-    def lacking(self, robot: Robot, joint: int | None) -> str:
-        """Return that the rotor's inertia is, where nobody knows it."""
-        return rotor_lacking(robot, joint)
 
     def plausible(
         self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
@@ -171,21 +165,10 @@ def _oscillator(load: Array, mass: Array, damping: Array, rate_hz: float) -> Arr
 
 
 def _of_the_motor(scene: Scene, joint: int, stiffness: float) -> Columns:
-    """Rotor inertia and friction on the motor's motion, per unit compliance.
-
-    Friction's slope is the secant between the link's and the motor's speed, or over as much as a
-    sample resolves: of the step at a reversal the area counts.
-    """
+    """Rotor inertia and friction on the motor's motion, per unit compliance."""
     motion = scene.motion
     speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
-    lead = speed / stiffness
-    per_sample = 2.0 * np.abs(motion.ddq[:, joint]) / motion.rate_hz
-    half = np.maximum(np.maximum(scene.sign_width[joint], per_sample), 0.5 * np.abs(lead))
-    ahead, behind = motion.dq.copy(), motion.dq.copy()
-    ahead[:, joint] += 0.5 * lead + half
-    behind[:, joint] += 0.5 * lead - half
-    friction = scene.model.friction(motion.q, ahead) - scene.model.friction(motion.q, behind)
-    slope = friction[:, joint] / (2 * half)
+    slope = scene.friction_slope(lead=(speed / stiffness)[:, None])[:, joint]
     return {joint: (_own_rotor(scene, joint) * acceleration + slope * speed)[:, None]}
 
 

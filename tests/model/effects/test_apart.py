@@ -29,7 +29,7 @@ def without_rotors(robot: Robot) -> Robot:
 
 def test_they_are_stated_where_the_robot_file_has_it(effect: Effect) -> None:
     robot = two_joint_robot()
-    (value,) = effect.values(robot, 0, SETTINGS[effect.name], np.array([1e-3]), np.eye(1))
+    (value,) = effect.reported(robot, 0, SETTINGS[effect.name], np.array([1e-3]), np.eye(1))
     assert value.value > 0.0
     assert not effect.lacking(robot, 0)
 
@@ -37,7 +37,7 @@ def test_they_are_stated_where_the_robot_file_has_it(effect: Effect) -> None:
 def test_they_are_not_where_it_is_one_with_the_links(effect: Effect) -> None:
     """The first joint turns both alike in every motion; of the second it depends on the arm."""
     robot = without_rotors(two_joint_robot())
-    assert effect.values(robot, 0, SETTINGS[effect.name], np.array([1e-3]), np.eye(1)) == []
+    assert effect.reported(robot, 0, SETTINGS[effect.name], np.array([1e-3]), np.eye(1)) == []
     assert "rotor_inertia" in effect.lacking(robot, 0)
     assert robot.joint_names[0] in effect.lacking(robot, 0)
-    assert effect.values(robot, 1, SETTINGS[effect.name], np.array([1e-3]), np.eye(1))
+    assert effect.reported(robot, 1, SETTINGS[effect.name], np.array([1e-3]), np.eye(1))

@@ -34,18 +34,25 @@ UNUSUAL = 4.0  # times the surface's median standard error, that it must be as w
 
 @dataclass(frozen=True)
 class Scaling:
-    """Position and speed ranges that the basis is scaled to; outside them the surface is held."""
+    """Position and speed ranges that the basis is scaled to; outside them the surface is held.
+
+    A `line`, as Coulomb and viscous friction make over speed, is a law: it goes on beyond the
+    fastest speed.
+    """
 
     position: tuple[float, float]  # rad
     speed: tuple[float, float]  # rad/s
     logarithmic: bool = False
+    line: bool = False
 
     def x(self, q: Array) -> Array:
         """Scaled position, clipped to [-1, 1]."""
         return _scaled(q, *self.position)
 
     def u(self, v: Array) -> Array:
-        """Scaled speed, clipped to [-1, 1]."""
+        """Scaled speed, clipped to [-1, 1]; of a line from -1 on."""
+        if self.line and self.speed[1] > self.speed[0]:
+            return 2.0 * (np.abs(v) - self.speed[0]) / (self.speed[1] - self.speed[0]) - 1.0
         speed = np.clip(np.abs(v), *self.speed)
         if self.logarithmic:
             return _scaled(np.log(speed), np.log(self.speed[0]), np.log(self.speed[1]))
@@ -87,7 +94,9 @@ class FrictionSurface:
         low, high = joint.position_range
         slow, fast = joint.speed_range
         return cls(
-            scaling=Scaling((low, high), (slow, fast), joint.speed_scale == "log"),
+            scaling=Scaling(
+                (low, high), (slow, fast), joint.speed_scale == "log", line=bool(joint.parameters)
+            ),
             sign_width=joint.sign_width,
             positive=np.array(joint.positive),
             negative=np.array(joint.negative),
@@ -131,10 +140,8 @@ class FrictionSurface:
 
         Inside the ranges that the trials have reached, but in none of them at this speed here.
         """
-        cell = [
-            np.rint(0.5 * (z + 1.0) * (CELLS - 1)) for z in (self.scaling.x(q), self.scaling.u(v))
-        ]
-        row, column = (z.astype(np.intp) for z in cell)
+        scaled = (self.scaling.x(q), np.minimum(self.scaling.u(v), 1.0))
+        row, column = (np.rint(0.5 * (z + 1.0) * (CELLS - 1)).astype(np.intp) for z in scaled)
         mask: Mask = self._vague[row, column] & (np.abs(v) > self.sign_width)
         return mask
 

@@ -87,7 +87,8 @@ class FrictionJoint(Struct, kw_only=True):
     tau_f = s(v) sum_jr d[j][r] T_j(x) T_r(u): T Chebyshev polynomials, x the position scaled from
     `position_range` and u the speed |v| scaled from `speed_range` to [-1, 1], both held at the
     ends; s(v) = tanh(v / sign_width). `negative` differs from `positive` where friction depends on
-    direction.
+    direction. Coulomb and viscous friction, which has `parameters`, goes on beyond the fastest
+    speed.
     """
 
     position_order: int

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.polynomial.chebyshev import chebval2d
 from numpy.typing import NDArray
 
 from seqid_cli.model.friction import FrictionSurface, Scaling, tensor_basis
-from seqid_cli.params.schema import FrictionJoint
+from seqid_cli.params.schema import FrictionJoint, Parameter
 
 Array = NDArray[np.float64]
 
@@ -232,3 +233,43 @@ def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
     assert not own.vague(np.full(2, middle + 0.98 * half), fast).any()
     assert not own.vague(np.full(2, middle), slow).any()
     assert not own.vague(np.array([middle + 0.98 * half]), np.array([0.5 * WIDTH])).any()
+
+
+def law(coulomb: float, viscous: float, fast: float) -> FrictionJoint:
+    """Coulomb and viscous friction as a simultaneous fit writes it."""
+    half = 0.5 * viscous * fast
+    known = [
+        Parameter(name=name, value=value, std_error=0.01, unit=unit)
+        for name, value, unit in (("coulomb", coulomb, "N m"), ("viscous", viscous, "N m s/rad"))
+    ]
+    return FrictionJoint(
+        position_order=0,
+        velocity_order=1,
+        max_error=0.0,
+        rmse=0.1,
+        position_range=list(POSITION),
+        speed_range=[0.0, fast],
+        sign_width=WIDTH,
+        directional=False,
+        positive=[[coulomb + half, half]],
+        negative=[[coulomb + half, half]],
+        covariance=[[1e-4, 0.0], [0.0, 1e-4]],
+        parameters=known,
+    )
+
+
+def test_coulomb_and_viscous_friction_goes_on_beyond_the_fastest_speed() -> None:
+    """A law, unlike a surface; that it was not seen there is said all the same."""
+    own = FrictionSurface.from_stage(law(2.0, 0.7, fast=1.5))
+    v = np.array([0.3, -1.2, 1.5, 3.0, -4.0])
+    q = np.zeros(len(v))
+    np.testing.assert_allclose(own.torque(q, v), 2.0 * np.sign(v) + 0.7 * v, rtol=1e-9)
+    assert own.outside(q, v).tolist() == [False, False, False, True, True]
+    assert not own.vague(q, v).any()
+    held = FrictionSurface.from_stage(as_surface(law(2.0, 0.7, fast=1.5)))
+    np.testing.assert_allclose(held.torque(q[-1:], v[-1:]), -(2.0 + 0.7 * 1.5))
+
+
+def as_surface(joint: FrictionJoint) -> FrictionJoint:
+    """The same as a surface of a friction stage, which knows no law."""
+    return structs.replace(joint, parameters=[])

@@ -120,10 +120,11 @@ class Rows:
         """Take over the low-pass of rows that were picked alike."""
         self._sieves.update(other._sieves)
 
-    def without(self, events: Sequence[Mask]) -> Rows:
-        """The same rows without the samples (N,) of each scene that belong to events."""
+    def without(self, masks: Sequence[Mask]) -> Rows:
+        """The same rows without some samples of each scene: (N,) of all joints, or (N, n)."""
         used = tuple(
-            u & ~e[p][:, None] for u, e, p in zip(self.used, events, self.picked, strict=True)
+            u & ~m.reshape(len(m), -1)[p]
+            for u, m, p in zip(self.used, masks, self.picked, strict=True)
         )
         return replace(self, used=used)
 

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FINE = 80.0  # samples per period of the cut-off that tell when a joint is slow
+REACH = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 
 
 def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | None]:
@@ -158,22 +159,21 @@ def sliding(motion: Motion, slowest: Array) -> Mask:
     At rest friction takes any value up to stiction; such samples, and those that the filter mixes
     with them, say nothing about the model.
     """
-    near = _slowest_near(motion)
+    near = slowest_near(motion, np.where(motion.moving, motion.dq, 0.0))
     mask: Mask = (near >= slowest) & (near > 0.0) & motion.usable[:, None]
     return mask
 
 
-def _slowest_near(motion: Motion) -> Array:
-    """Least speed (N, n) within a quarter of a period of the cut-off, 0 beside rests.
+def slowest_near(motion: Motion, velocity: Array) -> Array:
+    """Least of velocities (N, k) within a quarter of a period of the cut-off, without sign.
 
     Taken as straight between samples, so that thinning does not hide a reversal between two.
     """
     cutoff = motion.lowpass.cutoff_hz
     parts = max(1, math.ceil(FINE * cutoff / motion.rate_hz))
-    velocity = np.where(motion.moving, motion.dq, 0.0)
     share = (np.arange(parts) / parts)[:, None]
     ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
     fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
-    reach = max(1, int(0.25 * motion.rate_hz * parts / cutoff))
-    least: Array = minimum_filter1d(fine, 2 * reach + 1, axis=0, mode="nearest")[::parts]
+    size = 2 * max(1, int(REACH * motion.rate_hz * parts / cutoff)) + 1
+    least: Array = minimum_filter1d(fine, size, axis=0, mode="nearest")[::parts]
     return least

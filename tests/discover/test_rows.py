@@ -128,6 +128,15 @@ def test_without_events(scenes: list[Scene], rows: Rows) -> None:
     np.testing.assert_array_equal(quiet.fold, rows.fold)
 
 
+def test_without_samples_of_one_joint(scenes: list[Scene], rows: Rows) -> None:
+    masks = [np.zeros_like(scene.slides) for scene in scenes]
+    masks[0][:500, 1] = True
+    sure = rows.without(masks)
+    assert sure.count(0) == rows.count(0)
+    assert sure.count(1) == rows.count(1) - rows.used[0][rows.picked[0] < 500, 1].sum()
+    assert sure.count(1) < rows.count(1)
+
+
 def test_a_joint_that_moves_in_one_log_only_has_folds_enough_in_it() -> None:
     rows = rows_of([scene_of(wander(20.0, seed=k, still=(1 - k,)), log=k) for k in (0, 1)])
     four = rows_of(

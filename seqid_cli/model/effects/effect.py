@@ -26,6 +26,7 @@ from seqid_cli.model.effects.units import unit_of
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Settings = Mapping[str, float]
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
 
@@ -206,6 +207,13 @@ class Effect(abc.ABC):
     def one_source(self, settings: Settings, others: Settings) -> bool:
         """Return whether the same effect at two joints, with these settings, may be one thing."""
         return False
+
+    def guessed(self, scene: Scene, joint: int | None, settings: Settings) -> Mapping[int, Mask]:
+        """Return, by joint, samples (N,) at which nobody can say what torque the effect has.
+
+        Where something sticks that slides only with this effect, say.
+        """
+        return {}
 
     def reported(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array

@@ -26,9 +26,11 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.excitation import top_speed
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import SLIDES, Scene
+from seqid_cli.model.torque import slowest_near
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 RATIOS = (-1.0, -0.4, -0.15, 0.15, 0.4, 1.0)
 LARGEST_RATIO = 1e5  # of a thread of 0.06 mm a turn
@@ -92,8 +94,7 @@ class TransmissionCoupling(Effect):
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """What direction, rate and acceleration of the combination add, on both joints."""
         assert joint is not None
-        partner, ratio = joint + int(settings["neighbour"]), float(settings["ratio"])
-        width = np.hypot(scene.sign_width[joint], ratio * scene.sign_width[partner])
+        partner, ratio, width = _drive(scene, joint, settings)
         own, other = (
             np.stack([scene.motion.dq[:, j], scene.motion.ddq[:, j]], axis=1)
             for j in (joint, partner)
@@ -102,6 +103,20 @@ class TransmissionCoupling(Effect):
         drive = np.column_stack([np.tanh(both[:, 0] / width), both])
         already = np.column_stack([scene.sign[:, joint], own])
         return {joint: drive - already, partner: ratio * drive}
+
+    def guessed(self, scene: Scene, joint: int | None, settings: Settings) -> Mapping[int, Mask]:
+        """Where the drive sticks, though both joints move."""
+        assert joint is not None
+        partner, ratio, width = _drive(scene, joint, settings)
+        rate = scene.motion.dq[:, [joint]] + ratio * scene.motion.dq[:, [partner]]
+        sticks = slowest_near(scene.motion, rate)[:, 0] < SLIDES * width
+        return {joint: sticks, partner: sticks}
+
+
+def _drive(scene: Scene, joint: int, settings: Settings) -> tuple[int, float, float]:
+    """Partner, ratio, and the speed over which the drive's direction changes."""
+    partner, ratio = joint + int(settings["neighbour"]), float(settings["ratio"])
+    return partner, ratio, float(np.hypot(*(scene.sign_width[[joint, partner]] * (1.0, ratio))))
 
 
 def _neighbours(scene: Scene, joint: int) -> list[int]:

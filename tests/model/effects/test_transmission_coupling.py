@@ -97,3 +97,17 @@ def test_a_screw_that_slides_and_turns() -> None:
     partner, settings = effect.seen_from_partner(1, {"neighbour": -1.0, "ratio": max(ratios)})
     assert partner == 0
     assert settings["ratio"] in [pytest.approx(s["ratio"]) for s in effect.grid([scene], 0, [])]
+
+
+def test_nobody_can_say_what_a_drive_that_sticks_has() -> None:
+    """Though both joints move: there is no friction of the one drive that both have."""
+    slow = wander(20.0, seed=4, rests=())[:, :1]
+    q = np.hstack([slow, -slow])
+    middle = len(q) // 2
+    q[middle:, 1] *= -1.0
+    scene, effect = scene_of(q, robot=two_joint_robot()), TransmissionCoupling()
+    guessed = effect.guessed(scene, 1, {"neighbour": -1.0, "ratio": 1.0})
+    assert sorted(guessed) == [0, 1]
+    assert guessed[0][200 : middle - 200].all()
+    assert 0.0 < guessed[1][middle + 200 :].mean() < 0.6
+    np.testing.assert_array_equal(guessed[0], guessed[1])

@@ -168,7 +168,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     for scene in rows.scenes:
         motion = scene.motion
         H.append(_filtered_regressor(motion, robot, basis))
-        torque = modelled_filtered(scene)
+        torque = scene.modelled_filtered
         modelled.append(torque)
         timing.append(differentiate(torque, motion.rate_hz, motion.valid)[0])
         reversals.append(reversal_columns(scene))
@@ -219,12 +219,6 @@ def _filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Array:
     result = np.zeros_like(H)
     result[:, loaded] = motion.filtered(H[:, loaded])
     return result
-
-
-def modelled_filtered(scene: Scene) -> Array:
-    """Modelled torque (N, n), low-passed like the measured one."""
-    motion = scene.motion
-    return motion.filtered(scene.rigid) + motion.filtered(scene.friction, times=2)
 
 
 def _measured(scene: Scene) -> Array:

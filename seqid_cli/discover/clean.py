@@ -29,6 +29,7 @@ from seqid_cli.discover.noise import TorqueNoise, nearest, torque_noise
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import Lowpass, differentiate
 
@@ -152,7 +153,8 @@ class CleanLog:
         seen = (angle, *differentiate(angle, recording.rate_hz, valid))
         q, dq, ddq = (values[::factor] for values in seen)
         rigid = model.rigid(q, dq, ddq) if motion.source == "encoder" else self.scene.rigid
-        friction = motion.filtered(model.friction(q, dq), times=2)
+        friction = sampled_friction(model.surfaces, replace(motion, q=q, dq=dq))
+        friction = motion.filtered(friction, times=2)
         echo: Array = tau - motion.filtered(rigid) - friction - self.deviation
         return echo
 

@@ -102,7 +102,8 @@ def noise_floor(
         parts = [residual[k][rows.picked[k]][rows.used[k][:, j], j] for k in wanted]
         weight = np.array([float(len(part)) for part in parts])
         squares = np.array([level.square(scenes[k].motion) for k in wanted])
-        mean = float(weight @ squares) / max(float(weight.sum()), 1.0)
+        moved = weight > 0  # a log without rows may have shown no noise either
+        mean = float(weight[moved] @ squares[moved]) / max(float(weight.sum()), 1.0)
         floors.append(min(float(np.sqrt(mean)), rms(np.concatenate(parts))))
         ways.append(way)
     return NoiseFloor(np.array(floors), tuple(ways))

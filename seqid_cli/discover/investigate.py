@@ -38,6 +38,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 CHANGED = 0.05  # relative excess over a free base from which the file counts as off
 CLEARLY = 0.7  # of what a joint's effects leave: smooth functions must leave less to replace them
@@ -49,6 +50,7 @@ BESIDE = 0.5  # of what effects show in an interval: less may be the error of th
 AROUND_S = 0.5
 STANDS_OUT = 1.5  # times the gate, that the strongest event must reach for any to be believed
 MOVED = 0.01  # of a joint's rigid-body torque, from which effects are looked at from there
+WORSE = 1.03  # times what the file leaves
 RELINEARISED = 2  # times at most
 AS_GOOD = 0.05  # relative excess that a kept file with few changes may have
 
@@ -114,6 +116,7 @@ def investigate(
             t.candidate for t in result.search.accepted
         ]
         dependences = _dependences(result.search, gates, dependences if same else ())
+    _take_back_doubtful(result.search)
     outside = _outside(result.search, gates)
     if outside:
         result = _beside(result.search, outside, gates, options)
@@ -174,6 +177,9 @@ def _without_events(
         return (_broad if broad else _both_stances)(stage, base, gates, options)
 
     result = search(rows)
+    sure = rows.without(guessed(result.search))
+    if not all(map(np.array_equal, sure.used, rows.used)):
+        rows, result = sure, search(sure)
     left = result.search.system().left_out()[: rows.n]
     events = find_events(rows, left, gate=gates.event)
     events = _not_of_shape(result.search, events)
@@ -181,6 +187,17 @@ def _without_events(
         return result, []
     quiet = rows.without(event_masks(rows, events))
     return search(quiet), events
+
+
+def guessed(search: Search) -> list[Mask]:
+    """Samples (N, n) of each scene at which accepted effects may have any torque."""
+    masks = [np.zeros_like(scene.slides) for scene in search.stage.scenes]
+    for tried in search.accepted:
+        c = tried.candidate
+        for scene, mask in zip(search.stage.scenes, masks, strict=True):
+            for joint, own in c.effect.guessed(scene, c.joint, c.settings).items():
+                mask[:, joint] |= own
+    return masks
 
 
 def _stand_out(events: Sequence[Interval], gates: Gates) -> bool:
@@ -228,6 +245,27 @@ def _take_back(search: Search, gates: Gates) -> None:
         if not failing:
             return
         del search.accepted[failing[-1]]
+        search.settle()
+
+
+def _take_back_doubtful(search: Search) -> None:
+    """Take back effects that may be chance, and such that make nothing better than the file is.
+
+    On few rows a free base foretells so badly that much seems to help it; in coloured noise of few
+    independent values something always fits.
+    """
+    n = search.stage.rows.n
+    while search.accepted:
+        worse = search.rms() > WORSE * search.base.start
+        failing = [
+            t
+            for t in search.accepted
+            if not (above_too(t) or any(not worse[j] for j in t.columns if j < n))
+            or not search.holds(search.marginal(t), search.without(t).system())
+        ]
+        if not failing:
+            return
+        search.accepted.remove(failing[-1])
         search.settle()
 
 

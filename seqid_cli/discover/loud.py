@@ -16,6 +16,7 @@ from seqid_cli.discover.dependence import dependence
 from seqid_cli.discover.events import event_masks
 from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
+from seqid_cli.discover.stationary import goes_with_motion
 
 Array = NDArray[np.float64]
 
@@ -61,9 +62,20 @@ def expected(found: Investigation) -> Array:
 
 
 def louder_joints(found: Investigation) -> tuple[Loud, ...]:
-    """Joints that are louder than expected after all that was found, the loudest first."""
-    times = found.search.rms() / np.maximum(expected(found), 1e-12)
-    louder = [Loud(j, float(times[j])) for j in np.flatnonzero(times > LOUDER).tolist()]
+    """Joints that are louder than expected after all that was found, the loudest first.
+
+    Not those that the file alone fits as well as expected, nor those whose residual goes on alike
+    whatever the arm does: torque noise may be slower than what can be seen of it elsewhere.
+    """
+    search = found.search
+    left = np.minimum(search.rms(), found.start)
+    times = left / np.maximum(expected(found), 1e-12)
+    residual = search.residual(search.system())
+    louder = [
+        Loud(j, float(times[j]))
+        for j in np.flatnonzero(times > LOUDER).tolist()
+        if goes_with_motion(search.stage.scenes, residual, j)
+    ]
     return tuple(sorted(louder, key=lambda one: -one.times))
 
 

@@ -38,7 +38,8 @@ OWN_OFFSET = 0.75  # of a sample period: time offset that every drive has, and n
 REFINED = 6  # candidates whose settings are searched
 ROUNDS_OF_WEIGHTS = 3
 LEAST_VISIBLE = 0.02
-BY_CHANCE = 1e-3  # that any joint's slow effect is slow noise: not believed from there on
+BY_CHANCE = 1e-3  # that any joint's slow or small effect is noise: not believed from there on
+SELDOM = 0.15  # of the squared residual, that chance takes away
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -252,7 +253,7 @@ class Search:
         residual = self.residual(system)
         candidates = list(candidates_of(self.stage.scenes, effects, residual, near))
         believed = self._believed(self.stage.try_all(system, candidates))
-        best = [t for t in best_of_each(believed) if doubtful or self._lasts(t, system)]
+        best = [t for t in best_of_each(believed) if doubtful or self.lasts(t, system)]
         head = [self._refined(system, shapes(t, believed)) for t in best[:refine]]
         return sorted([*head, *best[refine:]], key=_order)
 
@@ -262,10 +263,22 @@ class Search:
     def _believed(self, tried: Sequence[Tried]) -> list[Tried]:
         return [t for t in tried if t.trial.visible > LEAST_VISIBLE and self.stage.plausible(t)]
 
-    def _lasts(self, tried: Tried, system: System) -> bool:
+    def lasts(self, tried: Tried, system: System) -> bool:
         """Whether a slow effect's gain is more than what slow noise gives by chance."""
         least = BY_CHANCE / self.stage.rows.n
         return not tried.candidate.effect.slow or chance(system, tried.columns) < least
+
+    def holds(self, tried: Tried, system: System) -> bool:
+        """Whether an effect's gain is more than what coloured noise gives by chance.
+
+        Those that show above the cut-off as well have other evidence than a few slow values, and
+        noise seldom gives much.
+        """
+        if tried.trial.relative > SELDOM:
+            return True
+        least = BY_CHANCE / self.stage.rows.n
+        slow = tried.candidate.effect.slow
+        return above_too(tried) or chance(system, tried.columns, slow=slow) < least
 
     def energy(self, tried: Tried) -> float:
         """Gain as a share of the squared residual that the base alone leaves at its joints."""

@@ -21,10 +21,11 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 STRETCH_S = 10.0  # well beyond the slowest noise of a drive
+ENOUGH = 12  # stretches, for which they may be shorter where the effect is not slow itself
 
 
-def chance(system: System, columns: Mapping[int, Array]) -> float:
-    """Probability that coefficients as far from zero come from slow noise alone.
+def chance(system: System, columns: Mapping[int, Array], *, slow: bool = True) -> float:
+    """Probability that coefficients as far from zero come from noise alone, coloured as it is.
 
     Parameters
     ----------
@@ -32,18 +33,22 @@ def chance(system: System, columns: Mapping[int, Array]) -> float:
         Base and accepted effects, without the candidate.
     columns : joint -> (M_j, k)
         The candidate's rows.
+    slow : bool
+        Whether the candidate changes over minutes only: its stretches are never short.
 
     Returns
     -------
     float
         1 where there are no more stretches than coefficients.
     """
-    of_block = _stretch_of_block(system.rows)
+    rows = system.rows
+    length = STRETCH_S if slow else min(STRETCH_S, BLOCK_S * len(rows.fold) / ENOUGH)
+    of_block = _stretch_of_block(rows, length)
     count = int(of_block.max()) + 1
     width = next(iter(columns.values())).shape[1]
     squares, scores = np.zeros((count, width, width)), np.zeros((count, width))
     for joint, (X, r) in system.beside(columns).items():
-        own = of_block[system.rows.blocks_of(joint)]
+        own = of_block[rows.blocks_of(joint)]
         np.add.at(squares, own, X[:, :, None] * X[:, None, :])
         np.add.at(scores, own, X * r[:, None])
     present = np.flatnonzero(np.any(squares, axis=(1, 2)))
@@ -59,9 +64,9 @@ def chance(system: System, columns: Mapping[int, Array]) -> float:
     return float(f_distribution.sf(wald, width, free))
 
 
-def _stretch_of_block(rows: Rows) -> Index:
+def _stretch_of_block(rows: Rows, length: float) -> Index:
     """Number of the stretch that each block belongs to; stretches end with their log."""
-    whole = max(1, round(STRETCH_S / BLOCK_S))
+    whole = max(1, round(length / BLOCK_S))
     stretch, first = np.zeros(len(rows.fold), dtype=np.intp), 0
     for block in rows.block:
         start, blocks = int(block.min()), int(block.max() - block.min()) + 1

@@ -127,6 +127,11 @@ class System:
                 parts.append(block.columns[joint])
         return np.concatenate(index), np.hstack(parts) / self.noise[joint][:, None]
 
+    def instead(self, joint: int, y: Array) -> System:
+        """The same system with other rows (M_j,) N m to be explained at one joint."""
+        every = [y if j == joint else own for j, own in enumerate(self.y)]
+        return System(self.rows, every, self.noise, self.blocks, self.high)
+
     @cached_property
     def grams(self) -> tuple[Array, Array, Array]:
         """A (F, p, p), b (F, p) and y'y (F, n) of every fold."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.base import base_of, modelled_filtered
+from seqid_cli.discover.base import base_of
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.system import Block, System
 from seqid_cli.model.effects.scene import Scene
@@ -56,7 +56,7 @@ def measured(scenes: Sequence[Scene], seed: int, joint: int, extra: Torque | Non
 def system_of(rows: Rows, tau: Sequence[Array]) -> System:
     """Return the system of rigid body, simple friction and timing."""
     base = base_of(rows, Stages())
-    left = [x - modelled_filtered(scene) for x, scene in zip(tau, rows.scenes, strict=True)]
+    left = [x - scene.modelled_filtered for x, scene in zip(tau, rows.scenes, strict=True)]
     y = [rows.of(j, left)[:, j] for j in range(rows.n)]
     blocks = [Block(dict(enumerate(base.rigid)), base.prior_rigid)]
     for j in range(rows.n):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.base import base_of, modelled_filtered
+from seqid_cli.discover.base import base_of
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
@@ -61,7 +61,7 @@ def test_more_friction_and_late_torque(scenes: list[Scene]) -> None:
     for scene in scenes:
         more = 0.4 * scene.sign + 0.3 * scene.motion.dq
         late.append(scene.motion.filtered(more, times=2))
-        slope = np.gradient(modelled_filtered(scene), 1.0 / scene.motion.rate_hz, axis=0)
+        slope = np.gradient(scene.modelled_filtered, 1.0 / scene.motion.rate_hz, axis=0)
         late[-1] = late[-1] - SHIFT * slope
     for j in range(rows.n):
         found = base.friction[j] @ rub - SHIFT * base.timing[j][:, 0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.base import base_of, modelled_filtered
+from seqid_cli.discover.base import base_of
 from seqid_cli.discover.clean import CleanLog, clean_recordings
 from seqid_cli.discover.floor import rms
 from seqid_cli.discover.rows import Rows, rows_of
@@ -98,7 +98,7 @@ class Fit:
         added = base.deviation(rigid, [c[:-1] for c in own])
         late = np.array([c[-1] for c in own])
         return [
-            d + late * differentiate(modelled_filtered(s), s.motion.rate_hz)[0]
+            d + late * differentiate(s.modelled_filtered, s.motion.rate_hz)[0]
             for d, s in zip(added, self.scenes, strict=True)
         ]
 
@@ -107,7 +107,7 @@ class Fit:
         left = []
         for scene, deviation in zip(self.scenes, self.deviation, strict=True):
             assert scene.motion.tau is not None
-            r = scene.motion.tau - modelled_filtered(scene) - deviation
+            r = scene.motion.tau - scene.modelled_filtered - deviation
             left.append(np.where(sliding(scene.motion, 2.0 * scene.sign_width), r, 0.0))
         return left
 
@@ -230,7 +230,7 @@ def test_a_push_is_not_clean_even_at_rest(fit: Fit) -> None:
 def test_noise_free_clean_torque_is_the_model_where_joints_slide(fit: Fit) -> None:
     log, scene, nothing = fit.logs[0], fit.scenes[0], np.zeros_like(fit.residual[0])
     clean = CleanLog(log, scene, nothing, nothing, no_event(scene))
-    off = low_passed(log, scene, clean.torque) - modelled_filtered(scene)
+    off = low_passed(log, scene, clean.torque) - scene.modelled_filtered
     slides = sliding(scene.motion, 20.0 * scene.sign_width)
     for j in range(JOINTS):
         assert rms(off[slides[:, j], j]) < fit.rms[j]

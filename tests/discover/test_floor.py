@@ -122,3 +122,14 @@ def test_logs_that_repeat_tell_the_noise_of_others() -> None:
     truth = [rms(left[0][rows.picked[0]][rows.used[0][:, j], j]) for j in range(2)]
     assert floor.ways == ("repeats", "repeats")
     np.testing.assert_allclose(floor.rms, truth, rtol=0.15)
+
+
+def test_a_log_in_which_a_joint_does_not_count_has_no_say() -> None:
+    """However little it shows of noise: at a low rate nothing is above the cut-off."""
+    q = wander(30.0, 6)
+    still = q * np.array([1.0, 0.0])
+    logs = [recording(x[::16], smooth_torque(x)[::16], RATE_HZ / 16) for x in (q, still)]
+    found, rows = scenes(logs)
+    assert rows.used[1][:, 1].sum() == 0
+    rough = [np.where(x.slides, 1.0, 0.0) for x in found]
+    assert np.isfinite(noise_floor(logs, found, rows, rough).rms).all()

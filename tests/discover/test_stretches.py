@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import lfilter
 
 from seqid_cli.discover.stretches import chance
 from seqid_cli.model.effects.scene import Scene
@@ -42,3 +43,24 @@ def test_one_stretch_says_nothing() -> None:
     search = search_in(scenes)
     (columns,) = search.stage.columns([candidate("drift", JOINT, duration=SESSION_S)])
     assert chance(search.system(), columns) == 1.0
+
+
+def chance_of_stribeck(flicker: float, size: float) -> float:
+    """Chance stated for a Stribeck curve of some size in noise that lasts 0.4 s."""
+    rng = np.random.default_rng(5)
+
+    def torque(scene: Scene) -> np.ndarray:
+        keep = np.exp(-1.0 / (0.4 * scene.motion.rate_hz))
+        slow = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.normal(size=scene.samples))
+        v = scene.motion.dq[:, JOINT]
+        return flicker * slow + size * np.sign(v) * np.exp(-((v / 0.3) ** 2))
+
+    search = search_in(arm_scenes(at_joint(JOINT, torque), logs=LOGS, seconds=12.0))
+    found = candidate("stribeck", JOINT, stribeck_speed=0.3, exponent=2.0)
+    (columns,) = search.stage.columns([found])
+    return chance(search.system(), columns, slow=False)
+
+
+def test_short_stretches_tell_quick_effects_in_coloured_noise() -> None:
+    assert chance_of_stribeck(SIZE, 0.0) > LEAST
+    assert chance_of_stribeck(SIZE, 4.0 * SIZE) < 1e-5

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base import gear_ratios
@@ -116,7 +117,7 @@ class Scene:
     @cached_property
     def friction(self) -> Array:
         """Modelled friction torque (N, n)."""
-        return self.model.friction(self.motion.q, self.motion.dq)
+        return sampled_friction(self.model.surfaces, self.motion)
 
     def friction_slope(self, lead: Array | float = 0.0) -> Array:
         """Secant slope (N, n) of friction over speed, from a joint's speed to `lead` (rad/s) more.
@@ -134,6 +135,12 @@ class Scene:
     def modelled(self) -> Array:
         """Modelled torque (N, n): rigid body, rotors and friction."""
         return self.rigid + self.friction
+
+    @cached_property
+    def modelled_filtered(self) -> Array:
+        """Modelled torque (N, n), low-passed like the measured one."""
+        motion = self.motion
+        return motion.filtered(self.rigid) + motion.filtered(self.friction, times=2)
 
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:

@@ -216,7 +216,8 @@ def test_a_failure_is_a_result(cache: Path) -> None:
 
 def test_logs_come_back_from_the_cache_and_without_the_effect(cache: Path) -> None:
     """The effect changes the torque, not the motion's plan; its excess is its own joint's."""
-    case = short(("spring", 1, 1.0))
+    # Shorter logs leave the other joint's viscous friction open, which goes on beyond their speeds.
+    case = replace(short(("spring", 1, 1.0)), seconds=1.5 * SHORT)
     first, again, bare = logs_of(case, cache), logs_of(case, cache), logs_of(case.without(0), cache)
     assert [r.path.name for r in first.training] == ["moves", "zigzag"]
     for one, two, other in zip(first.training, again.training, bare.training, strict=True):

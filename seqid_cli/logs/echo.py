@@ -9,7 +9,8 @@ compared with
 
 gravity of the whole arm, a smooth function of the joint's own position, its friction, and the
 accelerations of all joints. It is an echo if the first two explain it and the others have no part,
-but for a damping F_v < 0, which no friction has but a controller may.
+neither in the torque nor in what the first two leave of it, but for a damping F_v < 0, which no
+friction has but a controller may.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ UNEXPLAINED = 0.1  # of the torque's RMS, that an echo's law may leave
 FRICTION = 0.1  # of the torque's RMS, that an echo's friction is certainly below
 NONE = 0.003  # the same, that is no friction however well it is known
 INERTIA = 0.05  # of the torque's RMS, that an echo's accelerations may explain
+OTHERS = 0.15  # of what position leaves (of its square), that the others may explain
 CERTAIN, UNCERTAIN = 3.0, 2.0  # standard errors
 MEMORY_S = 0.5  # of the residual, for the errors
 RCOND = 1e-8
@@ -53,9 +55,13 @@ REMEDY = (
 
 @dataclass(frozen=True)
 class Shares:
-    """What one joint's torque consists of, as shares of its RMS; `error` is the friction's."""
+    """What one joint's torque consists of, as shares of its RMS; `error` is the friction's.
+
+    `others` is the share that friction and accelerations have in the square of `unexplained`.
+    """
 
     unexplained: float
+    others: float
     friction: float
     error: float
     inertia: float
@@ -65,6 +71,7 @@ class Shares:
         """Whether position alone makes the torque."""
         return (
             self.unexplained < UNEXPLAINED
+            and self.others < OTHERS
             and self.friction + CERTAIN * self.error < FRICTION
             and self.friction < max(UNCERTAIN * self.error, NONE)
             and self.inertia < INERTIA
@@ -139,9 +146,12 @@ def _split(y: Array, law: Array, friction: Array, accelerations: Array, memory: 
     theta = np.linalg.lstsq(X, y, rcond=RCOND)[0]
     direction = _beside(np.delete(X, own, axis=1), X[:, own])
     held_back = [own + 1] if theta[own + 1] < 0 else []  # damping by a controller, not friction
-    variance = memory * float(np.mean((y - X @ theta) ** 2))
+    left = float(np.mean((y - X @ theta) ** 2))
+    variance = memory * left
+    unexplained = _rms(_beside(X[:, [*range(own), *held_back]], y))
     return Shares(
-        unexplained=_rms(_beside(X[:, [*range(own), *held_back]], y)) / scale,
+        unexplained=unexplained / scale,
+        others=1.0 - left / max(unexplained**2, 1e-300),
         friction=abs(float(theta[own])) / scale,
         error=float(np.sqrt(variance / max(float(direction @ direction), 1e-300))) / scale,
         inertia=_rms(X[:, own + 2 :] @ theta[own + 2 :]) / scale,

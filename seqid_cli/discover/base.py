@@ -2,11 +2,12 @@
 
 Per joint the rows are
 
-    tau - modelled = H dpi + F_j df_j + t_j d(modelled)/dt + R_j r_j,
+    tau - modelled = H dpi + F_j df_j + t_j d(modelled)/dt,
 
 deviations of the rigid base parameters (shared by all joints) and of the joint's own friction from
-their values in the parameter file, a time offset between torque and position, and what reversals
-leave of friction (see `reversals`). The last two are nuisances: left out, clean logs show effects.
+their values in the parameter file, and a time offset between torque and position. The last is a
+nuisance: left out, clean logs show effects. So is what reversals leave of friction, which the rows
+are whitened for (see `turning`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.reversals import reversal_columns
 from seqid_cli.discover.rows import Rows
 from seqid_cli.identify.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
@@ -41,8 +41,8 @@ BROAD = (5, 2)  # orders in position and in speed, each by itself, of a surface'
 class Base:
     """Base columns of every joint's rows.
 
-    `rigid[j]` (M_j, b) shared by all joints, `friction[j]` (M_j, k_j), `timing[j]` (M_j, 1),
-    `reversals[j]` (M_j, 2) and the residual of the file's model `y[j]` (M_j,) N m. `prior_rigid`
+    `rigid[j]` (M_j, b) shared by all joints, `friction[j]` (M_j, k_j), `timing[j]` (M_j, 1) and the
+    residual of the file's model `y[j]` (M_j,) N m. `prior_rigid`
     (m, b) and `prior_friction[j]` (m_j, k_j) are rows of unit variance: what the file knows of the
     deviations being zero. `broad[j]` are the terms of a surface that vary little over position or
     speed.
@@ -52,7 +52,6 @@ class Base:
     rigid: tuple[Array, ...]
     friction: tuple[Array, ...]
     timing: tuple[Array, ...]
-    reversals: tuple[Array, ...]
     y: tuple[Array, ...]
     prior_rigid: Array
     prior_friction: tuple[Array, ...]
@@ -84,7 +83,7 @@ class Base:
 
     @cached_property
     def bounds(self) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
-        """Inverse standard deviations: of rigid (b,), friction (k_j,), nuisances (3,).
+        """Inverse standard deviations: of rigid (b,), friction (k_j,), time offset (1,).
 
         No column's torque is likely to be more than some times what the file leaves. That keeps
         directions harmless which the logs, or some of the folds, leave open.
@@ -97,20 +96,14 @@ class Base:
                 np.sqrt(np.sum(X**2, axis=0) / max(len(X), 1)) / u
                 for X, u in zip(columns, unit, strict=True)
             )
-            for columns in (self.friction, self.nuisances)
+            for columns in (self.friction, self.timing)
         ]
         return np.sqrt(sum(squares, np.zeros(self.basis.size)) / max(rows, 1)), own[0], own[1]
 
     @cached_property
-    def nuisances(self) -> tuple[Array, ...]:
-        """Per joint (M_j, 3): time offset and what reversals leave."""
-        both = zip(self.timing, self.reversals, strict=True)
-        return tuple(np.hstack([timing, rest]) for timing, rest in both)
-
-    @cached_property
     def untimed(self) -> tuple[Array, ...]:
-        """Nuisances without a time offset."""
-        return tuple(X * np.array([0.0, 1.0, 1.0]) for X in self.nuisances)
+        """No time offset (M_j, 1)."""
+        return tuple(np.zeros_like(X) for X in self.timing)
 
     def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
         """Torque (N, n) N m of the base's deviations at every sample of each scene."""
@@ -164,27 +157,25 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     """
     robot = rows.scenes[0].robot
     basis = free_basis(robot)
-    H, modelled, timing, reversals = [], [], [], []
+    H, modelled, timing = [], [], []
     for scene in rows.scenes:
         motion = scene.motion
         H.append(_filtered_regressor(motion, robot, basis))
         torque = scene.modelled_filtered
         modelled.append(torque)
         timing.append(differentiate(torque, motion.rate_hz, motion.valid)[0])
-        reversals.append(reversal_columns(scene))
     left = [_measured(s) - torque for s, torque in zip(rows.scenes, modelled, strict=True)]
     friction = [
         [friction_columns(scene, stages.friction, j) for j in range(robot.n)]
         for scene in rows.scenes
     ]
-    own = [rows.of(j, [per_scene[j] for per_scene in friction]) for j in range(robot.n)]
-    y = tuple(rows.of(j, [r[:, j] for r in left]) for j in range(robot.n))
+    own = [rows.torque(j, [per_scene[j] for per_scene in friction]) for j in range(robot.n)]
+    y = tuple(rows.torque(j, [r[:, j] for r in left]) for j in range(robot.n))
     return Base(
         basis=basis,
-        rigid=tuple(rows.of(j, [h[:, j] for h in H]) for j in range(robot.n)),
+        rigid=tuple(rows.torque(j, [h[:, j] for h in H]) for j in range(robot.n)),
         friction=tuple(own),
-        timing=tuple(rows.of(j, [t[:, j : j + 1] for t in timing]) for j in range(robot.n)),
-        reversals=tuple(rows.of(j, [r[:, j] for r in reversals]) for j in range(robot.n)),
+        timing=tuple(rows.torque(j, [t[:, j : j + 1] for t in timing]) for j in range(robot.n)),
         y=y,
         prior_rigid=_rigid_prior(basis, [stages.gravity, stages.inertia]),
         prior_friction=tuple(

@@ -118,7 +118,8 @@ class Stage:
         result: list[dict[int, Array]] = [{} for _ in candidates]
         for i, j in per_scene[0]:
             kept = zip(per_scene, self.rows.used, strict=True)
-            result[i][j] = np.concatenate([pieces[i, j][used[:, j]] for pieces, used in kept])
+            whole = np.concatenate([pieces[i, j][used[:, j]] for pieces, used in kept])
+            result[i][j] = self.rows.whitened(j, whole)
         return list(result)
 
     def try_all(self, system: System, candidates: Sequence[Candidate]) -> list[Tried]:

@@ -16,13 +16,13 @@ from seqid_cli.discover.dependence import dependence
 from seqid_cli.discover.events import event_masks
 from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
+from seqid_cli.discover.noise import DETAIL
 from seqid_cli.discover.stationary import goes_with_motion
 
 Array = NDArray[np.float64]
 
 LOUDER = 1.6  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 LOUD = 2.5  # from which it is worth a word
-DETAIL = 0.002  # of a joint's torque, that no model gets right
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ def expected(found: Investigation) -> Array:
         CleanLog(log, scene, np.zeros_like(scene.motion.q), moved, event).echo
         for log, scene, moved, event in zip(found.logs, scenes, deviation, events, strict=True)
     ]
-    seen = [rms(rows.of(j, [e[:, j] for e in echo])) for j in range(rows.n)]
+    seen = [rms(rows.torque(j, [e[:, j] for e in echo])) for j in range(rows.n)]
     torque = [scene.motion.filtered(scene.modelled) for scene in scenes]
-    detail = [DETAIL * rms(rows.of(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
+    detail = [DETAIL * rms(rows.torque(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
     return np.hypot(np.hypot(seen, found.floor.rms), detail)
 
 

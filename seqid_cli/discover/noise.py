@@ -27,6 +27,7 @@ ABOVE = 1.5  # cut-offs, from which the raw torque is taken for noise
 SHORTEST_STRETCH = 16  # samples
 SMOOTHING = 9  # bins of the spectrum that are averaged
 LEAST_SHARE = 0.1  # of the residual's power that stays noise, whatever else explains
+DETAIL = 0.002  # of a joint's torque, that no model gets right
 LEAST_GAIN = 0.1  # of power, to which the low-pass is undone
 
 

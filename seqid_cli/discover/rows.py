@@ -10,6 +10,7 @@ folds, which are left out in turn: whatever is said to help must help where it w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from seqid_cli.discover.sieve import Sieve
+from seqid_cli.discover.turning import Turn, turns
 from seqid_cli.model.effects.scene import Scene
 
 Array = NDArray[np.float64]
@@ -87,6 +89,31 @@ class Rows:
         parts = [v[p][u[:, joint]] for v, p, u in zip(values, self.picked, self.used, strict=True)]
         return np.concatenate(parts)
 
+    def torque(self, joint: int, values: Sequence[Array]) -> Array:
+        """Stack the joint's rows of filtered torques (N, ...), whitened at reversals."""
+        return self.whitened(joint, self.of(joint, values))
+
+    def whitened(self, joint: int, values: Array) -> Array:
+        """Whiten a joint's rows (M, ...) for what reversals leave open."""
+        result = np.array(values, dtype=np.float64)
+        wide = result.reshape(len(result), math.prod(result.shape[1:]))
+        for turn in self._turns[joint]:
+            turn.whiten(wide)
+        return result
+
+    @cached_property
+    def _turns(self) -> list[list[Turn]]:
+        result: list[list[Turn]] = []
+        for j in range(self.n):
+            found, first = [], 0
+            for number, scene in enumerate(self.scenes):
+                used = self.used[number][:, j]
+                for turn in turns(scene, self.sieve(number, 2), used, j):
+                    found.append(replace(turn, first=turn.first + first))
+                first += int(used.sum())
+            result.append(found)
+        return result
+
     def columns(self, per_scene: Sequence[Mapping[int, Array]], passes: int) -> dict[int, Array]:
         """Low-pass an effect's columns, scene by scene, and keep the rows of each joint."""
         sieved: dict[int, list[Array]] = {}
@@ -94,7 +121,7 @@ class Rows:
             for joint, values in columns.items():
                 kept = self.sieve(number, passes) @ values
                 sieved.setdefault(joint, []).append(kept[self.used[number][:, joint]])
-        return {joint: np.concatenate(values) for joint, values in sieved.items()}
+        return {j: self.whitened(j, np.concatenate(values)) for j, values in sieved.items()}
 
     def sieve(self, number: int, passes: int) -> Sieve:
         """Low-pass and choice of rows of one scene in one matrix (M, N).

@@ -54,6 +54,25 @@ class Sieve:
             np.matmul(tile.weights, part, out=result[tile.row : tile.row + count])
         return result
 
+    def part(self, first: int, values: Array) -> tuple[int, Array]:
+        """Of values (m, K) at the samples from `first` on, zero elsewhere: first row, rows (r, K).
+
+        Rows that feel none of these samples are left out at both ends.
+        """
+        last = first + len(values)
+        felt = [t for t in self.tiles if t.first < last and t.first + t.weights.shape[1] > first]
+        if not felt:
+            return 0, np.zeros((0, values.shape[1]))
+        row = felt[0].row
+        result = np.zeros((felt[-1].row + len(felt[-1].weights) - row, values.shape[1]))
+        for tile in felt:
+            low, high = max(first, tile.first), min(last, tile.first + tile.weights.shape[1])
+            weights = tile.weights[:, low - tile.first : high - tile.first]
+            result[tile.row - row : tile.row - row + len(weights)] = (
+                weights @ values[low - first : high - first]
+            )
+        return row, result
+
 
 def _tile(weights: csr_array, row: int) -> Tile:
     part = weights[row : row + TILE]

@@ -103,7 +103,7 @@ def beyond_chance(search: Search, found: Dependence) -> bool:
     spectra = [np.abs(np.fft.rfft(r)) for r in own]
     rng = np.random.default_rng(SEED)
     for _ in range(LOOKS):
-        noise = search.stage.rows.of(joint, _drawn(own, spectra, rng))
+        noise = search.stage.rows.torque(joint, _drawn(own, spectra, rng))
         look = dependence(system.instead(joint, noise), joint, least_gain=0.0, most=1)
         if MORE * look.relative >= found.trials[0].relative:
             return False

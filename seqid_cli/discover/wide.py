@@ -106,7 +106,7 @@ def both_bands(
             above.setdefault(joint, []).append(X - low)
     result = {}
     for joint in below:
-        slow, fast = rows.of(joint, below[joint]), high.of(joint, above[joint])
+        slow, fast = rows.torque(joint, below[joint]), high.of(joint, above[joint])
         passing = len(fast) > 0 and np.mean(slow**2) < PASSING * np.mean(fast**2)
         result[joint] = np.zeros_like(slow) if passing else slow
         # There are many rows above, and hundreds of candidates that keep theirs.

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction import SLIDES, FrictionSurface
 
 _POSITIONS, _SPEEDS = 41, 60
-_SURE = 5.0  # sign widths from which on the direction of motion is certain
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class SimpleFriction:
 def simple_friction(surface: FrictionSurface) -> SimpleFriction:
     """Fit Coulomb and viscous friction to a surface, uniformly over its positions and speeds."""
     low, high = surface.scaling.speed
-    low = min(max(low, _SURE * surface.sign_width), high)
+    low = min(max(low, SLIDES * surface.sign_width), high)
     speeds = np.linspace(low, high, _SPEEDS)
     positions = np.linspace(*surface.scaling.position, _POSITIONS)
     q, v = (x.ravel() for x in np.meshgrid(positions, np.concatenate([-speeds, speeds])))

@@ -50,7 +50,7 @@ class UnpairedError(QualityError):
 
 
 WIDE_RANGE = 4.0  # fastest over slowest speed from which a logarithmic scale is tried
-NARROW_SIGN = 10.0  # the sign is smoothed over a tenth of the slowest speed
+NARROW_SIGN = 25.0  # the sign is all there at a fifth of the slowest speed
 CLEAR_SIGMA = 5.0
 BLOCK = 8  # neighbouring slices whose errors may share a cause
 

@@ -37,7 +37,7 @@ from seqid_cli.identify.rigid_stage import (
 from seqid_cli.identify.streaming import open_if_long, pass_over, streams
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
@@ -367,7 +367,7 @@ class InertiaEquations:
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
     """Speed (n,) below which the sign of the friction is not certain."""
-    return np.array([0.0 if s is None else 2 * s.sign_width for s in surfaces])
+    return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])
 
 
 def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:

@@ -26,6 +26,7 @@ from seqid_cli.identify.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.rigid_stage import not_excited, parameters_of, representative_of
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
@@ -45,7 +46,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
-SIGN_SHARE = 0.01  # width of the smoothed sign over the joint's fastest speed
+SIGN_SHARE = 0.004  # width of the smoothed sign over the joint's fastest speed
 LEAST_WIDTH = 1e-6  # rad/s, of a joint that never moved
 POOR_SHARE = 0.25
 
@@ -118,7 +119,7 @@ class SimultaneousEquations:
         self.uses.append(motion_use(path, self.robot, motion))
         self._remember(motion)
         self.cutoffs.append(motion.cutoff.hz)
-        usable = sliding(motion, self.width)
+        usable = sliding(motion, SLIDES * self.width)
         y = motion.tau - motion.filtered(
             gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * motion.ddq
         )

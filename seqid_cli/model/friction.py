@@ -29,6 +29,7 @@ Mask = NDArray[np.bool_]
 
 CELLS = 33  # per axis, at which a surface's standard error is looked at
 VAGUE = 0.05  # of the friction, from which its standard error leaves it open
+SLIDES = 5.0  # sign widths, from which a joint certainly slides: all but 1e-4 of the sign is there
 UNUSUAL = 4.0  # times the surface's median standard error, that it must be as well
 
 
@@ -127,7 +128,7 @@ class FrictionSurface:
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
         """Smallest and largest torque (N,) N m that friction can hold at rest."""
-        v = np.full(len(q), max(self.scaling.speed[0], 5 * self.sign_width))
+        v = np.full(len(q), max(self.scaling.speed[0], SLIDES * self.sign_width))
         low, high = self.torque(q, -v), self.torque(q, v)
         return np.minimum(low, high), np.maximum(low, high)
 

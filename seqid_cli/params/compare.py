@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params.comparison import (
     Comparison,
     Difference,
@@ -201,7 +201,7 @@ def _shared_grid(a: FrictionJoint, b: FrictionJoint) -> tuple[Array, ...]:
         (max(one[0], other[0]), min(one[1], other[1]))
         for one, other in ((a.position_range, b.position_range), (a.speed_range, b.speed_range))
     )
-    slow = max(slow, 3.0 * a.sign_width, 3.0 * b.sign_width)
+    slow = max(slow, SLIDES * a.sign_width, SLIDES * b.sign_width)
     if low > high or slow > fast:
         return np.empty(0), np.empty(0)
     speeds = np.linspace(slow, fast, _SPEEDS)

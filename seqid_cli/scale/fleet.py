@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from seqid_cli.errors import UsageError
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, ParameterFile, Stages
 
 Array = NDArray[np.float64]
@@ -193,7 +193,7 @@ def _speeds(robots: Mapping[str, ParameterFile]) -> dict[str, Array]:
     for file in robots.values():
         for joint, surface in (file.stages.friction.joints if file.stages.friction else {}).items():
             low, high = surface.speed_range
-            found.setdefault(joint, []).append((max(low, 3.0 * surface.sign_width), high))
+            found.setdefault(joint, []).append((max(low, SLIDES * surface.sign_width), high))
     ends = {j: (max(r[0] for r in own), min(r[1] for r in own)) for j, own in found.items()}
     return {j: np.linspace(low, high, SPEEDS) for j, (low, high) in ends.items() if low < high}
 

@@ -27,7 +27,12 @@ LOGS = 3
 
 
 def arm_scenes(
-    extra: Extra | None = None, *, seed: int = 0, logs: int = LOGS, seconds: float = SECONDS
+    extra: Extra | None = None,
+    *,
+    seed: int = 0,
+    logs: int = LOGS,
+    seconds: float = SECONDS,
+    noise: tuple[float, float] = NOISE,
 ) -> list[Scene]:
     """Return logs on one clock: the model's torque, white noise, and what is added to it."""
     rng = np.random.default_rng(seed)
@@ -38,7 +43,7 @@ def arm_scenes(
         q = wander(seconds, seed=10 * seed + log, rests=())
         start = 40.0 * log
         scene = scene_of(q, robot=robot, model=model, log=log, start=start, shared_clock=True)
-        tau = scene.modelled + rng.normal(size=q.shape) * np.array(NOISE)
+        tau = scene.modelled + rng.normal(size=q.shape) * np.array(noise)
         if extra is not None:
             tau = tau + extra(scene)
         scenes.append(measuring(scene, tau))

@@ -57,7 +57,7 @@ def system_of(rows: Rows, tau: Sequence[Array]) -> System:
     """Return the system of rigid body, simple friction and timing."""
     base = base_of(rows, Stages())
     left = [x - scene.modelled_filtered for x, scene in zip(tau, rows.scenes, strict=True)]
-    y = [rows.of(j, left)[:, j] for j in range(rows.n)]
+    y = [rows.torque(j, left)[:, j] for j in range(rows.n)]
     blocks = [Block(dict(enumerate(base.rigid)), base.prior_rigid)]
     for j in range(rows.n):
         columns = np.column_stack([base.friction[j], base.timing[j]])

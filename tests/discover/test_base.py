@@ -47,7 +47,7 @@ def test_columns_give_the_torque_of_other_parameters(scenes: list[Scene]) -> Non
     expected = [s.motion.filtered(c[0]) for s, c in zip(scenes, changes, strict=True)]
     theta = changes[0][1]
     for j in range(rows.n):
-        np.testing.assert_allclose(base.rigid[j] @ theta, rows.of(j, expected)[:, j], atol=1e-9)
+        np.testing.assert_allclose(base.rigid[j] @ theta, rows.torque(j, expected)[:, j], atol=1e-9)
     found = base.deviation(theta, [np.zeros(2), np.zeros(2)])
     for whole, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(whole, other, atol=1e-5 * np.abs(other).max())
@@ -65,7 +65,7 @@ def test_more_friction_and_late_torque(scenes: list[Scene]) -> None:
         late[-1] = late[-1] - SHIFT * slope
     for j in range(rows.n):
         found = base.friction[j] @ rub - SHIFT * base.timing[j][:, 0]
-        np.testing.assert_allclose(found, rows.of(j, late)[:, j], atol=0.02)
+        np.testing.assert_allclose(found, rows.torque(j, late)[:, j], atol=0.02)
 
 
 def test_the_residual_is_measured_minus_modelled(scenes: list[Scene]) -> None:

@@ -61,7 +61,7 @@ def test_columns_are_filtered_as_the_effect_asks() -> None:
                 s.motion.filtered(r[j], times=c.effect.passes)
                 for s, r in zip(scenes, raw, strict=True)
             ]
-            expected = stage.rows.of(j, low)
+            expected = stage.rows.torque(j, low)
             np.testing.assert_allclose(X, expected, atol=1e-4 * max(1.0, np.abs(expected).max()))
 
 

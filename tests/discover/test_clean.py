@@ -18,6 +18,7 @@ from seqid_cli.identify.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.stribeck import Stribeck
+from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import sliding
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import Lowpass, differentiate
@@ -108,7 +109,7 @@ class Fit:
         for scene, deviation in zip(self.scenes, self.deviation, strict=True):
             assert scene.motion.tau is not None
             r = scene.motion.tau - scene.modelled_filtered - deviation
-            left.append(np.where(sliding(scene.motion, 2.0 * scene.sign_width), r, 0.0))
+            left.append(np.where(sliding(scene.motion, SLIDES * scene.sign_width), r, 0.0))
         return left
 
     def stribeck(self, joint: int) -> float:

@@ -10,6 +10,7 @@ import pytest
 
 from seqid_cli.discover.rows import BLOCK_S, FOLDS, FOLDS_OF_ONE, Rows, extrapolated, rows_of
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import sliding
 from tests.discover.arms import arm_scenes
 from tests.model.effects.scenes import RATE_HZ, friction_surface, motion_of, scene_of, wander
@@ -64,13 +65,13 @@ def test_columns_are_filtered_and_stacked_joint_by_joint(scenes: list[Scene], ro
     (joint,) = found = rows.columns(per_scene, passes=2)
     filtered = [scene.motion.filtered(scene.motion.q[:, :1], times=2) for scene in scenes]
     assert joint == 1
-    np.testing.assert_allclose(found[1], rows.of(1, filtered), atol=1e-5)
+    np.testing.assert_allclose(found[1], rows.torque(1, filtered), atol=1e-5)
     assert len(found[1]) == rows.count(1) == len(rows.blocks_of(1))
 
 
 def test_only_samples_at_which_a_joint_slides_count(scenes: list[Scene], rows: Rows) -> None:
     for scene, at, used in zip(scenes, rows.picked, rows.used, strict=True):
-        np.testing.assert_array_equal(used, sliding(scene.motion, 2 * scene.sign_width)[at])
+        np.testing.assert_array_equal(used, sliding(scene.motion, SLIDES * scene.sign_width)[at])
         assert 0.5 < used.mean() < 1.0
         assert not np.any(used[~scene.motion.usable[at]])
 

@@ -142,7 +142,7 @@ def test_the_residual_is_what_is_left_at_all_samples(two: list[Scene]) -> None:
     left = search.residual(system)
     rows = search.stage.rows
     for j, expected in enumerate(system.residual()[: rows.n]):
-        found = rows.of(j, left)[:, j]
+        found = rows.torque(j, left)[:, j]
         assert np.sqrt(np.mean((found - expected) ** 2)) < 0.02 * np.std(expected)
     for scene, torque in zip(two, search.effect_torques(system), strict=True):
         slow = scene.motion.filtered(torque - both(scene), times=2)[scene.motion.usable]

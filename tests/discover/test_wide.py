@@ -92,7 +92,7 @@ def test_bands_add_up_to_the_columns() -> None:
         scene.motion.filtered(x[JOINT], times=2) for scene, x in zip(scenes, per_scene, strict=True)
     ]
     rest = [x[JOINT] - y for x, y in zip(per_scene, low, strict=True)]
-    np.testing.assert_allclose(found[JOINT], rows.of(JOINT, low), atol=1e-9)
+    np.testing.assert_allclose(found[JOINT], rows.torque(JOINT, low), atol=1e-9)
     np.testing.assert_allclose(found[rows.n + JOINT], high.of(JOINT, rest), atol=1e-9)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
 from seqid_cli.motion.motion import Motion
@@ -18,8 +19,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 LONGEST_SESSION_S = 30 * 86400.0
-DEFAULT_SIGN_SHARE = 0.01  # of a joint's top speed
-SLIDES = 2.0  # sign widths, below which a joint does not certainly slide
+DEFAULT_SIGN_SHARE = 0.004  # of a joint's top speed
 
 
 @dataclass(frozen=True)

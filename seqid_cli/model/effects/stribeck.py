@@ -17,8 +17,9 @@ import numpy as np
 from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.excitation import moves, top_speed
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.friction import SLIDES
 
-SLIDES = 3.0  # sign widths: well above the two from which samples count
+ABOVE = 1.5  # times the speed from which samples count
 EXPONENTS = (0.5, 1.0, 2.0)
 SPEEDS = 7
 SLOWEST_SHARE, FASTEST_SHARE = 0.02, 0.5  # of the top speed
@@ -52,7 +53,7 @@ class Stribeck(Effect):
         """Speeds from the sign's width to half the top speed, by ratios of about two."""
         assert joint is not None
         top = top_speed(scenes, joint)
-        slow = min(2.0 * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
+        slow = min(SLIDES * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
         return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
 
@@ -73,6 +74,6 @@ class Stribeck(Effect):
         """
         assert joint is not None
         speed = settings["stribeck_speed"]
-        slides = SLIDES * float(scenes[0].sign_width[joint])
+        slides = ABOVE * SLIDES * float(scenes[0].sign_width[joint])
         ends = slides <= speed < top_speed(scenes, joint)
         return ends and super().plausible(scenes, joint, settings, c)

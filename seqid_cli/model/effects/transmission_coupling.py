@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.excitation import top_speed
-from seqid_cli.model.effects.scene import SLIDES, Scene
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import slowest_near
 
 Array = NDArray[np.float64]

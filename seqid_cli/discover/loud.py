@@ -70,11 +70,11 @@ def louder_joints(found: Investigation) -> tuple[Loud, ...]:
     search = found.search
     left = np.minimum(search.rms(), found.start)
     times = left / np.maximum(expected(found), 1e-12)
-    residual = search.residual(search.system())
+    residual = search.system().residual()
     louder = [
         Loud(j, float(times[j]))
         for j in np.flatnonzero(times > LOUDER).tolist()
-        if goes_with_motion(search.stage.scenes, residual, j)
+        if goes_with_motion(search.stage.rows, residual[j], j)
     ]
     return tuple(sorted(louder, key=lambda one: -one.times))
 

@@ -39,7 +39,7 @@ REFINED = 6  # candidates whose settings are searched
 ROUNDS_OF_WEIGHTS = 3
 LEAST_VISIBLE = 0.02
 BY_CHANCE = 1e-3  # that any joint's slow or small effect is noise: not believed from there on
-SELDOM = 0.3  # of the squared residual, that chance takes away
+SELDOM = 0.7  # of the squared residual, that chance takes away
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]

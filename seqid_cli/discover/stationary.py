@@ -20,6 +20,7 @@ from scipy.stats import rankdata
 
 from seqid_cli.discover.dependence import Dependence, dependence
 from seqid_cli.discover.gates import quiet
+from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.discover.search import Search
 from seqid_cli.model.effects.scene import Scene
 
@@ -37,14 +38,14 @@ SEED = 1992
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one scene: `sample` (M,) those that count, `of` (M,) the window of each."""
+    """Windows of one scene: `sample` (K,) those that count, `of` (K,) the window of each."""
 
     sample: Index
     of: Index
     count: int
 
     def means(self, values: Array) -> Array:
-        """Means (count,) of values (N,) over the samples that count."""
+        """Means (count,) of values (M,) over the samples that count."""
         return np.bincount(self.of, values[self.sample], self.count) / self._sizes
 
     @property
@@ -52,14 +53,14 @@ class _Windows:
         return np.bincount(self.of, minlength=self.count).astype(np.float64)
 
 
-def goes_with_motion(scenes: Sequence[Scene], residual: Sequence[Array], joint: int) -> bool:
+def goes_with_motion(rows: Rows, residual: Array, joint: int) -> bool:
     """Tell whether the power of a joint's residual depends on what the arm does.
 
     Parameters
     ----------
-    scenes : sequence of Scene
-    residual : sequence of (N, n) arrays
-        At the scenes' samples, N m; zero where it does not count.
+    rows : Rows
+    residual : (M_j,) array
+        Of the joint's rows, N m.
     joint : int
 
     Returns
@@ -67,12 +68,12 @@ def goes_with_motion(scenes: Sequence[Scene], residual: Sequence[Array], joint: 
     bool
         True as well where there is too little of it to tell.
     """
-    own = [r[:, joint] for r in residual]
-    windows = [_windows(scene, r) for scene, r in zip(scenes, own, strict=True)]
+    own = rows.spread(joint, residual)
+    windows = [_windows(r) for r in own]
     if sum(w.count for w in windows) < FEWEST:
         return True
-    pairs = list(zip(scenes, own, windows, strict=True))
-    states = np.concatenate([_states(s, r, w, joint) for s, r, w in pairs if w.count])
+    parts = zip(rows.scenes, rows.picked, own, windows, strict=True)
+    states = np.concatenate([_states(s, at, r, w, joint) for s, at, r, w in parts if w.count])
     ranks = _standard(np.apply_along_axis(rankdata, 0, states))
 
     def strengths(series: Sequence[Array]) -> Array:
@@ -110,10 +111,9 @@ def beyond_chance(search: Search, found: Dependence) -> bool:
     return True
 
 
-def _windows(scene: Scene, residual: Array) -> _Windows:
+def _windows(residual: Array) -> _Windows:
     """Windows of which at least half counts."""
-    motion = scene.motion
-    length = max(1, round(PERIODS * motion.rate_hz / motion.lowpass.cutoff_hz))
+    length = round(PERIODS * SAMPLES_PER_CUTOFF)
     sample = np.flatnonzero(residual)
     number, size = np.unique(sample // length, return_counts=True)
     full = number[2 * size >= length]
@@ -121,19 +121,19 @@ def _windows(scene: Scene, residual: Array) -> _Windows:
     return _Windows(sample[kept], np.searchsorted(full, sample[kept] // length), len(full))
 
 
-def _states(scene: Scene, residual: Array, windows: _Windows, joint: int) -> Array:
+def _states(scene: Scene, at: Index, residual: Array, windows: _Windows, joint: int) -> Array:
     """What may go with the power (count, 7): of each window, how the arm moves there."""
     motion = scene.motion
-    q, speed = motion.q[:, joint], np.abs(motion.dq)
+    q, speed = motion.q[at, joint], np.abs(motion.dq[at])
     away = distance_transform_edt(residual != 0)
     values = (
         speed[:, joint],
-        np.abs(motion.ddq[:, joint]),
+        np.abs(motion.ddq[at, joint]),
         np.sum(speed / np.maximum(speed.max(axis=0), 1e-12), axis=1),
-        np.abs(scene.rigid[:, joint]),
+        np.abs(scene.rigid[at, joint]),
         q,
         np.abs(q - np.median(q)),
-        np.minimum(away, motion.rate_hz / motion.lowpass.cutoff_hz),
+        np.minimum(away, float(SAMPLES_PER_CUTOFF)),
     )
     return np.stack([windows.means(x) for x in values], axis=1)
 

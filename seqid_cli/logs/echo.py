@@ -38,6 +38,7 @@ FRICTION = 0.1  # of the torque's RMS, that an echo's friction is certainly belo
 NONE = 0.003  # the same, that is no friction however well it is known
 INERTIA = 0.05  # of the torque's RMS, that an echo's accelerations may explain
 OTHERS = 0.15  # of what position leaves (of its square), that the others may explain
+EXACT = 1e-3  # of the torque's RMS: position leaves nothing that others could explain
 CERTAIN, UNCERTAIN = 3.0, 2.0  # standard errors
 MEMORY_S = 0.5  # of the residual, for the errors
 RCOND = 1e-8
@@ -71,7 +72,7 @@ class Shares:
         """Whether position alone makes the torque."""
         return (
             self.unexplained < UNEXPLAINED
-            and self.others < OTHERS
+            and (self.others < OTHERS or self.unexplained < EXACT)
             and self.friction + CERTAIN * self.error < FRICTION
             and self.friction < max(UNCERTAIN * self.error, NONE)
             and self.inertia < INERTIA

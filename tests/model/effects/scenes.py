@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 RATE_HZ = 240.0
 CUTOFF_HZ = 10.0
-SIGN_WIDTH = 0.01  # rad/s
+SIGN_WIDTH = 0.006  # rad/s
 GEAR = (50.0, 30.0)
 ROTOR = (1e-4, 5e-5)  # kg m^2, motor side
 COULOMB, VISCOUS = (4.0, 1.5), (2.0, 0.8)  # N m, N m s/rad

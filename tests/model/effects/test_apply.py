@@ -44,6 +44,7 @@ from seqid_cli.params.schema import (
 from tests.model.effects.scenes import (
     CUTOFF_HZ,
     RATE_HZ,
+    SIGN_WIDTH,
     scene_of,
     scenes_of_logs,
     settings_of,
@@ -245,7 +246,9 @@ def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
     added = added_torque(
         scene, log, [stribeck(), fitted("torque_bias", 1, [3.0])], np.full(2, 0.02)
     )
-    np.testing.assert_allclose(added.high[:, 0], np.exp(-0.04) * np.tanh(2.0), rtol=1e-9)
+    np.testing.assert_allclose(
+        added.high[:, 0], np.exp(-0.04) * np.tanh(0.02 / SIGN_WIDTH), rtol=1e-9
+    )
     np.testing.assert_allclose(added.low, -added.high, atol=1e-12)
     assert not added.high[:, 1].any()
     np.testing.assert_allclose(added.torque[:, 1], 3.0)

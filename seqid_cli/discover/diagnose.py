@@ -20,7 +20,7 @@ from seqid_cli.discover.confusable import certainty, event_confidence, rivalries
 from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
-from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.investigate import WORSE, Investigation, investigate
 from seqid_cli.discover.loud import looks_like, louder_joints
 from seqid_cli.discover.notes import loud_notes, offset_notes
 from seqid_cli.discover.options import DiscoverOptions
@@ -305,6 +305,7 @@ def _left(found: Investigation, robot: Robot) -> list[Unexplained]:
         if smooth.quantities
         and smooth.relative >= _least_smooth(found, smooth)
         and not _is_shape(found.search, smooth)
+        and _foretells(found.search, smooth)
         and (smooth.relative >= CLEAR or beyond_chance(found.search, smooth))
     ]
 
@@ -319,6 +320,13 @@ def _least_smooth(found: Investigation, smooth: Dependence) -> float:
         return least
     few = ENOUGH_S / (BLOCK_S * len(found.search.stage.rows.fold))
     return SLOW_NOISE * max(1.0, float(np.sqrt(few))) * least
+
+
+def _foretells(search: Search, smooth: Dependence) -> bool:
+    """Whether with it the joint's left-out rows are foretold as well as the file fits them."""
+    rest = 1.0 - min(smooth.relative, 1.0)
+    left = float(search.rms()[smooth.joint]) * float(np.sqrt(rest))
+    return left <= WORSE * float(search.base.start[smooth.joint])
 
 
 def _is_shape(search: Search, smooth: Dependence) -> bool:

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.diagnose import described, diagnose
+from seqid_cli.discover.dependence import dependence
+from seqid_cli.discover.diagnose import _foretells, described, diagnose
 from seqid_cli.discover.investigate import Searched, investigate
 from seqid_cli.discover.loud import expected, louder_joints
 from seqid_cli.discover.options import DiscoverOptions
@@ -22,6 +23,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from tests.discover.arms import arm_scenes, search_in
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.laws import Extra, Stribeck
 from tests.plants.trials import run_drill
@@ -275,3 +277,15 @@ def test_clean_logs_are_as_loud_as_expected() -> None:
     logs = clean()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
     np.testing.assert_allclose(found.search.rms() / expected(found), 1.2, atol=0.4)
+
+
+def test_what_foretells_no_better_than_the_file_is_no_dependence() -> None:
+    """Of few rows a free base foretells badly, and much seems to help it."""
+    search = search_in(arm_scenes(logs=1, seconds=8.0))
+    ratios = search.rms() / search.base.start
+    ratio = float(ratios.max())
+    assert ratio > 1.1
+    some = dependence(search.system(), int(ratios.argmax()), least_gain=0.0, most=1)
+    little, much = (replace(some, relative=1.0 - (x / ratio) ** 2) for x in (1.05, 0.95))
+    assert not _foretells(search, little)
+    assert _foretells(search, much)

@@ -167,3 +167,12 @@ def tensor_basis(x: Array, u: Array, position_order: int, velocity_order: int) -
     product = chebvander(x, position_order)[:, :, None] * chebvander(u, velocity_order)[:, None, :]
     flat: Array = product.reshape(len(x), -1)
     return flat
+
+
+def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:
+    """Friction torque (N, n) N m; zero for a joint whose friction is not known."""
+    columns = [
+        np.zeros(len(q)) if surface is None else surface.torque(q[:, j], dq[:, j])
+        for j, surface in enumerate(surfaces)
+    ]
+    return np.stack(columns, axis=1)

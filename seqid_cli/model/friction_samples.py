@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.signal import firwin
 
-from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.torque import friction_torque
+from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.motion.filtering import shrink
 from seqid_cli.motion.motion import Motion
 

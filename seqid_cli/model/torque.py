@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction import FrictionSurface, friction_torque
+from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base import STANDARD, gear_ratios, standard_names
@@ -30,15 +31,6 @@ def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | No
         FrictionSurface.from_stage(found[name]) if name in found else None
         for name in robot.joint_names
     ]
-
-
-def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:
-    """Friction torque (N, n) N m; zero for a joint whose friction is not known."""
-    columns = [
-        np.zeros(len(q)) if surface is None else surface.torque(q[:, j], dq[:, j])
-        for j, surface in enumerate(surfaces)
-    ]
-    return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True)
@@ -107,7 +99,7 @@ class TorqueModel:
     def _terms(self, motion: Motion) -> tuple[Array, Array]:
         """Rigid-body and friction torque, each filtered like `motion.tau`."""
         rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
-        return rigid, motion.filtered(self.friction(motion.q, motion.dq), times=2)
+        return rigid, motion.filtered(sampled_friction(self.surfaces, motion), times=2)
 
     def predict_set(self, motion: Motion, slides: Mask, added: Added | None = None) -> Array:
         """Torque (N, n) N m where joints slide; at rest the value nearest to the measured one.

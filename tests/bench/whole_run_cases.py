@@ -69,7 +69,8 @@ def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
     from scipy.ndimage import binary_dilation, correlate1d
     from scipy.signal import butter, sosfiltfilt
 
-    from seqid_cli.model.torque import friction_surfaces, friction_torque
+    from seqid_cli.model.friction import friction_torque
+    from seqid_cli.model.torque import friction_surfaces
     from seqid_cli.robot.base import free_basis
     from seqid_cli.robot.file import load_robot
 

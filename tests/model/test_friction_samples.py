@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.model.friction import FrictionSurface, Scaling
+from seqid_cli.model.friction import FrictionSurface, Scaling, friction_torque
 from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import friction_torque
 from seqid_cli.motion.cutoff import Cutoff
 from seqid_cli.motion.filtering import Lowpass
 from seqid_cli.motion.motion import Motion, decimated

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import (
     TorqueModel,
     friction_surfaces,
-    friction_torque,
     known_rotors,
     sliding,
     standard_parameters,
@@ -125,7 +125,7 @@ def test_prediction_is_the_regressor_times_the_parameters(
     phi = np.concatenate([arm.phi.ravel(), arm.rotor_inertia])
     H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
     rigid = motion.filtered(H) @ (basis.expression @ phi)
-    friction = friction_torque(friction_surfaces(own, robot), motion.q, motion.dq)
+    friction = sampled_friction(friction_surfaces(own, robot), motion)
     expected = rigid + motion.filtered(motion.filtered(friction))
     np.testing.assert_allclose(model.predict(motion), expected, atol=1e-8)
 
@@ -162,7 +162,7 @@ def test_gravity_alone_and_friction_alone_are_models_too(robot: Robot, motion: M
     assert not rubbing.rigid(motion.q, motion.dq, motion.ddq).any()
     np.testing.assert_allclose(
         rubbing.predict(motion),
-        motion.filtered(rubbing.friction(motion.q, motion.dq), times=2),
+        motion.filtered(sampled_friction(rubbing.surfaces, motion), times=2),
         atol=1e-12,
     )
 

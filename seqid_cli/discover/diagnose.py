@@ -325,8 +325,7 @@ def _least_smooth(found: Investigation, smooth: Dependence) -> float:
 def _foretells(search: Search, smooth: Dependence) -> bool:
     """Whether with it the joint's left-out rows are foretold as well as the file fits them."""
     rest = 1.0 - min(smooth.relative, 1.0)
-    left = float(search.rms()[smooth.joint]) * float(np.sqrt(rest))
-    return left <= WORSE * float(search.base.start[smooth.joint])
+    return float(search.excess()[smooth.joint]) * float(np.sqrt(rest)) <= WORSE
 
 
 def _is_shape(search: Search, smooth: Dependence) -> bool:

@@ -256,7 +256,7 @@ def _take_back_doubtful(search: Search) -> None:
     """
     n = search.stage.rows.n
     while search.accepted:
-        worse = search.rms() > WORSE * search.base.start
+        worse = search.excess() > WORSE
         failing = [
             t
             for t in search.accepted

@@ -22,6 +22,7 @@ from scipy.ndimage import binary_dilation
 from seqid_cli.discover.sieve import Sieve
 from seqid_cli.discover.turning import Turn, turns
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import REACH
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,7 +39,6 @@ SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and 
 FEWEST_FOLDS = 3  # in which a joint must have rows
 LEAST_OF_FOLD = 0.02  # of a joint's rows, that a fold must have to count
 SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
-REACH_OUTSIDE = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 SIMPLE = 2  # coefficients: Coulomb and viscous
 MOST_OUTSIDE = 0.6  # share of a log outside the identified friction, from which it counts all
 
@@ -197,7 +197,7 @@ def extrapolated(scene: Scene) -> Mask:
     viscous friction, which the base has as columns that go on beyond.
     """
     motion = scene.motion
-    reach = max(1, int(REACH_OUTSIDE * motion.rate_hz / motion.lowpass.cutoff_hz))
+    reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
     outside = scene.model.outside(motion)
     for j, surface in enumerate(scene.model.surfaces):
         if surface is not None:

@@ -188,6 +188,10 @@ class Search:
             ]
         )
 
+    def excess(self) -> Array:
+        """`rms` (n,) as a share of the error that the file alone leaves."""
+        return np.asarray(self.rms() / np.maximum(self.base.start, 1e-12))
+
     def _smooth_blocks(self) -> list[Block]:
         filtered = Filtered.of(self.stage.rows)
         blocks = []

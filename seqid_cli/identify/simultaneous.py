@@ -10,7 +10,9 @@ every later command reads it like any other file.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,26 +89,55 @@ def identify_simultaneous(
     QualityError
         If no joint moves.
     """
-    basis = free_basis(robot)
-    equations = SimultaneousEquations(robot, basis, offset=offset)
+    paths, motions = [], []
     for recording in recordings:
-        equations.add(
-            recording.path, torque_motion(recording, robot, options, imu=imu, source=source)
-        )
+        paths.append(recording.path)
+        motion = torque_motion(recording, robot, options, imu=imu, source=source)
+        motions.append(_of_its_own(motion))
+    width = sign_width(motions, robot.n)
+    equations = SimultaneousEquations(robot, free_basis(robot), width, offset=offset)
+    for path, motion in zip(paths, motions, strict=True):
+        equations.add(path, motion)
     if not any(joint.samples for joint in equations.joints):
         raise QualityError("no joint moves in these logs", hint="record moves of every joint")
     return equations.stages(options)
 
 
-class SimultaneousEquations:
-    """Accumulates [H, friction columns | tau] of every joint."""
+def sign_width(motions: Iterable[Motion], n: int) -> Array:
+    """Speeds (n,) over which friction changes its sign, by the log in which each joint is fastest.
 
-    def __init__(self, robot: Robot, basis: Basis, *, offset: bool = False) -> None:
+    A log that moves a joint hardly, as others shake it, does not say how fast it slides.
+    """
+    fastest = np.zeros(n)
+    for motion in motions:
+        speed = _speed(motion)
+        usual = np.quantile(speed, 0.99, axis=0)
+        usual = np.where(usual > 0, usual, speed.max(axis=0))  # it moved for a moment only
+        fastest = np.maximum(fastest, usual)
+    return SIGN_SHARE * fastest
+
+
+def _speed(motion: Motion) -> Array:
+    """Speed (N, n) of each joint, zero where it rests."""
+    return np.where(motion.moving, np.abs(motion.dq), 0.0)
+
+
+def _of_its_own(motion: Motion) -> Motion:
+    """A thinned motion without the samples that it was thinned from."""
+    own: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion)}
+    own |= {k: x.copy() for k, x in own.items() if isinstance(x, np.ndarray)}
+    return Motion(**own)
+
+
+class SimultaneousEquations:
+    """Accumulates [H, friction columns | tau] of every joint; `width` (n,) is the sign's."""
+
+    def __init__(self, robot: Robot, basis: Basis, width: Array, *, offset: bool = False) -> None:
         self.robot, self.basis = robot, basis
         self.terms = TERMS if offset else TERMS[:2]
         size = basis.size + len(self.terms) * robot.n
         self.joints = [Accumulator(size) for _ in range(robot.n)]
-        self.width = np.zeros(robot.n)
+        self.width = width
         self.fastest = np.zeros(robot.n)
         self.position = np.array([[np.inf, -np.inf]] * robot.n)
         self.torque_squares = np.zeros(robot.n)
@@ -140,12 +171,8 @@ class SimultaneousEquations:
         return slice(start, start + len(self.terms))
 
     def _remember(self, motion: Motion) -> None:
-        """Ranges of motion; the width of the sign is set by the first log that moves a joint."""
-        speed = np.where(motion.moving, np.abs(motion.dq), 0.0)
-        fast = np.quantile(speed, 0.99, axis=0)
-        fast = np.where(fast > 0, fast, speed.max(axis=0))  # a joint that moved for a moment only
-        self.width = np.where(self.width > 0, self.width, SIGN_SHARE * fast)
-        self.fastest = np.maximum(self.fastest, speed.max(axis=0))
+        """Ranges of motion."""
+        self.fastest = np.maximum(self.fastest, _speed(motion).max(axis=0))
         low, high = motion.q.min(axis=0), motion.q.max(axis=0)
         self.position[:, 0] = np.minimum(self.position[:, 0], low)
         self.position[:, 1] = np.maximum(self.position[:, 1], high)

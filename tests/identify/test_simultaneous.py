@@ -116,3 +116,14 @@ def test_joints_that_rest_are_named() -> None:
     assert not verdicts["joint_6"].good
     assert "does not move" in verdicts["joint_6"].reason
     assert "joint_6" not in friction.joints
+
+
+def test_a_log_that_hardly_moves_a_joint_does_not_say_how_fast_it_slides() -> None:
+    crawling = record(5, 20.0)
+    crawling.q[:, 5] *= 1e-3
+    logs = [crawling, record(6, 20.0)]
+    friction, _ = identify_simultaneous(logs, robot(), options=MotionOptions(8.0))
+    other, _ = identify_simultaneous(logs[::-1], robot(), options=MotionOptions(8.0))
+    for name, joint in friction.joints.items():
+        assert joint.sign_width == pytest.approx(other.joints[name].sign_width)
+        assert joint.sign_width > 1e-3 * joint.speed_range[1]

@@ -50,6 +50,8 @@ ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
 # Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
 TOLERATED, EXCHANGE = 0.05, 0.2
+LOUD = 3.0  # noise floors, from which what is left at a joint is worth a word
+ASK = "diagnose says on what it depends, refine --with-unexplained adds a smooth term for it"
 
 
 def refine(
@@ -187,7 +189,7 @@ def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Record
 
 def _try(loop: Loop, tried: Tried, search: Search) -> bool:
     """Fit the model with one effect more; keep it if the held-out logs agree."""
-    training_gain = search.marginal(tried).trial.relative
+    training_gain = min(search.marginal(tried).trial.relative, 1.0)
     broad = loop.broad or search.broad
     ways = (search.kept, not search.kept)
     accounts = _ordered(loop, [_account(loop, tried, late=late, broad=broad) for late in ways])
@@ -300,6 +302,9 @@ def _closed(
     changes = {names[j]: gain(before, after, [j], loop.rng) for j in judged}
     lost = [f"{name} ({-100 * g.value:.1f} %)" for name, g in changes.items() if g.loses]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
+    loud = [j for j in judged if new[j] > LOUD * floor[j]]
+    times = ", ".join(f"{names[j]} ({new[j] / floor[j]:.1f} times)" for j in loud)
+    more = f"more is left than torque noise and encoder account for: {times}; {ASK}"
     return ClosedLoop(
         rounds=tuple(loop.rounds),
         before={names[j]: float(old[j]) for j in judged},
@@ -307,7 +312,7 @@ def _closed(
         noise_floor={names[j]: float(floor[j]) for j in judged},
         gain_interval={name: (g.low, g.high) for name, g in changes.items()},
         evaluated_on=tuple(dict.fromkeys(str(log.path) for log in loop.held_out)),
-        notes=(*notes, *((said,) if lost else ())),
+        notes=(*notes, *((said,) if lost else ()), *((more,) if loud else ())),
     )
 
 

@@ -15,7 +15,7 @@ from tests.plants.hysteresis import Bristles, Cable
 from tests.plants.laws import Asymmetry, Curve, Extra, LevelWave, MeshLoss, Power, Stribeck
 from tests.plants.rated import dry_level, rated_torque, travel
 from tests.plants.simulate import Plant
-from tests.plants.torques import LinearSpring
+from tests.plants.torques import Counterbalance, LinearSpring
 
 CLEAR = 0.05  # share of rated torque at size 1
 USUAL_SPEED = 0.3  # share of the top speed at which the gears warm up
@@ -152,4 +152,14 @@ def cable(plant: Plant, joint: int, size: float) -> Plant:
     torque = clear(plant, joint, size)
     reach = 0.15 * travel(plant, joint)
     model = Cable(joint, torque / (0.6 * half) ** 3, middle, 0.5 * torque, reach)
+    return replace(plant, hidden=plant.hidden.with_torque(model))
+
+
+def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
+    """Coil spring between two points; at most four times clear over the joint's travel."""
+    middle, half = _middle(plant, joint)
+    unit = travel(plant, joint)
+    model = Counterbalance(joint, 1.0, 0.8, 0.5, middle - 0.5 * unit, unit)
+    most = max(abs(model.torque(q)) for q in np.linspace(middle - half, middle + half, 200))
+    model = replace(model, stiffness=4.0 * clear(plant, joint, size) / most)
     return replace(plant, hidden=plant.hidden.with_torque(model))

@@ -17,7 +17,7 @@ from tests.plants.rigid import Rigid, build_model
 from tests.plants.rigs import six_joint
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant, simulate
-from tests.plants.torques import Contact
+from tests.plants.torques import Contact, Counterbalance
 from tests.plants.trajectories import Reference, hold, periodic
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY, clean, inject
 from tests.plants.vertical import vertical_two_joint
@@ -280,3 +280,17 @@ def test_impossible_places_are_refused() -> None:
         inject("transmission_coupling", rig(), 0)
     with pytest.raises(ValueError, match="joint 2 of 2"):
         inject("stribeck", rig(), 2)
+
+
+def test_a_counterbalance_is_conservative_and_sized() -> None:
+    """Work round a loop is none; it pulls back, and most by four times what is clear."""
+    plant = rig()
+    law = inject("spring.counterbalance", plant, 1).plant.hidden.torques[-1]
+    assert isinstance(law, Counterbalance)
+    q = np.linspace(*plant.position_limits[1], 2001)
+    torque = np.array([law.torque(float(x)) for x in q])
+    angle = (q - law.zero) / law.unit
+    length = np.sqrt(1.0 + law.arm**2 - 2.0 * law.arm * np.cos(angle))
+    energy = 0.5 * law.stiffness * np.maximum(length - law.slack, 0.0) ** 2
+    np.testing.assert_allclose(torque, -np.gradient(energy, q), atol=0.01 * np.abs(torque).max())
+    assert np.abs(torque).max() == pytest.approx(0.2 * rated_torque(plant)[1], rel=1e-3)

@@ -48,6 +48,33 @@ class LinearSpring:
 
 
 @dataclass(frozen=True)
+class Counterbalance:
+    """A coil spring between a point of either link, `arm` of the other's distance from the axis.
+
+    Distances are in that of the point on the base, so that the stiffness is N m; the angle at the
+    axis between the two is (q - zero) / unit, `slack` the spring's length without tension.
+    """
+
+    joint: int
+    stiffness: float
+    arm: float
+    slack: float
+    zero: float
+    unit: float
+
+    def begin(self, run: Run) -> TorqueSource:
+        """Return the source of one run."""
+        return State(self.joint, lambda q, dq: self.torque(float(q[self.joint]))).begin(run)
+
+    def torque(self, q: float) -> float:
+        """Minus the slope of the energy of the stretched spring, N m."""
+        angle = (q - self.zero) / self.unit
+        length = float(np.sqrt(1.0 + self.arm**2 - 2.0 * self.arm * np.cos(angle)))
+        pull = self.stiffness * max(length - self.slack, 0.0)
+        return -pull * self.arm * float(np.sin(angle)) / (length * self.unit)
+
+
+@dataclass(frozen=True)
 class AccelerationCube:
     """-size (ddq/top)^3 on one joint, N m, ddq from the rates of the last two periods.
 

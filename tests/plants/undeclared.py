@@ -86,6 +86,7 @@ REGISTRY: Mapping[str, Entry] = {
     "joint_elasticity.link_encoder": Entry("joint_elasticity", drive.elastic_link_encoder),
     "transmission_coupling.rotors": Entry("transmission_coupling", drive.coupling_rotors, first=1),
     "spring.cable": Entry("spring", friction.cable),
+    "spring.counterbalance": Entry("spring", friction.counterbalance),
     "time_skew.early": Entry("time_skew", drive.skew_early, "arm"),
     "time_skew.one_joint": Entry("time_skew", drive.skew_one),
     "actuator_lag.all": Entry("actuator_lag", drive.lag_all, "arm"),

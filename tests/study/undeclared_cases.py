@@ -36,6 +36,7 @@ CHANGES = (
     WEAR,
     "rotor_inertia",
     "time_skew",
+    "spring.counterbalance",
 )
 QUICK = (
     "stribeck",
@@ -61,10 +62,12 @@ PAIR_SEED = 2000
 class Sensors:
     """Instruments other than usual: factors of noise and encoder step, control periods per row.
 
-    `keep` says which of the logs there are.
+    `coloured` is the least share of the noise's variance that is 1/f; `keep` says which of the logs
+    there are.
     """
 
     noise: float = 1.0
+    coloured: float = 0.0
     step: float = 1.0
     every: int = 2
     keep: Literal["all", "periodic", "others"] = "all"
@@ -79,6 +82,7 @@ SENSORS: Mapping[str, Sensors] = {
     "logs at 1000 Hz": Sensors(every=1),
     "periodic motions alone": Sensors(keep="periodic"),
     "no periodic motion": Sensors(keep="others"),
+    "half the noise 1/f": Sensors(coloured=0.5),
 }
 
 
@@ -154,6 +158,7 @@ def declared(condition: Condition) -> Plant:
     return replace(
         plant,
         current_noise=sensors.noise * plant.current_noise,
+        coloured=max(sensors.coloured, plant.coloured),
         encoder_step=sensors.step * plant.encoder_step,
     )
 

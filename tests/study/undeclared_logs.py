@@ -92,7 +92,7 @@ def _kept(drill: Drill, keep: str) -> bool:
 def _plant_label(condition: Condition) -> str:
     sensors = SENSORS[condition.sensors]
     plant = (condition.rig, condition.simple_friction, condition.effects)
-    return repr((plant, sensors.noise, sensors.step))
+    return repr((plant, sensors.noise, sensors.coloured, sensors.step))
 
 
 def _stored(

@@ -1,13 +1,14 @@
 """A spring, counterbalance or cable that acts on a joint beside gravity.
 
-    tau = k (q - q0) + k3 q^3
+    tau = k (q - q0) + k2 q^2 + k3 q^3
 
-k [N m/rad], q0 [rad] where it is slack, k3 [N m/rad^3] (a cable or hose stiffens; 0 unless
-`cubic`; where it rubs it follows with hysteresis, which presliding_hysteresis shows as well). A
-motor holds against a spring that pulls back with tau > 0 ahead of q0, so k > 0; a
-counterbalance that helps away from its dead centre has k < 0. With the cubic term q0 is where the
-linear part vanishes. For compensators see Klimchik et al., "Identification of geometrical and
-elastostatic parameters of heavy industrial robots", ICRA 2013.
+k [N m/rad], q0 [rad] where it is slack, k2 [N m/rad^2] and k3 [N m/rad^3] (0 unless `cubic`): a
+cable or hose stiffens, and a spring between two points pulls with another arm on either side.
+Where it rubs it follows with hysteresis, which presliding_hysteresis shows as well. A motor holds
+against a spring that pulls back with tau > 0 ahead of q0, so k > 0; a counterbalance that helps
+away from its dead centre has k < 0. With the cubic law q0 is where the linear part vanishes. For
+compensators see Klimchik et al., "Identification of geometrical and elastostatic parameters of
+heavy industrial robots", ICRA 2013.
 """
 
 from __future__ import annotations
@@ -46,29 +47,30 @@ class Spring(Effect):
     )
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return stiffness, torque at q = 0 and, where asked, the cubic stiffness."""
+        """Return stiffness, torque at q = 0 and, where asked, what the cubic law has besides."""
         linear = (Coefficient("stiffness", "N m/rad"), Coefficient("torque_at_zero", "N m"))
         if settings["cubic"] > 0.5:
-            return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"))
+            squared = Coefficient("quadratic_stiffness", "N m/rad^2")
+            return (*linear, squared, Coefficient("cubic_stiffness", "N m/rad^3"))
         return linear
 
     def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
-        """Try it without and with the cubic term."""
+        """Try the linear and the cubic law."""
         return {"cubic": (0.0, 1.0)}
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
-        """Position, one, and its cube."""
+        """Position, one, its square and its cube."""
         assert joint is not None
         q = scene.motion.q[:, joint]
         terms = [q, np.ones_like(q)]
         if settings["cubic"] > 0.5:
-            terms.append(q**3)
+            terms += [q**2, q**3]
         return {joint: np.stack(terms, axis=1)}
 
     def values(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
-        """Return stiffness, rest position -c_1 / c_0 (delta method) and cubic stiffness."""
+        """Return stiffness, rest position -c_1 / c_0 (delta method), and the others."""
         found = super().values(robot, joint, settings, c, covariance)
         if c[0] == 0.0:
             return found

@@ -36,4 +36,23 @@ def test_a_stiffening_cable_needs_the_cube() -> None:
     settings, c, _ = best_fitted(Spring(), scenes, 0)
     assert settings == {"cubic": 1.0}
     assert c[0] == pytest.approx(K, rel=0.02)
-    assert c[2] == pytest.approx(CUBIC, rel=0.03)
+    assert c[2] == pytest.approx(0.0, abs=0.1)
+    assert c[3] == pytest.approx(CUBIC, rel=0.03)
+
+
+def between_two_points(t: Array, q: Array, dq: Array) -> Array:
+    """Energy of a coil spring from a point 0.3 m off the axis to one 0.25 m off it on the link."""
+    angle = q + 0.5 + np.array([[[-1e-4]], [[1e-4]]])
+    length = np.sqrt(0.3**2 + 0.25**2 - 2 * 0.3 * 0.25 * np.cos(angle))
+    energy = 0.5 * 1500.0 * (length - 0.03) ** 2
+    slope: Array = np.diff(energy, axis=0)[0] / 2e-4 * np.array([1.0, 0.0])
+    return slope
+
+
+def test_a_spring_between_two_points_pulls_otherwise_on_either_side() -> None:
+    scenes = scenes_with(between_two_points)
+    settings, c, rms = best_fitted(Spring(), scenes, 0)
+    _, linear = fitted(Spring(), scenes, 0, {"cubic": 0.0})
+    assert settings == {"cubic": 1.0}
+    assert abs(c[2]) > 5.0
+    assert rms < 0.3 * linear

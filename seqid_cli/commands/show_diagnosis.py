@@ -16,6 +16,7 @@ from seqid_cli.params.diagnosis_schema import (
 )
 
 _EVENTS_SHOWN = 10
+_LOUD = 3.0  # noise floors, from which what is left is not simply noise
 
 
 def show_diagnosis(screen: Screen, file: DiagnosisFile) -> None:
@@ -33,6 +34,9 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile) -> None:
 def verdict_sentence(file: DiagnosisFile) -> str:
     """Return the verdict in one sentence."""
     if file.verdict == "nothing_missing":
+        loud = ", ".join(name for name, joint in file.joints.items() if _is_loud(joint))
+        if loud:
+            return f"Nothing is missing, though more is left than the noise floor at {loud}."
         return "Nothing is missing: what these logs leave of the torque is noise."
     rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
     if file.verdict == "unexplained":
@@ -145,6 +149,10 @@ def _joints(screen: Screen, joints: Mapping[str, ResidualEntry]) -> None:
         for name, joint in joints.items()
     ]
     screen.table(columns, rows)
+
+
+def _is_loud(joint: ResidualEntry) -> bool:
+    return bool(joint.rmse and joint.noise_floor and joint.rmse > _LOUD * joint.noise_floor)
 
 
 def _ratio(joint: ResidualEntry) -> str:

@@ -21,8 +21,8 @@ from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
 from seqid_cli.discover.investigate import WORSE, Investigation, investigate
-from seqid_cli.discover.loud import looks_like, louder_joints
-from seqid_cli.discover.notes import loud_notes, offset_notes
+from seqid_cli.discover.loud import expected, looks_like, louder_joints
+from seqid_cli.discover.notes import file_notes, loud_notes, offset_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import (
     Diagnosis,
@@ -106,7 +106,8 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     ]
     rest = [_unexplained(robot, smooth) for smooth in found.outside] + _left(found, robot)
     findings = [beside_rest(finding, rest) for finding in findings]
-    louder = louder_joints(found)
+    ordinary = expected(found)
+    louder = louder_joints(found, ordinary)
     beyond_noise = {robot.joint_names[one.joint]: one.share for one in louder}
     if found.events or aside:
         energies = _event_energies(found)
@@ -121,6 +122,7 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
             for one in loud
         ]
     rest = _largest_of_each(rest)
+    named = {part.joint for part in rest} | set(told)
     return Diagnosis(
         verdict=_verdict(findings, rest),
         findings=tuple(findings),
@@ -131,7 +133,11 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
             *(one.event for one in aside),
         ),
         hidden=_hidden(found, robot),
-        notes=(*offset_notes(found, robot), *loud_notes(loud, robot)),
+        notes=(
+            *offset_notes(found, robot),
+            *loud_notes(loud, robot),
+            *file_notes(found, robot, ordinary, named),
+        ),
     )
 
 

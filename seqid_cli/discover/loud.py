@@ -61,15 +61,15 @@ def expected(found: Investigation) -> Array:
     return np.hypot(np.hypot(seen, found.floor.rms), detail)
 
 
-def louder_joints(found: Investigation) -> tuple[Loud, ...]:
-    """Joints that are louder than expected after all that was found, the loudest first.
+def louder_joints(found: Investigation, ordinary: Array) -> tuple[Loud, ...]:
+    """Joints that are louder than `ordinary` (n,) N m after all that was found, the loudest first.
 
     Not those that the file alone fits as well as expected, nor those whose residual goes on alike
     whatever the arm does: torque noise may be slower than what can be seen of it elsewhere.
     """
     search = found.search
     left = np.minimum(search.rms(), found.start)
-    times = left / np.maximum(expected(found), 1e-12)
+    times = left / np.maximum(ordinary, 1e-12)
     residual = search.system().residual()
     louder = [
         Loud(j, float(times[j]))

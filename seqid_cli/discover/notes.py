@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.loud import Loud
+from seqid_cli.discover.loud import LOUD, Loud
 from seqid_cli.robot.types import Robot
 
+Array = NDArray[np.float64]
+
+FITTED = 0.5  # of what the file leaves, below which its values are to blame
 OFFSET_SHOWS = 0.7  # of what is left: torque of a time offset that is worth a note
 
 
@@ -22,18 +26,51 @@ def loud_notes(loud: Sequence[Loud], robot: Robot) -> tuple[str, ...]:
     )
 
 
+def file_notes(
+    found: Investigation, robot: Robot, ordinary: Array, named: Collection[str]
+) -> tuple[str, ...]:
+    """Joints at which the file leaves more than `ordinary` (n,) N m though nothing is missing.
+
+    Those that findings or a time offset touch, or that are `named` elsewhere, are not among them.
+    """
+    search, notes = found.search, []
+    touched = {j for tried in search.accepted for j in tried.columns} | set(_apart(found))
+    for j, left in enumerate(np.minimum(search.rms(), found.start)):
+        name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
+        if times <= LOUD or j in touched or name in named:
+            continue
+        anew = left / max(ordinary[j], 1e-12)
+        many = f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do"
+        if left < FITTED * found.start[j]:
+            notes.append(
+                f"{many}, its model fitted to these logs {anew:.1f} times: the form is right, the "
+                "values are not; identify with logs that move the arm as these do"
+            )
+        else:
+            notes.append(f"{many}, but that does not go with the motion, as slow noise does not")
+    return tuple(notes)
+
+
 def offset_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints whose torque and position are apart by less than a sample, where that shows."""
+    offsets, notes = found.search.offsets(found.search.system()), []
+    for j in _apart(found):
+        name, side = robot.joint_names[j], "early" if offsets[j] > 0 else "late"
+        notes.append(
+            f"joint {name}: torque is {1e3 * abs(offsets[j]):.1f} ms {side} against position, less "
+            "than a sample, and taken for the logger's own; logs at a higher rate would tell a "
+            "skew or a lag"
+        )
+    return tuple(notes)
+
+
+def _apart(found: Investigation) -> list[int]:
+    """Joints at which the time offset of the base shows."""
     search = found.search
-    offsets, notes = search.offsets(search.system()), []
-    for j, name in enumerate(robot.joint_names):
-        X, offset = search.base.timing[j], offsets[j]
+    joints = []
+    for j, offset in enumerate(search.offsets(search.system())):
+        X = search.base.timing[j]
         shown = abs(offset) * float(np.sqrt(np.mean(X**2))) if len(X) else 0.0
         if search.timed[j] and shown > OFFSET_SHOWS * float(search.noise[j]):
-            side = "early" if offset > 0 else "late"
-            notes.append(
-                f"joint {name}: torque is {1e3 * abs(offset):.1f} ms {side} against position, less "
-                "than a sample, and taken for the logger's own; logs at a higher rate would tell a "
-                "skew or a lag"
-            )
-    return tuple(notes)
+            joints.append(j)
+    return joints

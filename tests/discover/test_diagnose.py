@@ -16,6 +16,7 @@ from seqid_cli.discover.dependence import dependence
 from seqid_cli.discover.diagnose import _foretells, described, diagnose
 from seqid_cli.discover.investigate import Searched, investigate
 from seqid_cli.discover.loud import expected, louder_joints
+from seqid_cli.discover.notes import file_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
 from seqid_cli.errors import InputError
@@ -262,7 +263,7 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     logs = humped()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
     (tried,) = found.search.accepted
-    assert louder_joints(found) == ()
+    assert louder_joints(found, expected(found)) == ()
     bare = replace(found, result=Searched(found.search.without(tried), ()), dependences=())
     said = described(bare, logs.robot)
     assert said.verdict == "unexplained"
@@ -277,6 +278,22 @@ def test_clean_logs_are_as_loud_as_expected() -> None:
     logs = clean()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
     np.testing.assert_allclose(found.search.rms() / expected(found), 1.2, atol=0.4)
+
+
+def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
+    """Of the form of the model nothing is missing; and where it fits no better, noise is slow."""
+    logs = clean()
+    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    ordinary = expected(found)
+    assert file_notes(found, logs.robot, ordinary, ()) == ()
+    off = replace(found, start=found.start * np.array([1.0, 10.0]))
+    (note,) = file_notes(off, logs.robot, ordinary, ())
+    assert "elbow" in note
+    assert "identify" in note
+    assert file_notes(off, logs.robot, ordinary, ("elbow",)) == ()
+    (slow,) = file_notes(found, logs.robot, ordinary * np.array([0.2, 1.0]), ())
+    assert "shoulder" in slow
+    assert "go with the motion" in slow
 
 
 def test_what_foretells_no_better_than_the_file_is_no_dependence() -> None:

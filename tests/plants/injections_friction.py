@@ -156,10 +156,10 @@ def cable(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
-    """Coil spring between two points; at most four times clear over the joint's travel."""
+    """Coil spring between two points, always in tension; at most four times clear."""
     middle, half = _middle(plant, joint)
     unit = travel(plant, joint)
-    model = Counterbalance(joint, 1.0, 0.8, 0.5, middle - 0.5 * unit, unit)
+    model = Counterbalance(joint, 1.0, 0.3, 0.5, middle - 0.5 * unit, unit)
     most = max(abs(model.torque(q)) for q in np.linspace(middle - half, middle + half, 200))
     model = replace(model, stiffness=4.0 * clear(plant, joint, size) / most)
     return replace(plant, hidden=plant.hidden.with_torque(model))

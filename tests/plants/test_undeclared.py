@@ -283,7 +283,7 @@ def test_impossible_places_are_refused() -> None:
 
 
 def test_a_counterbalance_is_conservative_and_sized() -> None:
-    """Work round a loop is none; it pulls back, and most by four times what is clear."""
+    """Its torque is the slope of the energy of its spring, at most four times what is clear."""
     plant = rig()
     law = inject("spring.counterbalance", plant, 1).plant.hidden.torques[-1]
     assert isinstance(law, Counterbalance)

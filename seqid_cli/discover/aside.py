@@ -126,7 +126,7 @@ class _Look:
         scene, motion = self.scene, self.scene.motion
         stride = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
         at = slice(None, None, stride)
-        counts = (scene.slides & ~extrapolated(scene))[at]
+        counts = (scene.slides & ~extrapolated([scene])[0])[at]
         return Track(
             motion.t[at],
             motion.q[at],

@@ -40,7 +40,7 @@ FEWEST_FOLDS = 3  # in which a joint must have rows
 LEAST_OF_FOLD = 0.02  # of a joint's rows, that a fold must have to count
 SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
 SIMPLE = 2  # coefficients: Coulomb and viscous
-MOST_OUTSIDE = 0.6  # share of a log outside the identified friction, from which it counts all
+MOST_OUTSIDE = 0.6  # share of the logs outside the identified friction, from which it counts all
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
     picked, used, block, lengths = [], [], [], []
     thin = _thinning(scenes)
     first = 0
-    for scene in scenes:
+    for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
         motion = scene.motion
         stride = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
         at = np.arange(0, motion.samples, stride)
@@ -178,7 +178,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         own = np.minimum((at * count) // motion.samples, count - 1)
         kept = own % thin == 0
         picked.append(at[kept])
-        counts = scene.slides & ~extrapolated(scene)
+        counts = scene.slides & ~outside
         used.append(counts[at[kept]])
         block.append(own[kept] + first)
         lengths.append(count)
@@ -189,25 +189,29 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
     return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
 
 
-def extrapolated(scene: Scene) -> Mask:
+def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
     """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
 
     What is left there is the surface's extrapolation, nothing that the model lacks. A joint that
     is hardly ever inside is not masked: then the surface is all there is; nor is Coulomb and
     viscous friction, which the base has as columns that go on beyond.
     """
+    found = [_extrapolated(scene) for scene in scenes]
+    share = np.mean(np.concatenate(found), axis=0)
+    surfaces = scenes[0].model.surfaces
+    simple = np.array([s is None or s.positive.size <= SIMPLE for s in surfaces])
+    return [outside & ~(simple | (share > MOST_OUTSIDE)) for outside in found]
+
+
+def _extrapolated(scene: Scene) -> Mask:
+    """Samples (N, n) that the low-pass reaches from where a surface is held, or bent."""
     motion = scene.motion
     reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
     outside = scene.model.outside(motion)
     for j, surface in enumerate(scene.model.surfaces):
         if surface is not None:
             outside[:, j] |= surface.vague(motion.q[:, j], motion.dq[:, j])
-    outside = binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool))
-    for j, surface in enumerate(scene.model.surfaces):
-        simple = surface is None or surface.positive.size <= SIMPLE
-        if simple or np.mean(outside[:, j]) > MOST_OUTSIDE:
-            outside[:, j] = False
-    return outside
+    return np.asarray(binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool)))
 
 
 def _moved(

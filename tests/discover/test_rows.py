@@ -181,7 +181,29 @@ def test_speeds_beyond_a_friction_curve_do_not_count() -> None:
             covariance=1e-6 * np.eye(size),
         )
         model = replace(scene.model, surfaces=(curve, scene.model.surfaces[1]))
-        beyond = extrapolated(replace(scene, model=model))
+        (beyond,) = extrapolated([replace(scene, model=model)])
         assert beyond[fast, 0].any() != counted
         assert beyond[fast, 0].all() != counted
         assert not beyond[:, 1].any()
+
+
+def test_a_log_that_stays_beyond_a_friction_curve_does_not_count_beside_others() -> None:
+    """Where one log alone is there, the curve is all there is."""
+    usual = scene_of(wander(12.0))
+    v = usual.motion.dq[:, 0]
+    surface = friction_surface(2.0, 0.5, top=1.1 * float(np.abs(v).max()))
+    more = np.zeros((1, 1))
+    curve = replace(
+        surface,
+        positive=np.hstack([surface.positive, more]),
+        negative=np.hstack([surface.negative, more]),
+        covariance=1e-6 * np.eye(3),
+    )
+    model = replace(usual.model, surfaces=(curve, usual.model.surfaces[1]))
+    usual = replace(usual, model=model)
+    fast = replace(usual, motion=replace(usual.motion, dq=9.0 * usual.motion.dq))
+    beside = extrapolated([usual, usual, fast])
+    assert beside[2][:, 0].mean() > 0.6
+    assert not beside[2][:, 1].any()
+    assert not beside[0].any()
+    assert not extrapolated([fast])[0].any()

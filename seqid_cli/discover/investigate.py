@@ -116,7 +116,10 @@ def investigate(
             t.candidate for t in result.search.accepted
         ]
         dependences = _dependences(result.search, gates, dependences if same else ())
-    _take_back_doubtful(result.search)
+    if result.search.accepted:
+        left = result.search.residual(result.search.system())
+        floor = noise_floor(logs, scenes, result.search.stage.rows, left)
+        _take_back_doubtful(result.search, floor.rms)
     outside = _outside(result.search, gates)
     if outside:
         result = _beside(result.search, outside, gates, options)
@@ -248,11 +251,11 @@ def _take_back(search: Search, gates: Gates) -> None:
         search.settle()
 
 
-def _take_back_doubtful(search: Search) -> None:
+def _take_back_doubtful(search: Search, floor: Array) -> None:
     """Take back effects that may be chance, and such that make nothing better than the file is.
 
     On few rows a free base foretells so badly that much seems to help it; in coloured noise of few
-    independent values something always fits.
+    independent values something always fits. `floor` (n,) N m is the noise with all effects.
     """
     n = search.stage.rows.n
     while search.accepted:
@@ -261,7 +264,7 @@ def _take_back_doubtful(search: Search) -> None:
             t
             for t in search.accepted
             if not (above_too(t) or any(not worse[j] for j in t.columns if j < n))
-            or not search.holds(search.marginal(t), search.without(t).system())
+            or not search.holds(search.marginal(t), search.without(t).system(), floor)
         ]
         if not failing:
             return

@@ -40,6 +40,8 @@ ROUNDS_OF_WEIGHTS = 3
 LEAST_VISIBLE = 0.02
 BY_CHANCE = 1e-3  # that any joint's slow or small effect is noise: not believed from there on
 SELDOM = 0.7  # of the squared residual, that chance takes away
+MIDDLING = 0.15  # the same where the noise is white
+WHITE = 1.5  # noise floors, that white noise leaves at most
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -272,13 +274,16 @@ class Search:
         least = BY_CHANCE / self.stage.rows.n
         return not tried.candidate.effect.slow or chance(system, tried.columns) < least
 
-    def holds(self, tried: Tried, system: System) -> bool:
-        """Whether an effect's gain is more than what coloured noise gives by chance.
+    def holds(self, tried: Tried, system: System, floor: Array) -> bool:
+        """Whether an accepted effect's gain is more than what coloured noise gives by chance.
 
-        Those that show above the cut-off as well have other evidence than a few slow values, and
-        noise seldom gives much.
+        Those that show above the cut-off as well have other evidence than a few slow values. Noise
+        seldom gives much, and not so much where it is white: there hardly more is left than the
+        noise floor (n,) N m.
         """
-        if tried.trial.relative > SELDOM:
+        joints = [j for j in tried.columns if j < len(floor)]
+        white = bool(np.all(self.noise[joints] < WHITE * floor[joints]))
+        if tried.trial.relative > (MIDDLING if white else SELDOM):
             return True
         least = BY_CHANCE / self.stage.rows.n
         slow = tried.candidate.effect.slow

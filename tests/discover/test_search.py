@@ -327,3 +327,21 @@ def test_noise_that_lasts_makes_coefficients_less_certain() -> None:
         wider[name] = float(found[0])
     assert 1.2 < wider["white"] < 2.0
     assert wider["lasting"] > 1.5 * wider["white"]
+
+
+def test_a_middling_gain_is_chance_where_noise_may_be_coloured(
+    two: list[Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Little above the noise floor it is white, and gives no such gain from stretch to stretch."""
+    monkeypatch.setattr("seqid_cli.discover.search.chance", lambda *_, **__: 1.0)
+    search = search_in(two)
+    hump = tried(search, "stribeck", 1, stribeck_speed=SPEED, exponent=2.0)
+    system, noise = search.system(), search.noise[:2]
+
+    def holds(gain: float, floor: Array) -> bool:
+        return search.holds(replace(hump, trial=replace(hump.trial, relative=gain)), system, floor)
+
+    assert holds(0.3, noise)
+    assert not holds(0.3, 0.5 * noise)
+    assert not holds(0.1, noise)
+    assert holds(0.9, 0.5 * noise)

@@ -279,14 +279,14 @@ class Search:
 
         Those that show above the cut-off as well have other evidence than a few slow values. Noise
         seldom gives much, and not so much where it is white: there hardly more is left than the
-        noise floor (n,) N m.
+        noise floor (n,) N m, which tells nothing of noise as slow as slow effects are.
         """
+        slow = tried.candidate.effect.slow
         joints = [j for j in tried.columns if j < len(floor)]
-        white = bool(np.all(self.noise[joints] < WHITE * floor[joints]))
+        white = not slow and bool(np.all(self.noise[joints] < WHITE * floor[joints]))
         if tried.trial.relative > (MIDDLING if white else SELDOM):
             return True
         least = BY_CHANCE / self.stage.rows.n
-        slow = tried.candidate.effect.slow
         return above_too(tried) or chance(system, tried.columns, slow=slow) < least
 
     def energy(self, tried: Tried) -> float:

@@ -34,7 +34,7 @@ from seqid_cli.discover.results import (
     Verdict,
 )
 from seqid_cli.discover.rows import BLOCK_S, SAMPLES_PER_CUTOFF
-from seqid_cli.discover.search import SHAPE, Search
+from seqid_cli.discover.search import ENOUGH_S, SHAPE, Search
 from seqid_cli.discover.stationary import beyond_chance
 from seqid_cli.discover.system import Trial
 from seqid_cli.discover.usable import usable_logs
@@ -49,7 +49,6 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 SLOW_NOISE = 3.0  # times the level of other quantities, that a dependence on time must reach
-ENOUGH_S = 60.0  # of logs, for slow noise to show its usual share
 CLEAR = 0.5  # share of a smooth dependence that needs no comparison with noise
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 

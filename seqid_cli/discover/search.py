@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined, shapes
 from seqid_cli.discover.rivals import Filtered, Rival, known_beforehand
+from seqid_cli.discover.rows import BLOCK_S
 from seqid_cli.discover.stretches import chance
 from seqid_cli.discover.system import Block, System
 from seqid_cli.model.effects.effect import Effect
@@ -42,6 +43,7 @@ BY_CHANCE = 1e-3  # that any joint's slow or small effect is noise: not believed
 SELDOM = 0.7  # of the squared residual, that chance takes away
 MIDDLING = 0.15  # the same where the noise is white
 WHITE = 1.5  # noise floors, that white noise leaves at most
+ENOUGH_S = 60.0  # of logs, for slow noise to show its usual share
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -279,11 +281,12 @@ class Search:
 
         Those that show above the cut-off as well have other evidence than a few slow values. Noise
         seldom gives much, and not so much where it is white: there hardly more is left than the
-        noise floor (n,) N m, which tells nothing of noise as slow as slow effects are.
+        noise floor (n,) N m. That tells nothing of noise as slow as slow effects or short logs.
         """
         slow = tried.candidate.effect.slow
         joints = [j for j in tried.columns if j < len(floor)]
-        white = not slow and bool(np.all(self.noise[joints] < WHITE * floor[joints]))
+        long = BLOCK_S * len(self.stage.rows.fold) >= ENOUGH_S
+        white = long and not slow and bool(np.all(self.noise[joints] < WHITE * floor[joints]))
         if tried.trial.relative > (MIDDLING if white else SELDOM):
             return True
         least = BY_CHANCE / self.stage.rows.n

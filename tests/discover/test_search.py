@@ -332,7 +332,7 @@ def test_noise_that_lasts_makes_coefficients_less_certain() -> None:
 def test_a_middling_gain_is_chance_where_noise_may_be_coloured(
     two: list[Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Little above the noise floor it is white, and gives no such gain from stretch to stretch."""
+    """Little above the noise floor it is white, if logs are long enough to tell."""
     monkeypatch.setattr("seqid_cli.discover.search.chance", lambda *_, **__: 1.0)
     search = search_in(two)
     hump = tried(search, "stribeck", 1, stribeck_speed=SPEED, exponent=2.0)
@@ -341,6 +341,8 @@ def test_a_middling_gain_is_chance_where_noise_may_be_coloured(
     def holds(gain: float, floor: Array) -> bool:
         return search.holds(replace(hump, trial=replace(hump.trial, relative=gain)), system, floor)
 
+    assert not holds(0.3, noise)  # of less than a minute
+    monkeypatch.setattr("seqid_cli.discover.search.ENOUGH_S", 5.0)
     assert holds(0.3, noise)
     assert not holds(0.3, 0.5 * noise)
     assert not holds(0.1, noise)

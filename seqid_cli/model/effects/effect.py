@@ -109,6 +109,8 @@ class Effect(abc.ABC):
         is then visible against earlier parameters only.
     apart : bool
         Whether motor and link move apart, so that the parameters take the link's inertia alone.
+    later : tuple of str
+        Coefficients, the last ones, that files of earlier versions do not have: zero there.
     alike : tuple of str
         Names that this one can be taken for in principle, whatever the motion.
     separate_by : str
@@ -127,6 +129,7 @@ class Effect(abc.ABC):
     slow: ClassVar[bool] = False
     change: ClassVar[bool] = False
     apart: ClassVar[bool] = False
+    later: ClassVar[tuple[str, ...]] = ()
     alike: ClassVar[tuple[str, ...]] = ()
     separate_by: ClassVar[str]
 

@@ -153,6 +153,8 @@ def _restored(key: str, entry: EffectOfJoint, robot: Robot) -> FittedEffect:
     covariance = np.array(entry.covariance) if entry.covariance else np.zeros((count, count))
     if covariance.shape != (count, count):
         raise _damaged(f"{key}.covariance", f"must have {count} rows of {count} numbers")
+    more = len(effect.coefficients(settings)) - count
+    coefficients, covariance = np.pad(coefficients, (0, more)), np.pad(covariance, (0, more))
     joint = _joint(key, effect, entry, robot)
     return FittedEffect(effect, joint, settings, coefficients, covariance, entry.session)
 
@@ -194,8 +196,14 @@ def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float
 def _coefficients(
     key: str, effect: Effect, entry: EffectOfJoint, settings: Mapping[str, float]
 ) -> Array:
-    """Coefficients as written, or the parameters of the same names where none were."""
+    """Coefficients as written, or the parameters of the same names where none were.
+
+    Those that came later are left out where the file does not have them.
+    """
     names = [spec.name for spec in effect.coefficients(settings)]
+    early = [name for name in names if name not in effect.later]
+    if len(entry.coefficients or entry.parameters) == len(early):
+        names = early
     if entry.coefficients:
         if len(entry.coefficients) != len(names):
             count = f"{len(names)} numbers, has {len(entry.coefficients)}"

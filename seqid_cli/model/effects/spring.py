@@ -40,6 +40,7 @@ class Spring(Effect):
     family = "transmission"
     settings = (Setting("cubic", "1", low=0.0, high=1.0, continuous=False),)
     passes = 1
+    later = ("quadratic_stiffness",)
     alike = ("torque_bias", "payload", "base_tilt", "presliding_hysteresis")
     separate_by = (
         "slow sweeps of this joint over its whole range, both ways, with the other joints in two "
@@ -51,7 +52,7 @@ class Spring(Effect):
         linear = (Coefficient("stiffness", "N m/rad"), Coefficient("torque_at_zero", "N m"))
         if settings["cubic"] > 0.5:
             squared = Coefficient("quadratic_stiffness", "N m/rad^2")
-            return (*linear, squared, Coefficient("cubic_stiffness", "N m/rad^3"))
+            return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"), squared)
         return linear
 
     def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
@@ -59,12 +60,12 @@ class Spring(Effect):
         return {"cubic": (0.0, 1.0)}
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
-        """Position, one, its square and its cube."""
+        """Position, one, its cube and its square."""
         assert joint is not None
         q = scene.motion.q[:, joint]
         terms = [q, np.ones_like(q)]
         if settings["cubic"] > 0.5:
-            terms += [q**2, q**3]
+            terms += [q**3, q**2]
         return {joint: np.stack(terms, axis=1)}
 
     def values(

@@ -125,6 +125,19 @@ def test_parameters_alone_do_where_they_are_the_coefficients() -> None:
     assert restored.coefficients == [0.7]
 
 
+def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene]) -> None:
+    """A cubic spring had no square."""
+    now = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
+    earlier = as_stage(now, ROBOT)
+    earlier.coefficients = earlier.coefficients[:3]
+    earlier.covariance = [row[:3] for row in earlier.covariance[:3]]
+    (restored,) = fitted_effects(through_a_file([earlier]), ROBOT)
+    assert isinstance(restored, FittedEffect)
+    assert restored.covariance.shape == (4, 4)
+    assert not restored.covariance[3].any()
+    np.testing.assert_array_equal(effect_torque(logs[1], [restored]), effect_torque(logs[1], [now]))
+
+
 def entry(**changes: object) -> EffectOfJoint:
     return msgspec.structs.replace(as_stage(stribeck(), ROBOT), **changes)
 

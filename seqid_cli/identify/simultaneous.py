@@ -51,6 +51,7 @@ TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
 SIGN_SHARE = 0.004  # width of the smoothed sign over the joint's fastest speed
 LEAST_WIDTH = 1e-6  # rad/s, of a joint that never moved
 POOR_SHARE = 0.25
+CLEARLY = 3.0  # standard errors, by which Coulomb friction is below zero
 
 
 def identify_simultaneous(
@@ -263,7 +264,13 @@ class SimultaneousEquations:
             rms = float(np.sqrt(self.torque_squares[j] / samples))
             share = float(solution.sigma[j]) / max(rms, 1e-300)
             reason = f"leaves {100 * share:.1f} % of the torque ({solution.sigma[j]:.3g} N m)"
-            verdicts.append(Verdict(joint=name, good=share < POOR_SHARE, reason=reason))
+            at = self._own(j).start
+            dry, error = float(solution.theta[at]), float(np.sqrt(solution.covariance[at, at]))
+            drives = dry < -CLEARLY * error
+            if drives:
+                reason += f"; Coulomb friction of {dry:.3g} N m cannot be: record moves both ways"
+            good = share < POOR_SHARE and not drives
+            verdicts.append(Verdict(joint=name, good=good, reason=reason))
         reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
         verdicts.append(Verdict(good=not missing, reason=reason))
         return verdicts

@@ -127,3 +127,15 @@ def test_a_log_that_hardly_moves_a_joint_does_not_say_how_fast_it_slides() -> No
     for name, joint in friction.joints.items():
         assert joint.sign_width == pytest.approx(other.joints[name].sign_width)
         assert joint.sign_width > 1e-3 * joint.speed_range[1]
+
+
+def test_friction_that_drives_is_not_good() -> None:
+    log = record(7, 20.0)
+    assert log.tau is not None
+    driven = log.tau - 2 * COULOMB * np.sign(np.gradient(log.q, axis=0)) * (np.arange(6) == 3)
+    _, inertia = identify_simultaneous(
+        [replace(log, tau=driven)], robot(), options=MotionOptions(8.0)
+    )
+    verdicts = {v.joint: v for v in inertia.verdicts if v.joint}
+    assert [name for name, v in verdicts.items() if "cannot be" in v.reason] == ["joint_4"]
+    assert not verdicts["joint_4"].good

@@ -22,7 +22,7 @@ from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
 from seqid_cli.discover.investigate import WORSE, Investigation, investigate
 from seqid_cli.discover.loud import expected, looks_like, louder_joints
-from seqid_cli.discover.notes import file_notes, loud_notes, offset_notes
+from seqid_cli.discover.notes import file_notes, loud_notes, offset_notes, shown_offsets
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import (
     Diagnosis,
@@ -121,7 +121,8 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
             for one in loud
         ]
     rest = _largest_of_each(rest)
-    named = {part.joint for part in rest} | set(told)
+    offsets = shown_offsets(found)
+    named = {part.joint for part in rest} | {*told, *(robot.joint_names[j] for j in offsets)}
     return Diagnosis(
         verdict=_verdict(findings, rest),
         findings=tuple(findings),
@@ -133,7 +134,7 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
         ),
         hidden=_hidden(found, robot),
         notes=(
-            *offset_notes(found, robot),
+            *offset_notes(offsets, robot),
             *loud_notes(loud, robot),
             *file_notes(found, robot, ordinary, named),
         ),

@@ -116,25 +116,31 @@ def investigate(
             t.candidate for t in result.search.accepted
         ]
         dependences = _dependences(result.search, gates, dependences if same else ())
-    if result.search.accepted:
-        left = result.search.residual(result.search.system())
-        floor = noise_floor(logs, scenes, result.search.stage.rows, left)
-        _take_back_doubtful(result.search, floor.rms)
+    floor = _floor(logs, result.search)
+    count = len(result.search.accepted)
+    _take_back_doubtful(result.search, floor.rms)
     outside = _outside(result.search, gates)
     if outside:
         result = _beside(result.search, outside, gates, options)
         dependences = _dependences(result.search, gates)
-    left = result.search.residual(result.search.system())
+    if outside or len(result.search.accepted) < count:
+        floor = _floor(logs, result.search)
     return Investigation(
         tuple(logs),
         result,
         gates,
         result.search.base.start,
-        noise_floor(logs, scenes, result.search.stage.rows, left),
+        floor,
         dependences,
         tuple(events),
         outside,
     )
+
+
+def _floor(logs: Sequence[Recording], search: Search) -> NoiseFloor:
+    """Noise floor with all that was found taken out."""
+    stage = search.stage
+    return noise_floor(logs, stage.scenes, stage.rows, search.residual(search.system()))
 
 
 def _judged(

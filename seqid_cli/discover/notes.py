@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,10 @@ def file_notes(
 ) -> tuple[str, ...]:
     """Joints at which the file leaves more than `ordinary` (n,) N m though nothing is missing.
 
-    Those that findings or a time offset touch, or that are `named` elsewhere, are not among them.
+    Those that findings touch or that are `named` elsewhere are not among them.
     """
     search, notes = found.search, []
-    touched = {j for tried in search.accepted for j in tried.columns} | set(_apart(found))
+    touched = {j for tried in search.accepted for j in tried.columns}
     for j, left in enumerate(np.minimum(search.rms(), found.start)):
         name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
         if times <= LOUD or j in touched or name in named:
@@ -51,26 +51,25 @@ def file_notes(
     return tuple(notes)
 
 
-def offset_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Joints whose torque and position are apart by less than a sample, where that shows."""
-    offsets, notes = found.search.offsets(found.search.system()), []
-    for j in _apart(found):
-        name, side = robot.joint_names[j], "early" if offsets[j] > 0 else "late"
+def offset_notes(offsets: Mapping[int, float], robot: Robot) -> tuple[str, ...]:
+    """Joints whose torque and position are apart by less than a sample, and by how many s."""
+    notes = []
+    for j, offset in offsets.items():
+        name, side = robot.joint_names[j], "early" if offset > 0 else "late"
         notes.append(
-            f"joint {name}: torque is {1e3 * abs(offsets[j]):.1f} ms {side} against position, less "
+            f"joint {name}: torque is {1e3 * abs(offset):.1f} ms {side} against position, less "
             "than a sample, and taken for the logger's own; logs at a higher rate would tell a "
             "skew or a lag"
         )
     return tuple(notes)
 
 
-def _apart(found: Investigation) -> list[int]:
-    """Joints at which the time offset of the base shows."""
-    search = found.search
-    joints = []
+def shown_offsets(found: Investigation) -> dict[int, float]:
+    """Time offsets s of the base by joint, where they show."""
+    search, shown = found.search, {}
     for j, offset in enumerate(search.offsets(search.system())):
         X = search.base.timing[j]
-        shown = abs(offset) * float(np.sqrt(np.mean(X**2))) if len(X) else 0.0
-        if search.timed[j] and shown > OFFSET_SHOWS * float(search.noise[j]):
-            joints.append(j)
-    return joints
+        size = abs(offset) * float(np.sqrt(np.mean(X**2))) if len(X) else 0.0
+        if search.timed[j] and size > OFFSET_SHOWS * float(search.noise[j]):
+            shown[j] = offset
+    return shown

@@ -10,9 +10,8 @@ every later command reads it like any other file.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields
+from copy import deepcopy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +93,7 @@ def identify_simultaneous(
     for recording in recordings:
         paths.append(recording.path)
         motion = torque_motion(recording, robot, options, imu=imu, source=source)
-        motions.append(_of_its_own(motion))
+        motions.append(deepcopy(motion))  # without the samples that it was thinned from
     width = sign_width(motions, robot.n)
     equations = SimultaneousEquations(robot, free_basis(robot), width, offset=offset)
     for path, motion in zip(paths, motions, strict=True):
@@ -121,13 +120,6 @@ def sign_width(motions: Iterable[Motion], n: int) -> Array:
 def _speed(motion: Motion) -> Array:
     """Speed (N, n) of each joint, zero where it rests."""
     return np.where(motion.moving, np.abs(motion.dq), 0.0)
-
-
-def _of_its_own(motion: Motion) -> Motion:
-    """A thinned motion without the samples that it was thinned from."""
-    own: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion)}
-    own |= {k: x.copy() for k, x in own.items() if isinstance(x, np.ndarray)}
-    return Motion(**own)
 
 
 class SimultaneousEquations:

@@ -21,7 +21,7 @@ from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined, shapes
 from seqid_cli.discover.rivals import Filtered, Rival, known_beforehand
 from seqid_cli.discover.rows import BLOCK_S
-from seqid_cli.discover.stretches import chance
+from seqid_cli.discover.stretches import chance, slowness
 from seqid_cli.discover.system import Block, System
 from seqid_cli.model.effects.effect import Effect
 
@@ -44,6 +44,7 @@ SELDOM = 0.7  # of the squared residual, that chance takes away
 MIDDLING = 0.15  # the same where the noise is white
 WHITE = 1.5  # noise floors, that white noise leaves at most
 ENOUGH_S = 60.0  # of logs, for slow noise to show its usual share
+SLOW = 0.35  # of an effect's torque constant over stretches of time: it is as slow as an offset
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -282,8 +283,9 @@ class Search:
         Those that show above the cut-off as well have other evidence than a few slow values. Noise
         seldom gives much, and not so much where it is white: there hardly more is left than the
         noise floor (n,) N m. That tells nothing of noise as slow as slow effects or short logs.
+        An effect that these motions leave hardly more than an offset is as slow as one.
         """
-        slow = tried.candidate.effect.slow
+        slow = tried.candidate.effect.slow or slowness(system, tried.columns) > SLOW
         joints = [j for j in tried.columns if j < len(floor)]
         long = BLOCK_S * len(self.stage.rows.fold) >= ENOUGH_S
         white = long and not slow and bool(np.all(self.noise[joints] < WHITE * floor[joints]))

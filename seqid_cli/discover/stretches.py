@@ -45,7 +45,7 @@ def chance(system: System, columns: Mapping[int, Array], *, slow: bool = True) -
     length = STRETCH_S if slow else min(STRETCH_S, BLOCK_S * len(rows.fold) / ENOUGH)
     of_block = _stretch_of_block(rows, length)
     count = int(of_block.max()) + 1
-    width = next(iter(columns.values())).shape[1]
+    width = _width(columns)
     squares, scores = np.zeros((count, width, width)), np.zeros((count, width))
     for joint, (X, r) in system.beside(columns).items():
         own = of_block[rows.blocks_of(joint)]
@@ -62,6 +62,34 @@ def chance(system: System, columns: Mapping[int, Array], *, slow: bool = True) -
     covariance = shift.T @ shift * (len(present) - 1) / len(present)
     wald = float(a @ np.linalg.pinv(covariance) @ a) / width
     return float(f_distribution.sf(wald, width, free))
+
+
+def slowness(system: System, columns: Mapping[int, Array]) -> float:
+    """Share of what a candidate explains that is constant in each stretch of time.
+
+    Motions decide it: an asymmetry of Coulomb friction is an offset wherever the joint slides.
+
+    Parameters
+    ----------
+    system : System
+        Base and accepted effects, without the candidate.
+    columns : joint -> (M_j, k)
+        The candidate's rows.
+    """
+    rows, beside = system.rows, system.beside(columns)
+    of_block = _stretch_of_block(rows, STRETCH_S)
+    whole = sum((X.T @ X for X, _ in beside.values()), np.zeros(2 * (_width(columns),)))
+    given = sum((X.T @ r for X, r in beside.values()), np.zeros(_width(columns)))
+    a = np.linalg.pinv(whole) @ given
+    lasting = 0.0
+    for joint, (X, _) in beside.items():
+        own, torque = of_block[rows.blocks_of(joint)], X @ a
+        lasting += float(np.sum(np.bincount(own, torque) ** 2 / np.maximum(np.bincount(own), 1)))
+    return lasting / max(float(a @ whole @ a), 1e-300)
+
+
+def _width(columns: Mapping[int, Array]) -> int:
+    return int(next(iter(columns.values())).shape[1])
 
 
 def _stretch_of_block(rows: Rows, length: float) -> Index:

@@ -347,3 +347,19 @@ def test_a_middling_gain_is_chance_where_noise_may_be_coloured(
     assert not holds(0.3, 0.5 * noise)
     assert not holds(0.1, noise)
     assert holds(0.9, 0.5 * noise)
+
+
+def test_what_is_as_slow_as_an_offset_must_hold_as_offsets_do() -> None:
+    """An offset that only some logs have gives an asymmetry of friction in white noise as well."""
+
+    def asymmetry(lasting: float) -> tuple[Search, Tried]:
+        def torque(scene: Scene) -> Array:
+            return np.full(scene.samples, 0.4 if scene.log == 0 else lasting)
+
+        search = search_in(arm_scenes(at_joint(1, torque), logs=8, seconds=12.0))
+        return search, tried(search, "asymmetric_friction", 1)
+
+    for lasting, holds in ((0.4, True), (0.0, False)):
+        search, found = asymmetry(lasting)
+        middling = replace(found, trial=replace(found.trial, relative=0.3))
+        assert search.holds(middling, search.system(), search.noise[:2]) == holds

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from seqid_cli.discover.stretches import chance
+from seqid_cli.discover.stretches import chance, slowness
 from seqid_cli.model.effects.scene import Scene
 from tests.discover.arms import arm_scenes, at_joint, candidate, search_in
 
@@ -43,6 +43,24 @@ def test_one_stretch_says_nothing() -> None:
     search = search_in(scenes)
     (columns,) = search.stage.columns([candidate("drift", JOINT, duration=SESSION_S)])
     assert chance(search.system(), columns) == 1.0
+
+
+def slowness_of(name: str, **settings: float) -> float:
+    """Slowness of an effect that is there, beside Coulomb and viscous friction."""
+
+    def torque(scene: Scene) -> np.ndarray:
+        v = scene.motion.dq[:, JOINT]
+        return 0.1 * np.abs(np.sign(v)) + SIZE * np.sign(v) * np.exp(-((v / 0.3) ** 2))
+
+    search = search_in(arm_scenes(at_joint(JOINT, torque), logs=LOGS, seconds=12.0))
+    (columns,) = search.stage.columns([candidate(name, JOINT, **settings)])
+    return slowness(search.system(), columns)
+
+
+def test_an_asymmetry_of_friction_is_as_slow_as_an_offset_and_a_hump_is_not() -> None:
+    assert slowness_of("torque_bias") > 0.6
+    assert slowness_of("asymmetric_friction") > 0.6
+    assert slowness_of("stribeck", stribeck_speed=0.3, exponent=2.0) < 0.1
 
 
 def chance_of_stribeck(flicker: float, size: float) -> float:

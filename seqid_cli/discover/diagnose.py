@@ -18,9 +18,10 @@ from seqid_cli.discover.candidates import Tried
 from seqid_cli.discover.company import beside_rest, less_sure, ordered
 from seqid_cli.discover.confusable import certainty, event_confidence, rivalries
 from seqid_cli.discover.dependence import Dependence
+from seqid_cli.discover.doubtful import WORSE
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
-from seqid_cli.discover.investigate import WORSE, Investigation, investigate
+from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, looks_like, louder_joints
 from seqid_cli.discover.notes import file_notes, loud_notes, offset_notes, shown_offsets
 from seqid_cli.discover.options import DiscoverOptions

@@ -23,6 +23,7 @@ from scipy.ndimage import uniform_filter1d
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Stage, Tried
 from seqid_cli.discover.dependence import Dependence, dependence
+from seqid_cli.discover.doubtful import take_back, take_back_doubtful
 from seqid_cli.discover.events import Interval, event_masks, find_events
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.gates import SMOOTH, Gates, calibrated
@@ -50,9 +51,8 @@ BESIDE = 0.5  # of what effects show in an interval: less may be the error of th
 AROUND_S = 0.5
 STANDS_OUT = 1.5  # times the gate, that the strongest event must reach for any to be believed
 MOVED = 0.01  # of a joint's rigid-body torque, from which effects are looked at from there
-WORSE = 1.03  # times what the file leaves
 RELINEARISED = 2  # times at most
-AS_GOOD = 0.05  # relative excess that a kept file with few changes may have
+AS_GOOD = 0.05  # relative excess that a kept file with few changes may have, or a moved model
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def investigate(
         dependences = _dependences(result.search, gates, dependences if same else ())
     floor = _floor(logs, result.search)
     count = len(result.search.accepted)
-    _take_back_doubtful(result.search, floor.rms)
+    take_back_doubtful(result.search, floor.rms)
     outside = _outside(result.search, gates)
     if outside:
         result = _beside(result.search, outside, gates, options)
@@ -249,33 +249,7 @@ def _again(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:
 
 
 def _take_back(search: Search, gates: Gates) -> None:
-    while search.accepted:
-        failing = [k for k, t in enumerate(search.accepted) if not gates.passes(search.marginal(t))]
-        if not failing:
-            return
-        del search.accepted[failing[-1]]
-        search.settle()
-
-
-def _take_back_doubtful(search: Search, floor: Array) -> None:
-    """Take back effects that may be chance, and such that make nothing better than the file is.
-
-    On few rows a free base foretells so badly that much seems to help it; in coloured noise of few
-    independent values something always fits. `floor` (n,) N m is the noise with all effects.
-    """
-    n = search.stage.rows.n
-    while search.accepted:
-        worse = search.excess() > WORSE
-        failing = [
-            t
-            for t in search.accepted
-            if not (above_too(t) or any(not worse[j] for j in t.columns if j < n))
-            or not search.holds(search.marginal(t), search.without(t).system(), floor)
-        ]
-        if not failing:
-            return
-        search.accepted.remove(failing[-1])
-        search.settle()
+    take_back(search, lambda: [t for t in search.accepted if not gates.passes(search.marginal(t))])
 
 
 def _outside(search: Search, gates: Gates) -> tuple[Dependence, ...]:
@@ -361,9 +335,7 @@ def _both_stances(stage: Stage, base: Base, gates: Gates, options: DiscoverOptio
     if not off:
         return free
     kept = _search(held, gates, options)
-    scale = np.maximum(free.search.rms(), 1e-12)
-    as_good = float(np.mean((kept.search.rms() / scale) ** 2)) <= 1 + AS_GOOD
-    return kept if kept.search.accepted and as_good else free
+    return kept if kept.search.accepted and _as_good(kept.search, free.search) else free
 
 
 def _broad(stage: Stage, base: Base, gates: Gates, options: DiscoverOptions) -> Searched:
@@ -373,14 +345,26 @@ def _broad(stage: Stage, base: Base, gates: Gates, options: DiscoverOptions) -> 
 
 
 def _about_itself(found: Searched, gates: Gates, options: DiscoverOptions) -> Searched:
-    """Search anew about the model that a search has found, where that is another."""
+    """Search anew about the model that a search has found, where that is another.
+
+    Not about the next one where what is found there leaves more.
+    """
     for _ in range(RELINEARISED):
         if not found.search.accepted or moved(found.search) < MOVED:
             break
         stage, base = relinearised(found.search)
         begun = Search.begin(stage, base, kept=False, broad=found.search.broad)
-        found = _search(begun, gates, options)
+        again = _search(begun, gates, options)
+        if not _as_good(again.search, found.search):
+            break
+        found = again
     return found
+
+
+def _as_good(search: Search, other: Search) -> bool:
+    """Whether a search leaves hardly more than another, in mean square over the joints."""
+    scale = np.maximum(other.rms(), 1e-12)
+    return float(np.mean((search.rms() / scale) ** 2)) <= 1 + AS_GOOD
 
 
 def _search(search: Search, gates: Gates, options: DiscoverOptions) -> Searched:

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.discover import investigate
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import Gates
 from seqid_cli.discover.greedy import searched
-from seqid_cli.discover.investigate import _outside, of_shape
+from seqid_cli.discover.investigate import Searched, _about_itself, _outside, of_shape
+from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.search import Search
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from tests.discover.arms import arm_scenes, search_in
+from tests.discover.arms import arm_scenes, candidate, search_in
 
 Array = NDArray[np.float64]
 
@@ -71,3 +73,22 @@ def test_a_name_is_not_kept_for_what_has_another_shape(extra: Callable[[Scene], 
     assert search.rms()[1] < 0.5 * search.bare[1]
     told = [(d.joint, d.quantities) for d in _outside(search, Gates())]
     assert told == ([(1, ("position",))] if extra is bent else [])
+
+
+def ended_with(name: str, **settings: float) -> Searched:
+    """A search among springs of joint 1 that has ended with some effect there."""
+    search = search_in(arm_scenes(sprung))
+    tried = search.stage.try_all(search.system(), [candidate(name, 1, **settings)])
+    search.add(tried[0])
+    return Searched(search, ())
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_a_moved_model_that_leaves_more_is_not_gone_on_with(
+    monkeypatch: pytest.MonkeyPatch, better: bool
+) -> None:
+    right, wrong = ended_with("spring", cubic=1.0), ended_with("asymmetric_friction")
+    first, again = (wrong, right) if better else (right, wrong)
+    monkeypatch.setattr(investigate, "_search", lambda *_: again)
+    monkeypatch.setattr(investigate, "moved", lambda _: 1.0)
+    assert _about_itself(first, Gates(), DiscoverOptions()) is right

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.render import Screen, number, percent
 from seqid_cli.params.diagnosis_schema import (
+    MORE_THAN_NOISE,
     DiagnosisFile,
     EventEntry,
     FindingEntry,
@@ -16,7 +17,6 @@ from seqid_cli.params.diagnosis_schema import (
 )
 
 _EVENTS_SHOWN = 10
-_LOUD = 3.0  # noise floors, from which what is left is not simply noise
 
 
 def show_diagnosis(screen: Screen, file: DiagnosisFile) -> None:
@@ -152,7 +152,9 @@ def _joints(screen: Screen, joints: Mapping[str, ResidualEntry]) -> None:
 
 
 def _is_loud(joint: ResidualEntry) -> bool:
-    return bool(joint.rmse and joint.noise_floor and joint.rmse > _LOUD * joint.noise_floor)
+    return bool(
+        joint.rmse and joint.noise_floor and joint.rmse > MORE_THAN_NOISE * joint.noise_floor
+    )
 
 
 def _ratio(joint: ResidualEntry) -> str:

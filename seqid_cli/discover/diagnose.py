@@ -23,7 +23,13 @@ from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, looks_like, louder_joints
-from seqid_cli.discover.notes import file_notes, loud_notes, offset_notes, shown_offsets
+from seqid_cli.discover.notes import (
+    file_notes,
+    loud_notes,
+    offset_notes,
+    outside_notes,
+    shown_offsets,
+)
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import (
     Diagnosis,
@@ -138,6 +144,7 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
             *offset_notes(offsets, robot),
             *loud_notes(loud, robot),
             *file_notes(found, robot, ordinary, named),
+            *outside_notes(found, robot, ordinary),
         ),
     )
 

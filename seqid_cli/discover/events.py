@@ -30,6 +30,7 @@ from seqid_cli.discover.event_windows import (
 )
 from seqid_cli.discover.rows import Rows
 from seqid_cli.motion.filtering import runs
+from seqid_cli.robust import PER_MEDIAN, gaussian_spread
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,7 +51,6 @@ SPEEDS = 4  # classes of speed
 FEWEST = 8  # windows that a class must have to be one
 USUAL = 0.95  # share of the windows whose neighbours count as near
 TRUST = 0.75  # of a size from few windows: what they show at least
-ROBUST = 1.4826  # standard deviation per median magnitude, Gaussian
 MOST = 1.645  # magnitude that one in ten exceeds, per standard deviation
 
 
@@ -159,7 +159,7 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
     rest = m[looked]
     for index in likes:
         median, deviation = _robust(np.where(index >= 0, m[index], np.nan))
-        size = np.maximum(size, TRUST * ROBUST * deviation)
+        size = np.maximum(size, TRUST * PER_MEDIAN * deviation)
         shifted = m[looked] - median
         rest = np.where(np.abs(shifted) < np.abs(rest), shifted, rest)
     result: Array = np.nan_to_num(rest / np.maximum(size, 1e-300))
@@ -236,7 +236,7 @@ def _class_size(windows: Windows, j: int) -> Array:
     known = np.isfinite(m)
     if np.count_nonzero(known) < FEWEST:
         return np.full(len(m), np.inf)
-    size = np.full(len(m), ROBUST * float(np.median(np.abs(m[known]))))
+    size = np.full(len(m), float(gaussian_spread(m[known])))
     edges = np.quantile(windows.speed[known, j], np.linspace(0, 1, SPEEDS + 1)[1:-1])
     speed = np.searchsorted(edges, windows.speed[:, j])
     classes = [speed == k for k in range(SPEEDS)]
@@ -253,7 +253,7 @@ def _class_size(windows: Windows, j: int) -> Array:
 def _robust_size(values: Array) -> float:
     """Standard deviation of Gaussian values of which these are the magnitudes, bursts included."""
     median, most = np.quantile(values, (0.5, 0.9))
-    return float(max(ROBUST * median, most / MOST))
+    return float(max(PER_MEDIAN * median, most / MOST))
 
 
 def events_of_scene(

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.loud import LOUD, Loud
+from seqid_cli.discover.rows import extrapolated
+from seqid_cli.identify.prediction import OUTSIDE_NOTE
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -48,6 +50,33 @@ def file_notes(
             )
         else:
             notes.append(f"{many}, but that does not go with the motion, as slow noise does not")
+    return tuple(notes)
+
+
+def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:
+    """Joints that the logs take beyond their identified friction, where more than noise is left.
+
+    No effect is looked for there; `ordinary` (n,) N m is what a right model leaves.
+    """
+    search = found.search
+    scenes, shown = search.stage.scenes, search.shown(search.system())
+    sliding = np.concatenate([scene.slides for scene in scenes])
+    outside = np.concatenate(extrapolated(scenes)) & sliding
+    parts = zip(search.base.whole, shown, strict=True)
+    left = np.concatenate([whole.residual - effects for whole, effects in parts])
+    notes = []
+    for j, name in enumerate(robot.joint_names):
+        share = outside[:, j].sum() / max(int(sliding[:, j].sum()), 1)
+        if share < OUTSIDE_NOTE:
+            continue
+        times = float(np.sqrt(np.mean(left[outside[:, j], j] ** 2))) / max(ordinary[j], 1e-12)
+        if times > LOUD:
+            notes.append(
+                f"joint {name}: {100 * share:.0f} % of its moving samples are at speeds or "
+                f"positions at which friction was not identified; {times:.0f} times what torque "
+                "noise and encoder account for is left there, and no effect was looked for in it; "
+                "identify friction with trials there"
+            )
     return tuple(notes)
 
 

@@ -40,6 +40,7 @@ from seqid_cli.discover.usable import usable_logs
 from seqid_cli.discover.withdraw import withdraw_idle
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
+from seqid_cli.params.diagnosis_schema import MORE_THAN_NOISE
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 
@@ -50,7 +51,6 @@ ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
 # Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
 TOLERATED, EXCHANGE = 0.05, 0.2
-LOUD = 3.0  # noise floors, from which what is left at a joint is worth a word
 ASK = "diagnose says on what it depends, refine --with-unexplained adds a smooth term for it"
 
 
@@ -302,7 +302,7 @@ def _closed(
     changes = {names[j]: gain(before, after, [j], loop.rng) for j in judged}
     lost = [f"{name} ({-100 * g.value:.1f} %)" for name, g in changes.items() if g.loses]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
-    loud = [j for j in judged if new[j] > LOUD * floor[j]]
+    loud = [j for j in judged if new[j] > MORE_THAN_NOISE * floor[j]]
     times = ", ".join(f"{names[j]} ({new[j] / floor[j]:.1f} times)" for j in loud)
     more = f"more is left than torque noise and encoder account for: {times}; {ASK}"
     return ClosedLoop(

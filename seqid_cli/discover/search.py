@@ -285,6 +285,8 @@ class Search:
         noise floor (n,) N m. That tells nothing of noise as slow as slow effects or short logs.
         An effect that these motions leave hardly more than an offset is as slow as one.
         """
+        if above_too(tried):
+            return True
         slow = tried.candidate.effect.slow or slowness(system, tried.columns) > SLOW
         joints = [j for j in tried.columns if j < len(floor)]
         long = BLOCK_S * len(self.stage.rows.fold) >= ENOUGH_S
@@ -292,7 +294,7 @@ class Search:
         if tried.trial.relative > (MIDDLING if white else SELDOM):
             return True
         least = BY_CHANCE / self.stage.rows.n
-        return above_too(tried) or chance(system, tried.columns, slow=slow) < least
+        return chance(system, tried.columns, slow=slow) < least
 
     def energy(self, tried: Tried) -> float:
         """Gain as a share of the squared residual that the base alone leaves at its joints."""

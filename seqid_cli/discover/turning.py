@@ -25,6 +25,7 @@ from seqid_cli.discover.noise import DETAIL, power_gain
 from seqid_cli.discover.sieve import Sieve
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filtering import runs
+from seqid_cli.robust import gaussian_spread
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -40,7 +41,6 @@ LEAST = 0.05  # of torque noise, from which an uncertainty matters
 MOST = 60  # directions that are whitened together
 PASSES = 2
 GRID = 400
-MEDIAN = 1.4826  # of absolute values, to a normal distribution's standard deviation
 THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise of unit size
 
 
@@ -151,8 +151,8 @@ def _noise(scene: Scene, joint: int) -> float:
     full = scene.full or scene
     if full.measured is None or scene.motion.tau is None:
         return np.inf
-    quick = np.abs(np.diff(full.measured[full.motion.valid, joint], n=3))
-    white = MEDIAN * float(np.median(quick)) / THIRD if len(quick) else 0.0
+    quick = np.diff(full.measured[full.motion.valid, joint], n=3)
+    white = float(gaussian_spread(quick)) / THIRD if len(quick) else 0.0
     frequency = np.linspace(0.0, 0.5 * full.motion.rate_hz, GRID)
     passed = float(np.sqrt(np.mean(power_gain(full.motion.lowpass, frequency, PASSES))))
     torque = scene.motion.tau[scene.motion.usable, joint]

@@ -37,6 +37,7 @@ from seqid_cli.identify.imu_priors import (
 )
 from seqid_cli.identify.imu_segments import REACH, Segment
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.robust import PER_MEDIAN
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -142,7 +143,7 @@ def noise_scale(
         )
     ]
     r = np.concatenate(parts)
-    scale = 1.4826 * np.nanmedian(np.abs(r), axis=0)
+    scale = PER_MEDIAN * np.nanmedian(np.abs(r), axis=0)
     sigma: Array = np.maximum(np.nan_to_num(scale, nan=1.0), 1e-6)
     return sigma
 

@@ -22,6 +22,7 @@ from seqid_cli.motion.link_motion import axes_in_link
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import AxisReference
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.robust import white_noise
 
 Array = NDArray[np.float64]
 
@@ -56,9 +57,7 @@ def axis_trials(recording: Recording, robot: Robot, imu: Imu, motion: Motion) ->
     alone = motion.usable & (motion.moving.sum(axis=1) == 1)
     still = shrink(~np.any(motion.moving, axis=1), 2 * motion.lowpass.settling)
     offset = reading.dw[still].mean(axis=0) if still.sum() > 20 else np.zeros(3)
-    # Fourth differences keep the noise (times sqrt 70) and drop the motion.
-    white = np.median(np.abs(np.diff(raw.dw, 4, axis=0)), axis=0) / 0.6745 / np.sqrt(70.0)
-    density = float(np.sqrt(np.mean(white**2)) * np.sqrt(2 / recording.rate_hz))
+    density = float(np.sqrt(np.mean(white_noise(raw.dw) ** 2)) * np.sqrt(2 / recording.rate_hz))
     pairs = []
     for j in range(imu.after_joint + 1):
         own = alone & motion.moving[:, j]

@@ -12,6 +12,7 @@ from scipy.ndimage import binary_dilation, median_filter
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filtering import Lowpass, runs
 from seqid_cli.robot.types import Imu
+from seqid_cli.robust import gaussian_spread, rough, white_noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -63,16 +64,6 @@ def _channels(recording: Recording, imu: Imu) -> Array:
     return values if gyro is None else np.hstack([values, gyro])
 
 
-def white_noise(values: Array) -> Array:
-    """Standard deviation (C,) of what is white in `values` (N, C).
-
-    Fourth differences keep the noise (times sqrt 70) and drop the motion.
-    """
-    rough = np.abs(np.diff(values, 4, axis=0))
-    noise: Array = np.median(rough, axis=0) / 0.6745 / np.sqrt(70.0)
-    return noise
-
-
 def jolted(values: Array, valid: Mask) -> float:
     """Variance, summed over channels (N, C), of what is rough beyond white noise.
 
@@ -81,10 +72,10 @@ def jolted(values: Array, valid: Mask) -> float:
     if len(values) < 6:
         return 0.0
     whole = np.lib.stride_tricks.sliding_window_view(valid, 5).all(axis=1)
-    rough = np.diff(values, 4, axis=0)[whole] / np.sqrt(70.0)
-    if not len(rough):
+    noisy = rough(values)[whole]
+    if not len(noisy):
         return 0.0
-    excess = np.mean(rough**2, axis=0) - (np.median(np.abs(rough), axis=0) / 0.6745) ** 2
+    excess = np.mean(noisy**2, axis=0) - gaussian_spread(noisy) ** 2
     return float(np.sum(np.maximum(excess, 0.0)))
 
 

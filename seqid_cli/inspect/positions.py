@@ -12,6 +12,7 @@ from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import equal_runs, held, lattice, missing_share
 from seqid_cli.motion.segments import windowed_velocity
 from seqid_cli.robot.types import Joint
+from seqid_cli.robust import white_noise
 
 Array = NDArray[np.float64]
 
@@ -243,7 +244,7 @@ def _resolution(joint: Joint, q: Array, step: float) -> Iterator[Finding]:
         return
     text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
     if not step:
-        noise = float(np.median(np.abs(np.diff(q, 4)))) / 0.6745 / np.sqrt(70.0)
+        noise = float(white_noise(q))
         if noise > 0.1 * declared or _coherence(q, declared) > OFF_LATTICE:
             return
         text = f"it has no steps, the robot file says {declared:.4g}"

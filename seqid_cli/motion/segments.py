@@ -19,6 +19,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import runs, shrink
+from seqid_cli.robust import white_noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -56,9 +57,8 @@ def noise_step(q: Array, resolution: Array | None = None) -> Array:
     step = encoder_step(q)
     if resolution is not None:
         step = np.maximum(step, resolution)
-    # Fourth differences keep the noise (times sqrt 70) and drop the motion.
-    noise = np.median(np.abs(np.diff(q, 4, axis=0)), axis=0) / 0.6745 / np.sqrt(70.0)
-    return np.maximum(np.maximum(step, SMALLEST_STEP), np.where(step > 0, 0.0, 3 * noise))
+    noise = 3 * white_noise(q)
+    return np.maximum(np.maximum(step, SMALLEST_STEP), np.where(step > 0, 0.0, noise))
 
 
 def motion_reach(rate_hz: float) -> int:

@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from seqid_cli.motion.smoother_chunk import Chunk, Mounted, mean_motion
 from seqid_cli.motion.smoother_imus import moved
 from seqid_cli.motion.smoother_system import jacobians, predicted
+from seqid_cli.robust import gaussian_spread
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -198,7 +199,7 @@ def _cell_means(chunk: Chunk, x: Mounted, off: Array) -> Array:
 
 def _noise(x: Mounted, r: Array) -> Array:
     """What to weigh cells of residuals `r` (C, K) with, (K,)."""
-    return np.asarray(np.maximum(x.spread, 1.4826 * np.median(np.abs(r), axis=0)))
+    return np.asarray(np.maximum(x.spread, gaussian_spread(r)))
 
 
 def _design(chunk: Chunk, c: Array, x: Mounted, r: Array, count: int) -> tuple[Array, Array]:

@@ -7,28 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.robust import white_noise
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 EDGE = 0.03  # of a count, by which the places of an encoder's edges are off
 NOISY = 0.3  # share of code changes that turn back at once, beyond which noise hides the edges
 SMALLEST_VARIANCE = 1e-16  # rad^2, of an encoder
-
-
-def white_noise(values: Array, known: Mask | None = None) -> Array:
-    """Standard deviation of the white part of signals (N, K), each (K,).
-
-    Fourth differences keep the noise (times sqrt 70) and drop the motion; the median drops jolts.
-    Only those within stretches that are `known` (N,) count.
-    """
-    if len(values) < 9:
-        return np.zeros(values.shape[1])
-    rough = np.abs(np.diff(np.ascontiguousarray(values.T), 4))
-    if known is not None and not known.all():
-        rough = rough[:, np.convolve(known, np.ones(5), "valid") > 4.5]
-    if not rough.size:
-        return np.zeros(values.shape[1])
-    return np.asarray(np.median(rough, axis=1) / 0.6745 / np.sqrt(70.0))
 
 
 @dataclass(frozen=True)

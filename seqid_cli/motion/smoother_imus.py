@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.smoother_chunk import Mounted
-from seqid_cli.motion.smoother_encoder import white_noise
 from seqid_cli.motion.smoother_terms import Mounting
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.robust import white_noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -24,6 +24,7 @@ from seqid_cli.motion import cutoff as whole
 from seqid_cli.motion.cutoff import Cutoff, differentiated_error
 from seqid_cli.motion.segments import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
 
 Array = NDArray[np.float64]
 
@@ -189,7 +190,7 @@ class Survey:
         step = np.maximum(self.encoder_step(), resolution)
         least = np.maximum(step, SMALLEST_STEP)
         if not (step > 0).all():
-            noise = np.median(self._fourth.rows, axis=0) / 0.6745 / np.sqrt(70.0)
+            noise = PER_MEDIAN / DIFFERENCES_GAIN * np.median(self._fourth.rows, axis=0)
             least = np.maximum(least, np.where(step > 0, 0.0, 3 * noise))
         return least
 

@@ -8,6 +8,7 @@ from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Struct, Tool
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
+MORE_THAN_NOISE = 3.0  # noise floors, from which what is left at a joint is worth a word
 
 
 class EffectParameter(Struct, kw_only=True):

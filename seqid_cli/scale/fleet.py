@@ -30,12 +30,12 @@ from scipy import stats
 from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, ParameterFile, Stages
+from seqid_cli.robust import gaussian_spread
 
 Array = NDArray[np.float64]
 
 LEAST_ROBOTS = 4
 LEAST_CHANGE = 0.01  # of a parameter's size: less is of no use to anybody
-SCALE = 1.4826  # median absolute deviation of a normal distribution to its standard deviation
 POSITIONS = 25
 SPEEDS = 3
 
@@ -139,7 +139,7 @@ def judge_fleet(robots: Mapping[str, ParameterFile], *, alpha: float = 0.01) -> 
 def robust_scores(values: Array, errors: Array) -> tuple[Array, Array, Array]:
     """Median (P,), spread (P,) and robust z-scores (N, P) of values and standard errors (N, P)."""
     center = np.median(values, axis=0)
-    scatter = SCALE * np.median(np.abs(values - center), axis=0)
+    scatter = gaussian_spread(values - center)
     spread = np.sqrt(np.maximum(scatter**2 - np.median(errors**2, axis=0), 0.0))
     total = np.sqrt(spread**2 + errors**2)
     off = values - center

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.dependence import dependence
 from seqid_cli.discover.diagnose import _foretells, described, diagnose
-from seqid_cli.discover.investigate import Searched, investigate
+from seqid_cli.discover.investigate import Investigation, Searched, investigate
 from seqid_cli.discover.loud import expected, louder_joints
-from seqid_cli.discover.notes import file_notes
+from seqid_cli.discover.notes import file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
 from seqid_cli.errors import InputError
@@ -25,6 +26,7 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.discover.arms import arm_scenes, search_in
+from tests.model.effects.scenes import friction_surface
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.laws import Extra, Stribeck
 from tests.plants.trials import run_drill
@@ -294,6 +296,37 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     (slow,) = file_notes(found, logs.robot, ordinary * np.array([0.2, 1.0]), ())
     assert "shoulder" in slow
     assert "go with the motion" in slow
+
+
+def beyond_friction(found: Investigation, times: float) -> Investigation:
+    """Say that friction of the elbow was identified in half its range of speed alone.
+
+    Beyond it the file leaves `times` what it does.
+    """
+    search = found.search
+    rows, scene = search.stage.rows, search.stage.scenes[0]
+    top = float(np.max([np.abs(s.motion.dq[:, 1]).max() for s in rows.scenes]))
+    curve = friction_surface(1.0, 0.5, top=0.5 * top, order=2, variance=1e-6)
+    model = replace(scene.model, surfaces=(scene.model.surfaces[0], curve))
+    scenes = tuple(replace(s, model=model) for s in rows.scenes)
+    whole = []
+    for scene, part in zip(scenes, search.base.whole, strict=True):
+        fast = np.abs(scene.motion.dq[:, 1:]) > 0.5 * top
+        whole.append(replace(part, residual=part.residual * np.where(fast, times, 1.0)))
+    stage = Stage(replace(rows, scenes=scenes))
+    base = replace(search.base, whole=tuple(whole))
+    return replace(found, result=Searched(replace(search, stage=stage, base=base), ()))
+
+
+def test_what_is_left_beyond_the_identified_friction_is_said() -> None:
+    logs = clean()
+    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    ordinary = expected(found)
+    assert outside_notes(found, logs.robot, ordinary) == ()
+    assert outside_notes(beyond_friction(found, 1.0), logs.robot, ordinary) == ()
+    (note,) = outside_notes(beyond_friction(found, 20.0), logs.robot, ordinary)
+    assert note.startswith("joint elbow: ")
+    assert "friction was not identified" in note
 
 
 def test_what_foretells_no_better_than_the_file_is_no_dependence() -> None:

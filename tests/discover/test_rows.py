@@ -171,15 +171,7 @@ def test_speeds_beyond_a_friction_curve_do_not_count() -> None:
     top = float(np.abs(scene.motion.dq[:, 0]).max())
     fast = np.abs(scene.motion.dq[:, 0]) > 0.6 * top
     for orders, counted in ((2, False), (1, True)):
-        first = friction_surface(2.0, 0.5, top=0.55 * top)
-        more = np.zeros((1, orders - 1))
-        size = orders + 1
-        curve = replace(
-            first,
-            positive=np.hstack([first.positive, more]),
-            negative=np.hstack([first.negative, more]),
-            covariance=1e-6 * np.eye(size),
-        )
+        curve = friction_surface(2.0, 0.5, top=0.55 * top, order=orders, variance=1e-6)
         model = replace(scene.model, surfaces=(curve, scene.model.surfaces[1]))
         (beyond,) = extrapolated([replace(scene, model=model)])
         assert beyond[fast, 0].any() != counted
@@ -191,14 +183,8 @@ def test_a_log_that_stays_beyond_a_friction_curve_does_not_count_beside_others()
     """Where one log alone is there, the curve is all there is."""
     usual = scene_of(wander(12.0))
     v = usual.motion.dq[:, 0]
-    surface = friction_surface(2.0, 0.5, top=1.1 * float(np.abs(v).max()))
-    more = np.zeros((1, 1))
-    curve = replace(
-        surface,
-        positive=np.hstack([surface.positive, more]),
-        negative=np.hstack([surface.negative, more]),
-        covariance=1e-6 * np.eye(3),
-    )
+    top = 1.1 * float(np.abs(v).max())
+    curve = friction_surface(2.0, 0.5, top=top, order=2, variance=1e-6)
     model = replace(usual.model, surfaces=(curve, usual.model.surfaces[1]))
     usual = replace(usual, model=model)
     fast = replace(usual, motion=replace(usual.motion, dq=9.0 * usual.motion.dq))

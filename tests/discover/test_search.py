@@ -363,3 +363,15 @@ def test_what_is_as_slow_as_an_offset_must_hold_as_offsets_do() -> None:
         search, found = asymmetry(lasting)
         middling = replace(found, trial=replace(found.trial, relative=0.3))
         assert search.holds(middling, search.system(), search.noise[:2]) == holds
+
+
+def test_what_shows_above_the_cut_off_needs_no_holding() -> None:
+    """Its rows are other ones than the stretches of time are made of."""
+
+    def hum(scene: Scene) -> Array:
+        return np.asarray(np.sin(2.0 * np.pi * 60.0 * scene.time))
+
+    search = search_in(arm_scenes(at_joint(1, hum)))
+    found = tried(search, "periodic_disturbance", 1, frequency=60.0, clocks=1.0)
+    assert max(found.columns) >= search.stage.rows.n
+    assert search.holds(found, search.system(), search.noise[:2])

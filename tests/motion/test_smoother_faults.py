@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.motion.smoother import Smoothed, smoothed_motion
-from seqid_cli.motion.smoother_encoder import encoder_view, white_noise
+from seqid_cli.motion.smoother_encoder import encoder_view
 from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.robust import white_noise
 from tests.study.fused_cases import Case, Fault, Rig, case
 
 Array = NDArray[np.float64]

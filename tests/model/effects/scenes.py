@@ -56,21 +56,24 @@ def two_joint_robot(*, prismatic: bool = False, drives: bool = True) -> Robot:
     return replace(robot, joints=joints)
 
 
-def friction_surface(coulomb: float, viscous: float, top: float = 4.0) -> FrictionSurface:
-    """Coulomb [N m] and viscous [N m s/rad] friction up to `top` rad/s."""
+def friction_surface(
+    coulomb: float, viscous: float, top: float = 4.0, *, order: int = 1, variance: float = 1.0
+) -> FrictionSurface:
+    """Coulomb [N m] and viscous [N m s/rad] friction up to `top` rad/s, of some order in speed."""
     half = 0.5 * viscous * top
+    entries = [coulomb + half, half, *np.zeros(order - 1)]
     entry = FrictionJoint(
         position_order=0,
-        velocity_order=1,
+        velocity_order=order,
         max_error=0.0,
         rmse=0.0,
         position_range=[-3.0, 3.0],
         speed_range=[0.0, top],
         sign_width=SIGN_WIDTH,
         directional=False,
-        positive=[[coulomb + half, half]],
-        negative=[[coulomb + half, half]],
-        covariance=np.eye(2).tolist(),
+        positive=[entries],
+        negative=[entries],
+        covariance=(variance * np.eye(len(entries))).tolist(),
     )
     return FrictionSurface.from_stage(entry)
 

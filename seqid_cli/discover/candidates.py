@@ -58,6 +58,15 @@ class Tried:
     columns: Joints
     trial: Trial
 
+    @property
+    def above_too(self) -> bool:
+        """Whether the rows above the cut-off tell of it as well."""
+        return self.candidate.effect.wide and not self.candidate.below
+
+    def joints(self, n: int) -> set[int]:
+        """Those of the `n` joints whose torque below the cut-off it explains."""
+        return {j for j, X in self.columns.items() if j < n and X.any()}
+
 
 class Stage:
     """Where candidates are played: rows and scenes, with the columns made so far kept."""
@@ -287,3 +296,39 @@ def _bracket(setting: Setting, value: float, spacing: float) -> tuple[float, flo
         return float(np.log(bounded[0])), float(np.log(bounded[1]))
     reach = 0.5 * max(abs(value), 1e-3)
     return max(value - reach, setting.low), min(value + reach, setting.high)
+
+
+def again(tried: Tried, accepted: Tried) -> bool:
+    """Whether it is the accepted effect once more, and not another line of it.
+
+    A line that is told by the rows below the cut-off has its shaken arm above it.
+    """
+    one, other = tried.candidate, accepted.candidate
+    if one.key != other.key:
+        return False
+    above = other.below and not one.below
+    return not one.effect.wide or (above and one.effect.one_line(one.settings, other.settings))
+
+
+def apart(tried: Tried, other: Tried) -> bool:
+    """Whether a candidate lives above the cut-off, where the other's shape has no error."""
+    return tried.above_too and not other.candidate.effect.wide
+
+
+def best_of_each(tried: Sequence[Tried]) -> list[Tried]:
+    """The best setting of every effect and joint, the largest gain first.
+
+    Of what shows above the cut-off as well, that one too: below it alone more may be gained, of
+    fewer rows, and the gate is another.
+    """
+    best: dict[tuple[str, int | None, bool], Tried] = {}
+    for t in tried:
+        key = (*t.candidate.key, t.candidate.below)
+        if key not in best or t.trial.total > best[key].trial.total:
+            best[key] = t
+    return sorted(best.values(), key=by_gain)
+
+
+def by_gain(tried: Tried) -> float:
+    """Sort key: the largest gain comes first."""
+    return -tried.trial.total

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Tried
-from seqid_cli.discover.search import Search, above_too
+from seqid_cli.discover.search import Search
 from seqid_cli.discover.stationary import goes_with_motion
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ PLAIN = 2.5  # noise floors that a joint's residual has where something is plain
 def take_back(search: Search, failing: Callable[[], Sequence[Tried]]) -> None:
     """Take accepted effects back, the last one first, until none fails beside the others."""
     while found := failing():
-        search.accepted.remove(found[-1])
+        search.accepted = search.without(found[-1]).accepted
         search.settle()
 
 
@@ -30,13 +30,14 @@ def take_back_doubtful(search: Search, floor: Array) -> None:
     On few rows a free base foretells so badly that much seems to help it; in coloured noise of few
     independent values something always fits. `floor` (n,) N m is the noise with all effects.
     """
+    n = search.stage.rows.n
 
     def failing() -> list[Tried]:
         worse = search.excess() > WORSE
         return [
             t
             for t in search.accepted
-            if not (above_too(t) or any(not worse[j] for j in _joints(search, t)))
+            if not (t.above_too or any(not worse[j] for j in t.joints(n)))
             or not (_holds(search, t, floor) or _something_is_missing(search, t, floor))
         ]
 
@@ -52,18 +53,14 @@ def _something_is_missing(search: Search, tried: Tried, floor: Array) -> bool:
 
     What shows in a few moments, a gap that is crossed say, fits some stretches better than others.
     """
-    joints, others = _joints(search, tried), search.without(tried)
+    rows, others = search.stage.rows, search.without(tried)
+    joints = tried.joints(rows.n)
     if any(joints & set(other.columns) for other in others.accepted):
         return False
-    rows, residual = search.stage.rows, others.system().residual()
+    residual = others.system().residual()
     return any(
         float(np.sqrt(np.mean(residual[j] ** 2))) > PLAIN * floor[j]
         and goes_with_motion(rows, residual[j], j)
         for j in joints
         if len(residual[j])
     )
-
-
-def _joints(search: Search, tried: Tried) -> set[int]:
-    """Joints that an effect explains below the cut-off."""
-    return {j for j in tried.columns if j < search.stage.rows.n}

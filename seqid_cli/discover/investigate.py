@@ -32,7 +32,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.relinearise import moved, relinearised
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.search import Search, above_too
+from seqid_cli.discover.search import Search
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
@@ -286,7 +286,7 @@ def _beside(
     taken, n = {dependence.joint for dependence in outside}, search.stage.rows.n
 
     def gate(tried: Tried) -> bool:
-        free = above_too(tried) or not taken & _below(tried, n)
+        free = tried.above_too or not taken & tried.joints(n)
         return gates.passes(tried) and free
 
     smooth = [rival for dependence in outside for rival in dependence.rivals]
@@ -294,17 +294,12 @@ def _beside(
         search.stage, search.base, kept=search.kept, broad=search.broad, smooth=smooth
     )
     for tried in search.accepted:
-        apart = tried.candidate.joint is None or above_too(tried) or not _below(tried, n)
+        apart = tried.candidate.joint is None or tried.above_too or not tried.joints(n)
         if apart and gates.passes(fresh.marginal(tried)):
             fresh.add(tried)
     effects = [effect for effect in CATALOGUE.values() if not effect.change]
     ranked = searched(fresh, effects, gate, options.max_effects)
     return Searched(fresh, tuple(ranked))
-
-
-def _below(tried: Tried, n: int) -> set[int]:
-    """Joints whose torque below the cut-off a candidate explains."""
-    return {j for j, X in tried.columns.items() if j < n and X.any()}
 
 
 def _dependences(

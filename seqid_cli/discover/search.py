@@ -18,7 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.base import Base
-from seqid_cli.discover.candidates import Candidate, Stage, Tried, candidates_of, refined, shapes
+from seqid_cli.discover.candidates import (
+    Candidate,
+    Stage,
+    Tried,
+    again,
+    apart,
+    best_of_each,
+    by_gain,
+    candidates_of,
+    refined,
+    shapes,
+)
 from seqid_cli.discover.rivals import Filtered, Rival, known_beforehand
 from seqid_cli.discover.rows import BLOCK_S
 from seqid_cli.discover.stretches import chance, slowness
@@ -264,10 +275,10 @@ class Search:
         believed = self._believed(self.stage.try_all(system, candidates))
         best = [t for t in best_of_each(believed) if doubtful or self.lasts(t, system)]
         head = [self._refined(system, shapes(t, believed)) for t in best[:refine]]
-        return sorted([*head, *best[refine:]], key=_order)
+        return sorted([*head, *best[refine:]], key=by_gain)
 
     def _refined(self, system: System, points: Sequence[Tried]) -> Tried:
-        return min((refined(self.stage, system, t) for t in points), key=_order)
+        return min((refined(self.stage, system, t) for t in points), key=by_gain)
 
     def _believed(self, tried: Sequence[Tried]) -> list[Tried]:
         return [t for t in tried if t.trial.visible > LEAST_VISIBLE and self.stage.plausible(t)]
@@ -285,7 +296,7 @@ class Search:
         noise floor (n,) N m. That tells nothing of noise as slow as slow effects or short logs.
         An effect that these motions leave hardly more than an offset is as slow as one.
         """
-        if above_too(tried):
+        if tried.above_too:
             return True
         slow = tried.candidate.effect.slow or slowness(system, tried.columns) > SLOW
         joints = [j for j in tried.columns if j < len(floor)]
@@ -307,8 +318,8 @@ class Search:
         return any(
             energy < SHAPE * self.energies[a.candidate.key]
             for a in self.accepted
-            if joints & set(a.columns) and not _apart(tried, a)
-        ) or any(_again(tried, a) for a in self.accepted)
+            if joints & set(a.columns) and not apart(tried, a)
+        ) or any(again(tried, a) for a in self.accepted)
 
     def effect_torques(self, system: System) -> list[Array]:
         """Torque (N, n) N m of the accepted effects, unfiltered, at every log's own rate."""
@@ -345,7 +356,7 @@ class Search:
             near = [
                 t.trial.total
                 for t in gains
-                if set(t.columns) & set(weak.columns) and not _apart(weak, t)
+                if set(t.columns) & set(weak.columns) and not apart(weak, t)
             ]
             if gate(weak) and weak.trial.total >= SHAPE * max(near, default=0.0):
                 return
@@ -359,28 +370,6 @@ class Search:
             again = self.stage.try_all(others, [tried.candidate])[0]
             self.accepted[number] = refined(self.stage, others, again, spacing=1.5)
         self.settle()
-
-
-def _again(tried: Tried, accepted: Tried) -> bool:
-    """Whether it is the accepted effect once more, and not another line of it.
-
-    A line that is told by the rows below the cut-off has its shaken arm above it.
-    """
-    one, other = tried.candidate, accepted.candidate
-    if one.key != other.key:
-        return False
-    above = other.below and not one.below
-    return not one.effect.wide or (above and one.effect.one_line(one.settings, other.settings))
-
-
-def _apart(tried: Tried, other: Tried) -> bool:
-    """Whether a candidate lives above the cut-off, where the other's shape has no error."""
-    return above_too(tried) and not other.candidate.effect.wide
-
-
-def above_too(tried: Tried) -> bool:
-    """Whether the rows above the cut-off tell of it as well."""
-    return tried.candidate.effect.wide and not tried.candidate.below
 
 
 def _with_constant(X: Array) -> Array:
@@ -404,21 +393,3 @@ def _add_effect(
         for joint, X in effect.columns(at, candidate.joint, candidate.settings).items():
             shown = at.motion.filtered(X @ coefficients, times=effect.passes)
             torque[:, joint] += shown[::every]
-
-
-def best_of_each(tried: Sequence[Tried]) -> list[Tried]:
-    """The best setting of every effect and joint, the largest gain first.
-
-    Of what shows above the cut-off as well, that one too: below it alone more may be gained, of
-    fewer rows, and the gate is another.
-    """
-    best: dict[tuple[str, int | None, bool], Tried] = {}
-    for t in tried:
-        key = (*t.candidate.key, t.candidate.below)
-        if key not in best or t.trial.total > best[key].trial.total:
-            best[key] = t
-    return sorted(best.values(), key=_order)
-
-
-def _order(tried: Tried) -> float:
-    return -tried.trial.total

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover import greedy
-from seqid_cli.discover.candidates import Tried
+from seqid_cli.discover.candidates import Tried, best_of_each
 from seqid_cli.discover.diagnose import wider_errors
 from seqid_cli.discover.gates import Gates
 from seqid_cli.discover.greedy import searched
-from seqid_cli.discover.search import Search, best_of_each
+from seqid_cli.discover.search import Search
 from seqid_cli.discover.tellings import simplest
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import CATALOGUE

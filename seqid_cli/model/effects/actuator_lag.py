@@ -21,11 +21,12 @@ Array = NDArray[np.float64]
 
 
 class ActuatorLag(TorqueMeasurement):
-    """Command minus torque of a first-order drive."""
+    """Command minus torque of a first-order drive; of one joint, or one lag of all (joint None)."""
 
     name = "actuator_lag"
     family = "measurement"
     timing = True
+    shared = True
     alike = ("time_skew", "joint_elasticity")
     separate_by = (
         "log the measured current beside the commanded one; or chirps of torque up to the "

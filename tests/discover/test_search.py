@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -375,3 +376,30 @@ def test_what_shows_above_the_cut_off_needs_no_holding() -> None:
     found = tried(search, "periodic_disturbance", 1, frequency=60.0, clocks=1.0)
     assert max(found.columns) >= search.stage.rows.n
     assert search.holds(found, search.system(), search.noise[:2])
+
+
+LATE_S = 0.02
+
+
+def lagging(scene: Scene) -> Array:
+    """What the command of first-order drives is ahead of their torque."""
+    return np.asarray(LATE_S * scene.motion.rate_hz * np.gradient(scene.modelled, axis=0))
+
+
+def stamped_late(scene: Scene) -> Array:
+    at = np.arange(scene.samples) - LATE_S * scene.motion.rate_hz
+    late = [np.interp(at, np.arange(scene.samples), tau) for tau in scene.modelled.T]
+    return np.asarray(np.stack(late, axis=1) - scene.modelled)
+
+
+@pytest.mark.parametrize(
+    ("extra", "name", "value"),
+    [(lagging, "actuator_lag", LATE_S), (stamped_late, "time_skew", LATE_S)],
+)
+def test_one_lag_of_all_drives_is_no_skew_of_the_log(
+    extra: Callable[[Scene], Array], name: str, value: float
+) -> None:
+    search = search_in(arm_scenes(extra, noise=(0.03, 0.01)))
+    searched(search, effects("actuator_lag", "time_skew"), Gates().passes, most=1)
+    assert accepted(search) == [(name, None)]
+    assert search.accepted[0].trial.coefficients[0] == pytest.approx(value, rel=0.1)

@@ -218,7 +218,7 @@ def test_true_torque_undoes_the_distortion(
 def test_timing_effects_say_so(name: str) -> None:
     effect: Effect = CATALOGUE[name]
     assert effect.timing
-    assert effect.shared == (name == "time_skew")
+    assert effect.shared
 
 
 def test_saturation_beyond_its_largest_torque_is_finite() -> None:

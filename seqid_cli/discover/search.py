@@ -55,7 +55,7 @@ SELDOM = 0.7  # of the squared residual, that chance takes away
 MIDDLING = 0.15  # the same where the noise is white
 WHITE = 1.5  # noise floors, that white noise leaves at most
 ENOUGH_S = 60.0  # of logs, for slow noise to show its usual share
-SLOW = 0.35  # of an effect's torque constant over stretches of time: it is as slow as an offset
+SLOW = 0.2  # of an effect's torque constant over stretches of time: it is as slow as an offset
 SHAPE = 0.04  # of an accepted effect's energy, below which another is its shape's error
 
 Gate = Callable[[Tried], bool]
@@ -294,7 +294,8 @@ class Search:
         Those that show above the cut-off as well have other evidence than a few slow values. Noise
         seldom gives much, and not so much where it is white: there hardly more is left than the
         noise floor (n,) N m. That tells nothing of noise as slow as slow effects or short logs.
-        An effect that these motions leave hardly more than an offset is as slow as one.
+        An effect that these motions leave hardly more than an offset is as slow as one. Nor is it
+        much to mend what a free base foretells worse than the file does.
         """
         if tried.above_too:
             return True
@@ -302,7 +303,9 @@ class Search:
         joints = [j for j in tried.columns if j < len(floor)]
         long = BLOCK_S * len(self.stage.rows.fold) >= ENOUGH_S
         white = long and not slow and bool(np.all(self.noise[joints] < WHITE * floor[joints]))
-        if tried.trial.relative > (MIDDLING if white else SELDOM):
+        much = MIDDLING if white else SELDOM
+        foretold = bool(np.any(self.excess()[joints] ** 2 < 1.0 - much))
+        if tried.trial.relative > much and foretold:
             return True
         least = BY_CHANCE / self.stage.rows.n
         return chance(system, tried.columns, slow=slow) < least

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.dependence import dependence
-from seqid_cli.discover.diagnose import _foretells, described, diagnose
+from seqid_cli.discover.diagnose import _mended, described, diagnose
 from seqid_cli.discover.investigate import Investigation, Searched, investigate
 from seqid_cli.discover.loud import expected, louder_joints
 from seqid_cli.discover.notes import file_notes, outside_notes
@@ -329,7 +329,7 @@ def test_what_is_left_beyond_the_identified_friction_is_said() -> None:
     assert "friction was not identified" in note
 
 
-def test_what_foretells_no_better_than_the_file_is_no_dependence() -> None:
+def test_a_dependence_is_worth_what_it_mends_of_the_file() -> None:
     """Of few rows a free base foretells badly, and much seems to help it."""
     search = search_in(arm_scenes(logs=1, seconds=8.0))
     ratios = search.rms() / search.base.start
@@ -337,5 +337,6 @@ def test_what_foretells_no_better_than_the_file_is_no_dependence() -> None:
     assert ratio > 1.1
     some = dependence(search.system(), int(ratios.argmax()), least_gain=0.0, most=1)
     little, much = (replace(some, relative=1.0 - (x / ratio) ** 2) for x in (1.05, 0.95))
-    assert not _foretells(search, little)
-    assert _foretells(search, much)
+    assert _mended(search, little) == pytest.approx(1.0 - 1.05**2)
+    assert _mended(search, much) == pytest.approx(1.0 - 0.95**2)
+    assert much.relative > 1.5 * _mended(search, much)

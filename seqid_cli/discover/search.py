@@ -294,8 +294,7 @@ class Search:
         Those that show above the cut-off as well have other evidence than a few slow values. Noise
         seldom gives much, and not so much where it is white: there hardly more is left than the
         noise floor (n,) N m. That tells nothing of noise as slow as slow effects or short logs.
-        An effect that these motions leave hardly more than an offset is as slow as one. Nor is it
-        much to mend what a free base foretells worse than the file does.
+        An effect that these motions leave hardly more than an offset is as slow as one.
         """
         if tried.above_too:
             return True
@@ -303,9 +302,7 @@ class Search:
         joints = [j for j in tried.columns if j < len(floor)]
         long = BLOCK_S * len(self.stage.rows.fold) >= ENOUGH_S
         white = long and not slow and bool(np.all(self.noise[joints] < WHITE * floor[joints]))
-        much = MIDDLING if white else SELDOM
-        foretold = bool(np.any(self.excess()[joints] ** 2 < 1.0 - much))
-        if tried.trial.relative > much and foretold:
+        if tried.trial.relative > (MIDDLING if white else SELDOM):
             return True
         least = BY_CHANCE / self.stage.rows.n
         return chance(system, tried.columns, slow=slow) < least

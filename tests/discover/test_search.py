@@ -340,7 +340,6 @@ def test_a_middling_gain_is_chance_where_noise_may_be_coloured(
     hump = tried(search, "stribeck", 1, stribeck_speed=SPEED, exponent=2.0)
     search.add(hump)
     noise = search.noise[:2]
-    assert search.excess()[1] ** 2 < 0.3
 
     def holds(gain: float, floor: Array) -> bool:
         return search.holds(replace(hump, trial=replace(hump.trial, relative=gain)), system, floor)
@@ -351,8 +350,6 @@ def test_a_middling_gain_is_chance_where_noise_may_be_coloured(
     assert not holds(0.3, 0.5 * noise)
     assert not holds(0.1, noise)
     assert holds(0.9, 0.5 * noise)
-    monkeypatch.setattr(Search, "excess", lambda _: np.array([1.0, 0.95]))
-    assert not holds(0.9, 0.5 * noise)  # of what the file fits as well
 
 
 def test_what_is_as_slow_as_an_offset_must_hold_as_offsets_do() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Tried
+from seqid_cli.discover.floor import rms
 from seqid_cli.discover.search import Search
 from seqid_cli.discover.stationary import goes_with_motion
 
@@ -38,29 +39,35 @@ def take_back_doubtful(search: Search, floor: Array) -> None:
             t
             for t in search.accepted
             if not (t.above_too or any(not worse[j] for j in t.joints(n)))
-            or not (_holds(search, t, floor) or _something_is_missing(search, t, floor))
+            or not _stands(search, t, floor)
         ]
 
     take_back(search, failing)
 
 
-def _holds(search: Search, tried: Tried, floor: Array) -> bool:
-    return search.holds(search.marginal(tried), search.without(tried).system(), floor)
+def _stands(search: Search, tried: Tried, floor: Array) -> bool:
+    """Whether an effect's gain is no chance, or its joint lacks something in any case."""
+    others = search.without(tried)
+    system = others.system()
+    (alone,) = search.stage.try_all(system, [tried.candidate])
+    return search.holds(alone, system, floor) or _something_is_missing(
+        others, tried, system.residual(), floor
+    )
 
 
-def _something_is_missing(search: Search, tried: Tried, floor: Array) -> bool:
-    """Whether its joint lacks something in any case, and this is all that was found there.
+def _something_is_missing(
+    others: Search, tried: Tried, residual: Sequence[Array], floor: Array
+) -> bool:
+    """Whether much is left without an effect, and it is all that was found at its joint.
 
     What shows in a few moments, a gap that is crossed say, fits some stretches better than others.
     """
-    rows, others = search.stage.rows, search.without(tried)
+    rows = others.stage.rows
     joints = tried.joints(rows.n)
     if any(joints & set(other.columns) for other in others.accepted):
         return False
-    residual = others.system().residual()
     return any(
-        float(np.sqrt(np.mean(residual[j] ** 2))) > PLAIN * floor[j]
-        and goes_with_motion(rows, residual[j], j)
+        rms(residual[j]) > PLAIN * floor[j] and goes_with_motion(rows, residual[j], j)
         for j in joints
         if len(residual[j])
     )

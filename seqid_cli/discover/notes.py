@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.loud import LOUD, Loud
 from seqid_cli.discover.rows import extrapolated
@@ -69,7 +70,7 @@ def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[
         share = outside[:, j].sum() / max(int(sliding[:, j].sum()), 1)
         if share < OUTSIDE_NOTE:
             continue
-        times = float(np.sqrt(np.mean(left[outside[:, j], j] ** 2))) / max(ordinary[j], 1e-12)
+        times = rms(left[outside[:, j], j]) / max(ordinary[j], 1e-12)
         if times > LOUD:
             notes.append(
                 f"joint {name}: {100 * share:.0f} % of its moving samples are at speeds or "
@@ -98,7 +99,7 @@ def shown_offsets(found: Investigation) -> dict[int, float]:
     search, shown = found.search, {}
     for j, offset in enumerate(search.offsets(search.system())):
         X = search.base.timing[j]
-        size = abs(offset) * float(np.sqrt(np.mean(X**2))) if len(X) else 0.0
+        size = abs(offset) * rms(X)
         if search.timed[j] and size > OFFSET_SHOWS * float(search.noise[j]):
             shown[j] = offset
     return shown

@@ -296,13 +296,13 @@ class Search:
         noise floor (n,) N m. That tells nothing of noise as slow as slow effects or short logs.
         An effect that these motions leave hardly more than an offset is as slow as one.
         """
-        if tried.above_too:
+        if tried.above_too or tried.trial.relative > SELDOM:
             return True
         slow = tried.candidate.effect.slow or slowness(system, tried.columns) > SLOW
         joints = [j for j in tried.columns if j < len(floor)]
         long = BLOCK_S * len(self.stage.rows.fold) >= ENOUGH_S
         white = long and not slow and bool(np.all(self.noise[joints] < WHITE * floor[joints]))
-        if tried.trial.relative > (MIDDLING if white else SELDOM):
+        if white and tried.trial.relative > MIDDLING:
             return True
         least = BY_CHANCE / self.stage.rows.n
         return chance(system, tried.columns, slow=slow) < least

@@ -64,6 +64,10 @@ study: $(DEV) ## measure against truth and bounds, rewrite the tables in README.
 study-effects: $(DEV) ## how well undeclared effects are found, into docs/effects_study.md (hours)
 	$(BIN)/python -m tests.study --only undeclared --refine --processes $(WORKERS)
 
+.PHONY: study-coverage
+study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/coverage.md (hours)
+	$(BIN)/python -m tests.study --only coverage --processes $(WORKERS)
+
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
 	$(BIN)/python -m tests.bench

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from tests.study import (
+    coverage,
     formats,
     fused_motion,
     imu_mounting,
@@ -39,6 +40,7 @@ STUDIES: Mapping[str, Study] = {
     ),
     "fused_motion": lambda chosen: fused_motion.study(quick=chosen.quick, tell=sys.stderr.write),
     "undeclared": undeclared.study,
+    "coverage": coverage.study,
     "recorded_effects": lambda chosen: "" if chosen.quick else recorded_effects.study(),
 }
 LONG = (
@@ -46,6 +48,7 @@ LONG = (
     "table_two",
     "motion_sources",
     "undeclared",
+    "coverage",
     "recorded_effects",
     "imu_mounting",
 )  # only where asked for by name
@@ -54,6 +57,7 @@ DOCUMENTS: Mapping[str, Path] = {  # the others: README
     "motion_sources": motion_sources.DOCUMENT,
     "fused_motion": fused_motion.DOCUMENT,
     "undeclared": undeclared.DOCUMENT,
+    "coverage": coverage.DOCUMENT,
     "recorded_effects": recorded_effects.DOCUMENT,
     "imu_mounting": imu_mounting.DOCUMENT,
 }
@@ -67,6 +71,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=usual)
     undeclared.add_arguments(parser)
     table_two.add_arguments(parser)
+    coverage.add_arguments(parser)
     chosen = parser.parse_args(arguments)
     kept = [name for name in chosen.only if not written(name, chosen)]
     for name in set(chosen.only) - set(kept):  # a missing marker shows before the work is done
@@ -88,6 +93,8 @@ def written(name: str, chosen: argparse.Namespace) -> bool:
     """Whether a study's tables go into its document: not those of a part of it."""
     if chosen.quick:
         return False
+    if name == "coverage":
+        return coverage.whole(chosen)
     return name != "undeclared" or undeclared.choice_of(chosen).whole
 
 

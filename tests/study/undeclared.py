@@ -7,6 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import get_args
 
+from tests.study.coverage_cases import RIGS
 from tests.study.undeclared_cases import ARM, RIG_NAMES, Condition, Group, matrix, quick
 from tests.study.undeclared_evidence import write_evidence
 from tests.study.undeclared_refine import refined_table, refinements
@@ -35,10 +36,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     own = parser.add_argument_group("undeclared effects")
     folder = Path(tempfile.gettempdir()) / "seqid-study"
     own.add_argument("--cache", type=Path, default=folder, help="logs and results (%(default)s)")
-    own.add_argument("--processes", type=int, default=1, help="cases at a time (%(default)s)")
+    jobs = ("--processes", "--jobs")
+    own.add_argument(*jobs, type=int, default=1, help="cases at a time (%(default)s)")
     own.add_argument("--only-kind", nargs="+", metavar="NAME", help="with one of these effects")
-    own.add_argument("--rig", choices=[*RIG_NAMES, ARM], help="one robot, or drawn arms, alone")
-    own.add_argument("--seeds", metavar="A-B", help="these seeds alone")
+    rigs = list(dict.fromkeys([*RIG_NAMES, ARM, *RIGS]))
+    own.add_argument("--rig", choices=rigs, help="one robot, or drawn arms, alone")
+    own.add_argument("--seeds", metavar="A-B", help="these seeds alone (coverage: A:B)")
     own.add_argument("--size", type=float, help="effects of this size alone")
     own.add_argument("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
     own.add_argument("--limit", type=int, metavar="N", help="at most N new cases this time")

@@ -241,8 +241,8 @@ def _simple(scene: Scene, joint: int, terms: int) -> Array:
 def _surface(scene: Scene, surface: FrictionSurface, joint: int) -> Array:
     """Terms of the surface, and a drag beyond the fastest speed at which it was identified."""
     v = scene.motion.dq[:, joint]
-    columns = surface.columns(scene.motion.q[:, joint], v)
-    beyond = np.maximum(np.abs(v) - surface.scaling.speed[1], 0.0) * np.sign(v)
+    columns = surface.columns(scene.motion.q[:, joint], v)[:, : surface.entries]
+    beyond = surface.scaling.faster(v) * np.sign(v)
     return np.column_stack([columns, beyond])
 
 

@@ -13,6 +13,7 @@ import jinja2
 import numpy as np
 
 from seqid_cli.export.text import real, remarks
+from seqid_cli.model.friction_basis import FADE
 from seqid_cli.robot.base import gear_ratios
 from seqid_cli.robot.types import Array
 
@@ -75,6 +76,10 @@ def _surface(surface: FrictionSurface | None) -> dict[str, object] | None:
         "rows": rows,
         "columns": columns,
         "position": _row(scaling.position),
+        "periodic": scaling.periodic,
+        "mean": _row(scaling.over_position.mean(surface.orders[0])),
+        "fade": real(FADE * (scaling.position[1] - scaling.position[0])),
+        "slope": _row(surface.slopes_beyond),
         "speed": _row(speed),
         "scaled": _row(np.log(speed) if scaling.logarithmic else speed),
         "logarithmic": int(scaling.logarithmic),

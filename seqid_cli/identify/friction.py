@@ -35,7 +35,8 @@ from seqid_cli.identify.trials import (
     speed_levels,
 )
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.friction import FrictionSurface, Scaling, tensor_basis
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import (
     FrictionStage,
     Verdict,
@@ -293,5 +294,4 @@ def _covariance(
 
 
 def _basis(item: SpeedData, scaling: Scaling, m: int, l: int) -> Array:
-    u = scaling.u(np.full(len(item.q), item.speed))
-    return tensor_basis(scaling.x(item.q), u, m, l)
+    return scaling.basis(item.q, np.full(len(item.q), item.speed), m, l)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from seqid_cli.identify.gravity_of_trials import GravityFit
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.surface_fit import Orders, Reduced, SpeedData, left_out_errors
-from seqid_cli.model.friction import FrictionSurface, Scaling
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionJoint, GravityOfTrial, SpeedLevel, Verdict
 from seqid_cli.robot.types import Robot
 
@@ -66,7 +67,7 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
         asymmetry=gravity.asymmetry,
         positive=surface.positive.tolist(),
         negative=surface.negative.tolist(),
-        covariance=surface.covariance.tolist(),
+        covariance=surface.entry_covariance.tolist(),
         gravity=[
             GravityOfTrial(
                 configuration=group.configuration.tolist(),

@@ -79,6 +79,6 @@ def notes_on(
     ]
     if far:
         yield (
-            "outside the speeds or positions at which friction was identified, so that the nearest "
-            f"identified value stands in: {', '.join(far)} of the samples"
+            "outside the speeds or positions at which friction was identified, so that it is "
+            f"extrapolated: {', '.join(far)} of the samples"
         )

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.model.friction import Scaling
+from seqid_cli.model.friction_basis import Scaling
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class Reduced:
 def reduce_speed(data: SpeedData, scaling: Scaling) -> Reduced:
     """Step 1: the R factor of the position polynomial of one speed (Eq. 8)."""
     root: Array = np.sqrt(data.weight)
-    A = chebvander(scaling.x(data.q), MAX_POSITION_ORDER) * root[:, None]
+    A = scaling.over_position.values(data.q, MAX_POSITION_ORDER) * root[:, None]
     Q, factor = np.linalg.qr(A)
     R: Array = np.asarray(factor, dtype=np.float64)
     y: Array = root * data.friction
@@ -152,7 +152,8 @@ def left_out_errors(data: list[SpeedData], reduced: list[Reduced], orders: Order
         phi = _over_speed(u, orders.velocity)
         for item, step1 in zip(data, reduced, strict=True):
             if step1.u == u:
-                fitted = chebvander(step1.scaling.x(item.q), orders.position) @ (D @ phi)
+                over_position = step1.scaling.over_position.values(item.q, orders.position)
+                fitted = over_position @ (D @ phi)
                 error, friction, noise = _grouped(item, fitted)
                 errors.append(error)
                 frictions.append(friction)

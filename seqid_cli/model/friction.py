@@ -1,16 +1,23 @@
 """The friction surface (Eq. 7-10) on a scaled, orthogonal basis.
 
-With x the position and u the speed |v|, each scaled to [-1, 1] over the identified range and held
-at its ends, the friction torque of one joint is
+With B_j functions of position, T_r Chebyshev polynomials of the scaled speed u, the friction torque
+of one joint is
 
-    tau_f(q, v) = s(v) sum_jr d[j, r] T_j(x) T_r(u),      s(v) = tanh(v / v_s),
+    tau_f(q, v) = s(v) f(q, |v|),   f = sum_jr d[j, r] B_j(q) T_r(u),   s(v) = tanh(v / v_s).
 
-T_k being Chebyshev polynomials: raw monomials of orders (10, 11) are not usable in floating point.
-Where friction depends on direction it has two surfaces f_+ and f_-, one per direction, and
+Raw monomials of orders (10, 11) are not usable in floating point. Where friction depends on
+direction it has two surfaces f_+ and f_-, one per direction, and
 
     tau_f = s(v) (f_+ + f_-) / 2 + (f_+ - f_-) / 2:
 
 the part that does not flip with the direction, an offset, stays at rest.
+
+Outside the identified range the basis is continued (see `friction_basis`). What is not known there
+has coefficients of its own, `extension`, four to each direction: below and above the positions,
+beyond the fastest speed, below the slowest. Their values are zero, but for a viscous slope that
+would be negative: friction does not fall with the speed for ever, and the third one takes it away.
+Their variances make the error grow outside: by the spread of friction over position, by the doubt
+about the slope, by what friction changes near the slowest speed.
 """
 
 from __future__ import annotations
@@ -19,9 +26,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
+from numpy.polynomial.chebyshev import chebval
 from numpy.typing import NDArray
 
+from seqid_cli.model.friction_basis import FADE, Scaling
 from seqid_cli.params.schema import FrictionJoint
 
 Array = NDArray[np.float64]
@@ -31,62 +39,26 @@ CELLS = 33  # per axis, at which a surface's standard error is looked at
 VAGUE = 0.05  # of the friction, from which its standard error leaves it open
 SLIDES = 5.0  # sign widths, from which a joint certainly slides: all but 1e-4 of the sign is there
 UNUSUAL = 4.0  # times the surface's median standard error, that it must be as well
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """Position and speed ranges that the basis is scaled to; outside them the surface is held.
-
-    A `line`, as Coulomb and viscous friction make over speed, is a law: it goes on beyond the
-    fastest speed.
-    """
-
-    position: tuple[float, float]  # rad
-    speed: tuple[float, float]  # rad/s
-    logarithmic: bool = False
-    line: bool = False
-
-    def x(self, q: Array) -> Array:
-        """Scaled position, clipped to [-1, 1]."""
-        return _scaled(q, *self.position)
-
-    def u(self, v: Array) -> Array:
-        """Scaled speed, clipped to [-1, 1]; of a line from -1 on."""
-        if self.line and self.speed[1] > self.speed[0]:
-            return 2.0 * (np.abs(v) - self.speed[0]) / (self.speed[1] - self.speed[0]) - 1.0
-        speed = np.clip(np.abs(v), *self.speed)
-        if self.logarithmic:
-            return _scaled(np.log(speed), np.log(self.speed[0]), np.log(self.speed[1]))
-        return _scaled(speed, *self.speed)
-
-    def outside(self, q: Array, v: Array, *, sign_width: float) -> Mask:
-        """Samples where the surface is held because position or speed left the identified range."""
-        margin = 0.02 * (self.position[1] - self.position[0])
-        far = (q < self.position[0] - margin) | (q > self.position[1] + margin)
-        fast = np.abs(v) > 1.02 * self.speed[1]
-        slow = (np.abs(v) < 0.98 * self.speed[0]) & (np.abs(v) > sign_width)
-        return far | fast | slow
-
-
-def _scaled(value: Array, low: float, high: float) -> Array:
-    if high <= low:
-        return np.zeros_like(value)
-    return np.clip((2 * value - low - high) / (high - low), -1.0, 1.0)
+PATCHES = 1.0 / (np.sqrt(2.0 * np.pi) * FADE)  # independent patches of position in a range
+# The mean of few patches is uncertain itself, and the spread about it too small.
+NEW_GROUND = float(np.sqrt((PATCHES + 1.0) / (PATCHES - 1.0)))
+SLOPE_DOUBT = 0.3  # of the viscous slope, its standard error beyond the fastest speed
+BELOW, ABOVE, FASTER, SLOWER = range(4)  # the coefficients of the extension of one direction
 
 
 @dataclass(frozen=True)
 class FrictionSurface:
     """Friction of one joint, ready to evaluate.
 
-    `positive`, `negative` (m + 1, l + 1) N m for either direction; `covariance` of their entries,
-    row-major, stacked where `directional`.
+    `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of their
+    entries, row-major, stacked where `directional`.
     """
 
     scaling: Scaling
     sign_width: float
     positive: Array
     negative: Array
-    covariance: Array
+    entry_covariance: Array
     directional: bool
 
     @classmethod
@@ -95,36 +67,78 @@ class FrictionSurface:
         low, high = joint.position_range
         slow, fast = joint.speed_range
         return cls(
-            scaling=Scaling(
-                (low, high), (slow, fast), joint.speed_scale == "log", line=bool(joint.parameters)
-            ),
+            scaling=Scaling((low, high), (slow, fast), joint.speed_scale == "log"),
             sign_width=joint.sign_width,
             positive=np.array(joint.positive),
             negative=np.array(joint.negative),
-            covariance=np.array(joint.covariance),
+            entry_covariance=np.array(joint.covariance),
             directional=joint.directional,
         )
 
+    @property
+    def orders(self) -> tuple[int, int]:
+        """Orders m and l."""
+        rows = self.positive.shape[0] - 1
+        return rows // 2 if self.scaling.periodic else rows, self.positive.shape[1] - 1
+
+    @property
+    def entries(self) -> int:
+        """Number of entries of the surface, the first of `coefficients`; `extension` follows."""
+        return self.positive.size * len(self._sides)
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """Entries of the surface, one direction after the other, and of its extension (k,)."""
+        return np.concatenate([*(side.ravel() for side in self._sides), self.extension.ravel()])
+
+    @cached_property
+    def extension(self) -> Array:
+        """Coefficients (directions, 4) outside the identified range: N m, slope N m s/rad."""
+        found = np.zeros((len(self._sides), 4))
+        found[:, FASTER] = np.maximum(-self._slopes, 0.0)
+        return found
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (k, k) of `coefficients`; as in the file if that one has another size."""
+        size = self.entries
+        if self.entry_covariance.shape != (size, size):
+            return self.entry_covariance
+        whole = size + self.extension.size
+        joined = np.zeros((whole, whole))
+        joined[:size, :size] = self.entry_covariance
+        joined[size:, size:] = np.diag(self._extension_errors.ravel() ** 2)
+        return joined
+
     def columns(self, q: Array, v: Array) -> Array:
-        """Derivatives (N, k) of the torque by the entries that `covariance` is of."""
-        basis = tensor_basis(
-            self.scaling.x(q), self.scaling.u(v), *(k - 1 for k in self.positive.shape)
-        )
+        """Derivatives (N, k) of the torque by `coefficients`, in which it is linear."""
+        basis = self.scaling.basis(q, v, *self.orders)
+        extension = self._extension(q, v)
         sign = np.tanh(v / self.sign_width)[:, None]
         if not self.directional:
-            return basis * sign
-        return np.hstack([basis * (sign + 1) / 2, basis * (sign - 1) / 2])
+            return np.hstack([basis * sign, extension * sign])
+        return np.hstack([part * way / 2 for part in (basis, extension) for way in _ways(sign)])
 
     def torque(self, q: Array, v: Array) -> Array:
         """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
         if self.directional:
-            coefficients = np.concatenate([self.positive.ravel(), self.negative.ravel()])
-            both: Array = self.columns(q, v) @ coefficients
+            both: Array = self.columns(q, v) @ self.coefficients
             return both
-        orders = (k - 1 for k in self.positive.shape)
-        basis = tensor_basis(self.scaling.x(q), self.scaling.u(v), *orders)
-        torque: Array = np.tanh(v / self.sign_width) * (basis @ self.positive.ravel())
+        basis = self.scaling.basis(q, v, *self.orders)
+        level: Array = basis @ self.positive.ravel()
+        if self.extension.any():
+            level = level + self._extension(q, v) @ self.extension[0]
+        torque: Array = np.tanh(v / self.sign_width) * level
         return torque
+
+    def std_error(self, q: Array, v: Array) -> Array:
+        """Standard error (N,) N m of `torque`; zero where the file gives no covariance."""
+        X = self.columns(q, v)
+        if self.covariance.shape != (X.shape[1], X.shape[1]):
+            return np.zeros(len(q))
+        variance = np.einsum("nk,kl,nl->n", X, self.covariance, X, optimize=True)
+        error: Array = np.sqrt(np.maximum(variance, 0.0))
+        return error
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
         """Smallest and largest torque (N,) N m that friction can hold at rest."""
@@ -133,7 +147,7 @@ class FrictionSurface:
         return np.minimum(low, high), np.maximum(low, high)
 
     def outside(self, q: Array, v: Array) -> Mask:
-        """Samples (N,) at which the surface is held at the edge of what was identified."""
+        """Samples (N,) at which the surface goes on beyond what was identified."""
         return self.scaling.outside(q, v, sign_width=self.sign_width)
 
     def vague(self, q: Array, v: Array) -> Mask:
@@ -141,32 +155,95 @@ class FrictionSurface:
 
         Inside the ranges that the trials have reached, but in none of them at this speed here.
         """
-        scaled = (self.scaling.x(q), np.minimum(self.scaling.u(v), 1.0))
-        row, column = (np.rint(0.5 * (z + 1.0) * (CELLS - 1)).astype(np.intp) for z in scaled)
+        shares = (self.scaling.over_position.share(q), 0.5 * (self.scaling.u(v) + 1.0))
+        row, column = (np.rint(share * (CELLS - 1)).astype(np.intp) for share in shares)
         mask: Mask = self._vague[row, column] & (np.abs(v) > self.sign_width)
         return mask
 
     @cached_property
     def _vague(self) -> Mask:
-        """The same on a grid (CELLS, CELLS) over scaled position and speed."""
-        x, u = (z.ravel() for z in np.meshgrid(*2 * [np.linspace(-1.0, 1.0, CELLS)], indexing="ij"))
-        basis = tensor_basis(x, u, *(k - 1 for k in self.positive.shape))
+        """The same on a grid (CELLS, CELLS) over position and scaled speed."""
+        basis = self._grid
         size = self.positive.size
-        found = np.zeros(len(x), dtype=bool)
-        for number, values in enumerate((self.positive, self.negative)):
-            own = slice(number * size, (number + 1) * size) if self.directional else slice(size)
-            variance = np.einsum("nk,kl,nl->n", basis, self.covariance[own, own], basis)
+        found = np.zeros(len(basis), dtype=bool)
+        for number, values in enumerate(self._sides):
+            own = slice(number * size, (number + 1) * size)
+            variance = np.einsum("nk,kl,nl->n", basis, self.entry_covariance[own, own], basis)
             usual = float(np.median(variance))
             clear = variance > (VAGUE * (basis @ values.ravel())) ** 2
             found |= clear & (variance > UNUSUAL**2 * usual)
         return found.reshape(CELLS, CELLS)
 
+    @cached_property
+    def _grid(self) -> Array:
+        """Basis (CELLS^2, size (l + 1)) over position and scaled speed, speed fastest."""
+        share = np.linspace(0.0, 1.0, CELLS)
+        q, v = np.meshgrid(self.scaling.over_position.at(share), self._speeds(share), indexing="ij")
+        return self.scaling.basis(q.ravel(), v.ravel(), *self.orders)
 
-def tensor_basis(x: Array, u: Array, position_order: int, velocity_order: int) -> Array:
-    """Products T_j(x) T_r(u) (N, (m + 1) (l + 1)), r fastest."""
-    product = chebvander(x, position_order)[:, :, None] * chebvander(u, velocity_order)[:, None, :]
-    flat: Array = product.reshape(len(x), -1)
-    return flat
+    def _speeds(self, share: Array) -> Array:
+        """Speeds (N,) at shares of the scaled range."""
+        ends = np.array(self.scaling.speed)
+        if self.scaling.logarithmic:
+            ends = np.log(ends)
+        speeds = ends[0] + share * (ends[1] - ends[0])
+        found: Array = np.exp(speeds) if self.scaling.logarithmic else speeds
+        return found
+
+    @property
+    def slopes_beyond(self) -> Array:
+        """Viscous slope (2,) N m s/rad beyond the fastest speed, forward and backward; >= 0."""
+        found: Array = np.resize(np.maximum(self._slopes, 0.0), 2)
+        return found
+
+    @property
+    def _sides(self) -> tuple[Array, ...]:
+        return (self.positive, self.negative) if self.directional else (self.positive,)
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Viscous slope of each direction's surface, N m s/rad, of either sign."""
+        weights = self.scaling.slope(*self.orders)
+        return np.array([weights @ side.ravel() for side in self._sides])
+
+    def _extension(self, q: Array, v: Array) -> Array:
+        """Columns (N, 4) of the extension of one direction, without its sign."""
+        scaling = self.scaling
+        speeds = np.stack([scaling.faster(v), scaling.slower(v)], axis=1)
+        return np.hstack([scaling.over_position.novelty(q), speeds])
+
+    @cached_property
+    def _extension_errors(self) -> Array:
+        """Standard errors (directions, 4) of the extension's coefficients."""
+        return np.array([self._errors_of(side) for side in self._sides])
+
+    def _errors_of(self, side: Array) -> Array:
+        """Spread over position, twice; doubt about the slope; change near the slowest speed."""
+        level = (self._grid @ side.ravel()).reshape(CELLS, CELLS)
+        spread = NEW_GROUND * float(np.sqrt(np.mean((level - level.mean(axis=0)) ** 2)))
+        over_speed = self.scaling.over_position.mean(self.orders[0]) @ side
+        line = self.scaling.slope_speeds()
+        values = _over_speed(self.scaling, line, over_speed)
+        off = line - line.mean()
+        width, power = float(np.ptp(line)), float(off @ off)
+        slope = float(off @ values) / power if power else 0.0
+        bend = float(np.sqrt(np.mean((values - values.mean() - slope * off) ** 2)))
+        doubt = float(np.hypot(SLOPE_DOUBT * slope, bend / width)) if width else 0.0
+        slow, fast = self.scaling.speed
+        near = np.array([slow, min(np.e * slow, fast)])
+        change = float(np.ptp(_over_speed(self.scaling, near, over_speed)))
+        return np.array([spread, spread, doubt, change])
+
+
+def _over_speed(scaling: Scaling, speeds: Array, coefficients: Array) -> Array:
+    """Values (N,) of sum_r c_r T_r(u) at speeds inside the range."""
+    values = chebval(scaling.u(speeds), coefficients)
+    return np.asarray(values, dtype=np.float64)
+
+
+def _ways(sign: Array) -> tuple[Array, Array]:
+    """How much of either direction's surface counts, times two."""
+    return sign + 1.0, sign - 1.0
 
 
 def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:

@@ -176,7 +176,7 @@ def _surface(name: str, a: FrictionJoint, b: FrictionJoint, rule: Rule) -> Diffe
         return unlike("friction", "surface", name, remark)
     one, other = FrictionSurface.from_stage(a), FrictionSurface.from_stage(b)
     tau_a, tau_b = one.torque(q, v), other.torque(q, v)
-    error = np.hypot(_errors(one, q, v), _errors(other, q, v))
+    error = np.hypot(one.std_error(q, v), other.std_error(q, v))
     size = max(float(np.abs(tau_a).max()), float(np.abs(tau_b).max()))
     points = [
         judged(
@@ -207,19 +207,6 @@ def _shared_grid(a: FrictionJoint, b: FrictionJoint) -> tuple[Array, ...]:
     speeds = np.linspace(slow, fast, _SPEEDS)
     q, v = np.meshgrid(np.linspace(low, high, _POSITIONS), np.concatenate([-speeds, speeds]))
     return q.ravel(), v.ravel()
-
-
-def _errors(
-    surface: FrictionSurface,
-    q: Array,
-    v: Array,
-) -> Array:
-    """Standard errors (K,) of a surface; zero where the file gives none."""
-    X = surface.columns(q, v)
-    if surface.covariance.shape != (X.shape[1], X.shape[1]):
-        return np.zeros(len(q))
-    variance = np.maximum(np.einsum("ki,ij,kj->k", X, surface.covariance, X), 0.0)
-    return np.asarray(np.sqrt(variance))
 
 
 def _imus(a: ImuStage, b: ImuStage, rule: Rule) -> Iterator[Difference]:

@@ -85,10 +85,10 @@ class FrictionJoint(Struct, kw_only=True):
     """The friction surface of one joint (Eq. 7-10).
 
     tau_f = s(v) sum_jr d[j][r] T_j(x) T_r(u): T Chebyshev polynomials, x the position scaled from
-    `position_range` and u the speed |v| scaled from `speed_range` to [-1, 1], both held at the
-    ends; s(v) = tanh(v / sign_width). `negative` differs from `positive` where friction depends on
-    direction. Coulomb and viscous friction, which has `parameters`, goes on beyond the fastest
-    speed.
+    `position_range` and u the speed |v| scaled from `speed_range` to [-1, 1];
+    s(v) = tanh(v / sign_width). `negative` differs from `positive` where friction depends on
+    direction. Beyond the fastest speed friction goes on as Coulomb and viscous friction, below the
+    slowest it holds; beyond the positions it fades to its mean over them.
     """
 
     position_order: int

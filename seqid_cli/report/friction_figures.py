@@ -43,11 +43,12 @@ class _View:
 
 
 def drawable(joint: FrictionJoint) -> bool:
-    """Return whether the surface has finite values all over its range."""
+    """Return whether the surface has finite values and errors all over its range."""
     q, v = (np.linspace(low, high, 5) for low, high in (joint.position_range, joint.speed_range))
     with np.errstate(all="ignore"):
-        torque = FrictionSurface.from_stage(joint).torque(np.repeat(q, 5), np.tile(v, 5))
-    return bool(np.all(np.isfinite(torque)) and np.ptp(torque) < np.inf)
+        surface, grid = FrictionSurface.from_stage(joint), (np.repeat(q, 5), np.tile(v, 5))
+        torque, error = surface.torque(*grid), surface.std_error(*grid)
+        return bool(np.isfinite([torque, error]).all() and np.ptp(torque) < np.inf)
 
 
 def surface_figure(joint: FrictionJoint, place: Place) -> Figure:
@@ -265,12 +266,7 @@ def _round(value: float, span: float) -> float:
 
 
 def _with_error(surface: FrictionSurface, q: Array, v: Array) -> tuple[Array, Array]:
-    columns = surface.columns(q, v)
-    torque = surface.torque(q, v)
-    if surface.covariance.shape != (columns.shape[1], columns.shape[1]):
-        return torque, np.zeros_like(torque)
-    variance = np.einsum("nk,kl,nl->n", columns, surface.covariance, columns, optimize=True)
-    return torque, Z95 * np.sqrt(np.maximum(variance, 0.0))
+    return surface.torque(q, v), Z95 * surface.std_error(q, v)
 
 
 def _points(x: Array, y: Array) -> list[tuple[float, float]]:

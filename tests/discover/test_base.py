@@ -132,7 +132,8 @@ def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scen
     half = 0.5 * VISCOUS[0] * TOP
     held = np.minimum(np.abs(motion.dq[:, 0]), TOP)
     beyond = (np.abs(motion.dq[:, 0]) - held) * np.sign(motion.dq[:, 0])
-    own = motion.filtered((COULOMB[0] + VISCOUS[0] * held) * sign + 0.7 * beyond, times=2)
+    law = (COULOMB[0] + VISCOUS[0] * held) * sign + (VISCOUS[0] + 0.7) * beyond
+    own = motion.filtered(law, times=2)
     found = base.whole[0].friction[0] @ np.array([COULOMB[0] + half, half, 0.7])
     np.testing.assert_allclose(found, own, atol=1e-9)
 

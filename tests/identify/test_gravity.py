@@ -12,7 +12,8 @@ from seqid_cli.identify.gravity import GravityRows, _stage
 from seqid_cli.identify.inertia import gravity_prior
 from seqid_cli.identify.least_squares import Accumulator, solve
 from seqid_cli.identify.trials import Ramp, Trial
-from seqid_cli.model.friction import FrictionSurface, Scaling
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.base import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 from tests.plants.rigs import MOMENT, one_joint, six_joint

@@ -17,7 +17,7 @@ from seqid_cli.identify.surface_fit import (
     left_out_rms,
     reduce_speed,
 )
-from seqid_cli.model.friction import Scaling, tensor_basis
+from seqid_cli.model.friction_basis import Scaling
 
 Array = NDArray[np.float64]
 
@@ -33,8 +33,7 @@ def data_of(
     for speed in SPEEDS:
         for direction in (1, -1):
             q = np.sort(rng.uniform(-2, 2, slices))
-            u = SCALING.u(np.full(slices, speed))
-            A = tensor_basis(SCALING.x(q), u, D.shape[0] - 1, D.shape[1] - 1)
+            A = SCALING.basis(q, np.full(slices, speed), D.shape[0] - 1, D.shape[1] - 1)
             friction = A @ D.ravel() + noise * rng.standard_normal(slices)
             weight = rng.uniform(5.0, 50.0, slices)
             result.append(SpeedData(float(speed), direction, q, friction, weight))
@@ -50,8 +49,8 @@ def direct(data: list[SpeedData], m: int, l: int) -> tuple[Array, Array, Array]:
     rows, right = [], []
     for item in data:
         root = np.sqrt(item.weight)
-        u = SCALING.u(np.full(len(item.q), item.speed))
-        rows.append(tensor_basis(SCALING.x(item.q), u, m, l) * root[:, None])
+        A = SCALING.basis(item.q, np.full(len(item.q), item.speed), m, l)
+        rows.append(A * root[:, None])
         right.append(item.friction * root)
     A, y = np.vstack(rows), np.concatenate(right)
     D: Array = np.asarray(np.linalg.lstsq(A, y, rcond=None)[0], dtype=np.float64)
@@ -108,8 +107,8 @@ def test_leaving_a_speed_out_is_a_refit_without_its_data() -> None:
         D = direct(kept, 3, 2)[2]
         for item in data:
             if item.speed == speed:
-                u = SCALING.u(np.full(len(item.q), item.speed))
-                off = tensor_basis(SCALING.x(item.q), u, 3, 2) @ D.ravel() - item.friction
+                A = SCALING.basis(item.q, np.full(len(item.q), item.speed), 3, 2)
+                off = A @ D.ravel() - item.friction
                 squares += float(item.weight @ off**2)
                 weight += float(item.weight.sum())
     got = left_out_rms(reduced_of(data), Orders(3, 2))
@@ -173,15 +172,14 @@ def test_what_is_chosen_is_as_good_as_the_true_orders(m: int, l: int) -> None:
     D, noise = known_surface(m, l), 0.2
     errors, best = [], []
     q, v = (g.ravel() for g in np.meshgrid(np.linspace(-1.9, 1.9, 30), np.linspace(0.3, 3.8, 30)))
-    x, u = SCALING.x(q), SCALING.u(v)
-    true = tensor_basis(x, u, m, l) @ D.ravel()
+    true = SCALING.basis(q, v, m, l) @ D.ravel()
     for seed in range(3):
         reduced = reduced_of(data_of(D, np.random.default_rng(seed), noise=noise))
         got = choose_orders(reduced, position=None, velocity=None, accept=None)
         fit = fit_surface(reduced, got.position, got.velocity, got.smoothing)
-        off = tensor_basis(x, u, got.position, got.velocity) @ fit.ravel() - true
+        off = SCALING.basis(q, v, got.position, got.velocity) @ fit.ravel() - true
         errors.append(np.sqrt(np.mean(off**2)))
-        ideal = tensor_basis(x, u, m, l) @ fit_surface(reduced, m, l).ravel() - true
+        ideal = SCALING.basis(q, v, m, l) @ fit_surface(reduced, m, l).ravel() - true
         best.append(np.sqrt(np.mean(ideal**2)))
         assert got.held_out_rmse < 1.15 * noise
     assert np.mean(errors) < 0.4 * noise

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from msgspec import structs
-from numpy.polynomial.chebyshev import chebval2d
+from numpy.polynomial.chebyshev import chebval2d, chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.model.friction import FrictionSurface, Scaling, tensor_basis
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import FADE, Scaling, tensor
 from seqid_cli.params.schema import FrictionJoint, Parameter
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def surface(
         sign_width=WIDTH,
         positive=positive,
         negative=negative if directional else positive,
-        covariance=A @ A.T,
+        entry_covariance=A @ A.T,
         directional=directional,
     )
 
@@ -77,24 +77,103 @@ def test_without_direction_the_torque_is_odd_in_the_velocity() -> None:
     np.testing.assert_allclose(own.torque(q, -v), -own.torque(q, v), rtol=1e-12)
 
 
-def test_outside_the_range_it_holds_its_edge(any_surface: FrictionSurface) -> None:
-    low, high = any_surface.scaling.position
-    fast = any_surface.scaling.speed[1]
-    v = np.array([0.5, -2.0, 3.0])
-    for beyond, edge in ((low - 3.0, low), (high + 1.0, high)):
-        np.testing.assert_array_equal(
-            any_surface.torque(np.full(3, beyond), v), any_surface.torque(np.full(3, edge), v)
-        )
+def edge_of(own: FrictionSurface, q: Array) -> Array:
+    return np.clip(q, *own.scaling.position)
+
+
+def line_of(own: FrictionSurface, side: int) -> tuple[float, float]:
+    """Mean friction over position at the fastest speed, and its slope over the faster half."""
+    q = np.linspace(*POSITION, 4001)
+    speeds = np.linspace(0.5 * SPEED[1], SPEED[1], 33)
+    level = [float(np.trapezoid(formula(own, q, np.full(4001, side * v)), q)) for v in speeds]
+    mean = side * np.array(level) / (POSITION[1] - POSITION[0])
+    return float(mean[-1]), float(np.polyfit(speeds, mean, 1)[0])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_beyond_the_fastest_speed_it_goes_on_as_a_line(
+    any_surface: FrictionSurface, side: int
+) -> None:
+    q = np.linspace(*POSITION, 30)
+    slope = max(line_of(any_surface, side)[1], 0.0)
+    fast = SPEED[1]
+    at = any_surface.torque(q, np.full(30, side * fast))
+    for speed in (fast + 1e-9, 1.3 * fast, 3.0 * fast):
+        got = any_surface.torque(q, np.full(30, side * speed))
+        np.testing.assert_allclose(got, at + side * slope * (speed - fast), atol=1e-5)
+
+
+def test_the_slope_beyond_the_fastest_speed_is_never_negative() -> None:
+    """Friction that falls over the speeds seen stays where it is, with a doubt about that."""
+    rising, falling = (replace(surface(), positive=np.array([[5.0, k]])) for k in (0.4, -0.4))
+    flat = [replace(s, entry_covariance=0.01 * np.eye(2)) for s in (rising, falling)]
+    q, v = np.zeros(2), np.array([SPEED[1], 2.0 * SPEED[1]])
+    up, down = (own.torque(q, v) for own in flat)
+    assert up[1] - up[0] == pytest.approx(0.8 / (SPEED[1] - SPEED[0]) * SPEED[1], rel=1e-3)
+    assert down[1] == pytest.approx(down[0])
+    for own in flat:
+        errors = own.std_error(np.zeros(3), np.array([4.0, 6.0, 8.0]))
+        assert (np.diff(errors) > 0.03).all()
+
+
+def test_below_the_slowest_speed_its_value_holds(any_surface: FrictionSurface) -> None:
     q = np.array([-1.0, 0.0, 2.0])
-    np.testing.assert_array_equal(
-        any_surface.torque(q, np.full(3, 10 * fast)), any_surface.torque(q, np.full(3, fast))
-    )
     slowest = any_surface.scaling.speed[0]
-    np.testing.assert_allclose(
-        any_surface.torque(q, np.full(3, 0.7 * slowest)),
-        any_surface.torque(q, np.full(3, slowest)),
-        rtol=1e-5,
-    )
+    slower, slow = (any_surface.torque(q, np.full(3, v)) for v in (0.7 * slowest, slowest))
+    np.testing.assert_allclose(slower, slow, rtol=1e-5)
+
+
+def test_far_beyond_the_positions_it_is_the_mean_over_them(any_surface: FrictionSurface) -> None:
+    low, high = POSITION
+    speeds = np.array([0.5, -2.0, 3.0])
+    for v in speeds:
+        along = np.linspace(low, high, 20001)
+        inside = any_surface.torque(along, np.full(20001, v))
+        mean = float(np.trapezoid(inside, along)) / (high - low)
+        for far in (low - 5.0, high + 5.0):
+            got = any_surface.torque(np.array([far]), np.array([v]))
+            np.testing.assert_allclose(got, mean, rtol=1e-6)
+
+
+def test_it_fades_from_the_edge_without_a_step(any_surface: FrictionSurface) -> None:
+    low, high = POSITION
+    delta = FADE * (high - low)
+    v = np.full(1, 2.0)
+    for edge, away in ((low, -1.0), (high, 1.0)):
+        at = any_surface.torque(np.array([edge]), v)
+        mean = any_surface.torque(np.array([edge + 100.0 * away]), v)
+        assert np.abs(at - mean) > 0.05
+        near = any_surface.torque(np.array([edge + 1e-6 * away]), v)
+        np.testing.assert_allclose(near, at, rtol=1e-6)
+        half = any_surface.torque(np.array([edge + away * delta]), v)
+        np.testing.assert_allclose(half, mean + np.exp(-0.5) * (at - mean), rtol=1e-9)
+
+
+def test_the_error_grows_outside(any_surface: FrictionSurface) -> None:
+    """Inside the covariance is the file's; outside what is not known comes on top."""
+    count = any_surface.entries
+    sure = replace(any_surface, entry_covariance=1e-8 * np.eye(count))
+    low, high = POSITION
+    pace = np.full(3, 1.0)
+    for q in (low - np.array([0.0, 0.3, 2.0]), high + np.array([0.0, 0.3, 2.0])):
+        errors = sure.std_error(q, pace)
+        assert errors[0] < 1e-2 < errors[1] < errors[2]
+    along = np.linspace(low, high, 400)
+    swing = [np.std(sure.torque(along, np.full(400, v))) for v in (0.3, 1.0, 3.0)]
+    far = float(sure.std_error(np.array([high + 5.0]), np.ones(1))[0])
+    assert 0.3 * min(swing) < far < 3.0 * max(swing)
+    for v in (np.array([4.0, 5.0, 8.0]), np.array([0.1, 0.08, 0.06])):
+        errors = sure.std_error(np.zeros(3), v)
+        assert errors[0] < 1e-2
+        assert (np.diff(errors) > 0.0).all()
+
+
+def test_the_torque_is_linear_in_the_coefficients_everywhere(any_surface: FrictionSurface) -> None:
+    rng = np.random.default_rng(3)
+    q, v = rng.uniform(-5.0, 6.0, 300), rng.uniform(-9.0, 9.0, 300)
+    columns = any_surface.columns(q, v)
+    assert columns.shape[1] == len(any_surface.covariance) == len(any_surface.coefficients)
+    np.testing.assert_allclose(columns @ any_surface.coefficients, any_surface.torque(q, v))
 
 
 def test_outside_is_said(any_surface: FrictionSurface) -> None:
@@ -135,11 +214,11 @@ def test_the_torque_passes_rest_monotonically(any_surface: FrictionSurface) -> N
 def test_columns_are_the_gradient(any_surface: FrictionSurface) -> None:
     """Central differences in every entry that the covariance is of."""
     q, v = states(25)
+    q[:10], v[:10] = 3.0 * q[:10], 1.0 + np.abs(3.0 * v[:10])  # outside as well
     columns = any_surface.columns(q, v)
     count = any_surface.positive.size
-    assert columns.shape[1] == len(any_surface.covariance)
     step = 1e-4
-    for k in range(columns.shape[1]):
+    for k in range(any_surface.entries):
         sides = []
         for sign in (1, -1):
             positive, negative = any_surface.positive.copy(), any_surface.negative.copy()
@@ -173,7 +252,7 @@ def test_the_papers_orders_are_well_conditioned(logarithmic: bool) -> None:
     pace = (ends[0] + ends[1] + points * (ends[1] - ends[0])) / 2
     speeds = np.exp(pace) if logarithmic else pace
     q, v = (g.ravel() for g in np.meshgrid(np.linspace(-2.6, 2.6, 64), speeds))
-    A = tensor_basis(scaling.x(q), scaling.u(v), 10, 11)
+    A = scaling.basis(q, v, 10, 11)
     assert np.linalg.cond(A) < 30
     raw = (q[:, None, None] ** np.arange(11)[:, None] * v[:, None, None] ** np.arange(12)).reshape(
         len(q), -1
@@ -181,10 +260,10 @@ def test_the_papers_orders_are_well_conditioned(logarithmic: bool) -> None:
     assert np.linalg.cond(raw) > 1e12
 
 
-def test_tensor_basis_runs_through_the_speed_first() -> None:
+def test_the_basis_runs_through_the_speed_first() -> None:
     x, u = np.array([0.3]), np.array([-0.4])
     D = np.arange(12.0).reshape(3, 4)
-    got = tensor_basis(x, u, 2, 3) @ D.ravel()
+    got = tensor(chebvander(x, 2), chebvander(u, 3)) @ D.ravel()
     np.testing.assert_allclose(got, chebval2d(x, u, D), rtol=1e-14)
 
 
@@ -223,10 +302,10 @@ def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
     rng = np.random.default_rng(2)
     u = rng.uniform(-1.0, 1.0, 4000)
     x = rng.uniform(-1.0, 1.0, 4000) * np.where(u < 0.0, 0.3, 1.0)
-    basis = tensor_basis(x, u, 3, 2)
+    basis = tensor(chebvander(x, 3), chebvander(u, 2))
     block = np.linalg.inv(basis.T @ basis)
     covariance = np.kron(np.eye(2 if directional else 1), block)
-    own = replace(own, covariance=covariance)
+    own = replace(own, entry_covariance=covariance)
     middle, half = 0.5 * sum(POSITION), 0.5 * (POSITION[1] - POSITION[0])
     slow, fast = np.array([0.2, -0.2]), np.array([3.8, -3.8])
     assert own.vague(np.full(2, middle + 0.98 * half), slow).all()
@@ -259,17 +338,10 @@ def law(coulomb: float, viscous: float, fast: float) -> FrictionJoint:
 
 
 def test_coulomb_and_viscous_friction_goes_on_beyond_the_fastest_speed() -> None:
-    """A law, unlike a surface; that it was not seen there is said all the same."""
+    """As it is; that it was not seen there is said all the same."""
     own = FrictionSurface.from_stage(law(2.0, 0.7, fast=1.5))
     v = np.array([0.3, -1.2, 1.5, 3.0, -4.0])
     q = np.zeros(len(v))
     np.testing.assert_allclose(own.torque(q, v), 2.0 * np.sign(v) + 0.7 * v, rtol=1e-9)
     assert own.outside(q, v).tolist() == [False, False, False, True, True]
     assert not own.vague(q, v).any()
-    held = FrictionSurface.from_stage(as_surface(law(2.0, 0.7, fast=1.5)))
-    np.testing.assert_allclose(held.torque(q[-1:], v[-1:]), -(2.0 + 0.7 * 1.5))
-
-
-def as_surface(joint: FrictionJoint) -> FrictionJoint:
-    """The same as a surface of a friction stage, which knows no law."""
-    return structs.replace(joint, parameters=[])

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.model.friction import FrictionSurface, Scaling, friction_torque
+from seqid_cli.model.friction import FrictionSurface, friction_torque
+from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.cutoff import Cutoff
 from seqid_cli.motion.filtering import Lowpass

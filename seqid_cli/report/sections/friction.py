@@ -28,7 +28,7 @@ def friction(collection: Collection) -> Section:
     lead = (
         "Friction torque as a function of position and velocity (Eq. 7-11). Nothing is known "
         "between the slowest recorded speeds of both directions, where the sign turns; outside the "
-        "recorded range the nearest value stands in."
+        "recorded range Coulomb and viscous friction goes on, at its mean over position."
     )
     groups = [
         _joint(name, joint, stage, place, collection.robot.joints.index(name))

@@ -1,0 +1,270 @@
+"""The bases of a friction surface over position and speed, and how they go on beyond their range.
+
+Over position there are two kinds. A polynomial in Chebyshev's form knows one range. A Fourier
+series knows every angle, so it serves joints that turn more than once. Over speed there are
+Chebyshev polynomials of |v| or of its logarithm.
+
+Beyond a range the basis itself is continued, so that whatever is made of it stays linear in the
+coefficients of the surface. With f_0 the mean over position and d the distance from the range, a
+polynomial falls back to that mean as a random field of Gaussian correlation would on average:
+
+    f(q) = f_0 + rho (f(edge) - f_0),   rho = exp(-d^2 / (2 delta^2)),   delta = `FADE` * range.
+
+Beyond the fastest speed v_1 friction goes on as Coulomb plus viscous friction: a line whose slope
+is the least-squares slope of the position mean over the upper part of the speeds. Below the
+slowest speed the value at the slowest holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FADE = 0.1  # of the position range: the distance over which a surface forgets its edge
+SLOPE_FROM = 0.5  # of the fastest speed: above it the line beyond the fastest speed is fitted
+OUTSIDE_POSITION = 0.02  # of the position range, by which a position may lie beyond it
+OUTSIDE_SPEED = 0.02  # of a speed, by which it may lie beyond the identified ones
+_SLOPE_SPEEDS = 33  # at which that line is fitted
+
+
+class PositionBasis(Protocol):
+    """Functions of the joint position.
+
+    An order is the highest degree of a polynomial, the highest harmonic of a Fourier series.
+    """
+
+    def size(self, order: int) -> int:
+        """Return the number of functions."""
+
+    def values(self, q: Array, order: int) -> Array:
+        """Return the functions (N, size) at positions q (N,), continued beyond the range."""
+
+    def degrees(self, order: int) -> Array:
+        """Return how fast each function (size,) varies, in degrees of a polynomial."""
+
+    def mean(self, order: int) -> Array:
+        """Return the mean of each function (size,) over the range."""
+
+    def novelty(self, q: Array) -> Array:
+        """Return (N, 2): sqrt(1 - rho^2) below and above the range, 0 inside."""
+
+    def outside(self, q: Array) -> Mask:
+        """Return where positions (N,) left the range."""
+
+    def share(self, q: Array) -> Array:
+        """Return where in the range positions (N,) are: 0 at its lower end, 1 at its upper."""
+
+    def at(self, share: Array) -> Array:
+        """Return the positions (N,) at shares of the range."""
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Chebyshev polynomials over [low, high] rad (m where prismatic)."""
+
+    low: float
+    high: float
+
+    def size(self, order: int) -> int:
+        """Return the number of polynomials."""
+        return order + 1
+
+    def values(self, q: Array, order: int) -> Array:
+        """Return T_0 ... T_order (N, order + 1); beyond the range they fade to their means."""
+        found = _chebyshev(scaled(q, self.low, self.high), order)
+        gone = 1.0 - self._kept(q)
+        far = np.flatnonzero(gone)
+        if far.size:
+            found[far] += gone[far, None] * (self.mean(order) - found[far])
+        return found
+
+    def degrees(self, order: int) -> Array:
+        """Return 0 ... order."""
+        return np.arange(order + 1.0)
+
+    def mean(self, order: int) -> Array:
+        """Return the integrals of T_j over [-1, 1] by 2: 1 / (1 - j^2), and 0 for odd j."""
+        j = np.arange(order + 1.0)
+        even = np.arange(order + 1) % 2 == 0
+        return np.where(even, 1.0 / np.where(even, 1.0 - j**2, 1.0), 0.0)
+
+    def novelty(self, q: Array) -> Array:
+        """Return what part of the spread over position the edges do not tell."""
+        new = np.sqrt(1.0 - self._kept(q) ** 2)
+        return np.stack([np.where(q < self.low, new, 0.0), np.where(q > self.high, new, 0.0)], 1)
+
+    def outside(self, q: Array) -> Mask:
+        """Return where positions left the range by more than `OUTSIDE_POSITION` of it."""
+        return self._distance(q) > OUTSIDE_POSITION * (self.high - self.low)
+
+    def share(self, q: Array) -> Array:
+        """Return the share of the range, held at its ends."""
+        return 0.5 * (scaled(q, self.low, self.high) + 1.0)
+
+    def at(self, share: Array) -> Array:
+        """Return positions from shares."""
+        return self.low + share * (self.high - self.low)
+
+    def _distance(self, q: Array) -> Array:
+        return np.maximum(np.maximum(self.low - q, q - self.high), 0.0)
+
+    def _kept(self, q: Array) -> Array:
+        """Correlation rho (N,) with the edge of the range; 1 inside."""
+        if self.high <= self.low:
+            return np.ones_like(q)
+        kept: Array = np.exp(-0.5 * (self._distance(q) / (FADE * (self.high - self.low))) ** 2)
+        return kept
+
+
+@dataclass(frozen=True)
+class Fourier:
+    """1, cos q, sin q, cos 2q, ...: friction that repeats with every turn of the joint."""
+
+    def size(self, order: int) -> int:
+        """Return the number of functions: the mean and two per harmonic."""
+        return 2 * order + 1
+
+    def values(self, q: Array, order: int) -> Array:
+        """Return the functions (N, 2 order + 1) at any position."""
+        angle = np.outer(q, np.arange(1, order + 1))
+        found = np.ones((len(q), 2 * order + 1))
+        found[:, 1::2], found[:, 2::2] = np.cos(angle), np.sin(angle)
+        return found
+
+    def degrees(self, order: int) -> Array:
+        """Return twice the harmonic: T_2k has k waves over its range, as harmonic k over a turn."""
+        harmonic: Array = np.ceil(np.arange(2 * order + 1) / 2.0)
+        return 2.0 * harmonic
+
+    def mean(self, order: int) -> Array:
+        """Return 1 for the constant, 0 for the waves."""
+        found: Array = np.eye(1, 2 * order + 1)[0]
+        return found
+
+    def novelty(self, q: Array) -> Array:
+        """Return zeros: every angle is known."""
+        return np.zeros((len(q), 2))
+
+    def outside(self, q: Array) -> Mask:
+        """Return False: every angle is known."""
+        return np.zeros(len(q), dtype=np.bool_)
+
+    def share(self, q: Array) -> Array:
+        """Return the share of a turn."""
+        return np.mod(q / (2.0 * np.pi), 1.0)
+
+    def at(self, share: Array) -> Array:
+        """Return angles from shares of a turn."""
+        return 2.0 * np.pi * share
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Position and speed ranges that the basis is made for, and of what kind it is."""
+
+    position: tuple[float, float]  # rad; m where prismatic
+    speed: tuple[float, float]  # rad/s; m/s where prismatic
+    logarithmic: bool = False
+    periodic: bool = False
+
+    @property
+    def over_position(self) -> PositionBasis:
+        """The functions of position."""
+        return Fourier() if self.periodic else Polynomial(*self.position)
+
+    def u(self, v: Array) -> Array:
+        """Return the scaled speed (N,), held in [-1, 1]."""
+        speed = np.clip(np.abs(v), *self.speed)
+        if self.logarithmic:
+            return scaled(np.log(speed), np.log(self.speed[0]), np.log(self.speed[1]))
+        return scaled(speed, *self.speed)
+
+    def basis(self, q: Array, v: Array, position_order: int, velocity_order: int) -> Array:
+        """Return the products (N, size * (l + 1)) of both bases, r fastest, continued beyond both.
+
+        Parameters
+        ----------
+        q, v : (N,) arrays
+            Positions [rad] and velocities [rad/s] of the joint; of v only the size counts.
+        position_order, velocity_order : int
+            Orders m and l.
+        """
+        over_position = self.over_position
+        X = over_position.values(q, position_order)
+        found = tensor(X, _chebyshev(self.u(v), velocity_order))
+        faster = self.faster(v)
+        fast = np.flatnonzero(faster)
+        if fast.size:
+            slope = self.slope(position_order, velocity_order)
+            found[fast] += faster[fast, None] * slope
+        return found
+
+    def faster(self, v: Array) -> Array:
+        """Return by how much speeds (N,) are above the fastest identified one, rad/s."""
+        return np.maximum(np.abs(v) - self.speed[1], 0.0)
+
+    def slower(self, v: Array) -> Array:
+        """Return by what share speeds (N,) are below the slowest identified one."""
+        if self.speed[0] <= 0.0:
+            return np.zeros_like(v)
+        return np.maximum(1.0 - np.abs(v) / self.speed[0], 0.0)
+
+    def slope(self, position_order: int, velocity_order: int) -> Array:
+        """Return the weights of the coefficients in the viscous slope [N m s/rad].
+
+        It is the least-squares slope over the speeds from `SLOPE_FROM` of the fastest one on, of
+        the surface's mean over position.
+        """
+        mean = self.over_position.mean(position_order)
+        return np.outer(mean, _slope_over_speed(self, velocity_order)).ravel()
+
+    def slope_speeds(self) -> Array:
+        """Return the speeds over which the line beyond the fastest speed is fitted, rad/s."""
+        slow, fast = self.speed
+        return np.linspace(max(slow, SLOPE_FROM * fast), fast, _SLOPE_SPEEDS)
+
+    def outside(self, q: Array, v: Array, *, sign_width: float) -> Mask:
+        """Return where position or speed left the identified range; rest has no friction law."""
+        fast = np.abs(v) > (1.0 + OUTSIDE_SPEED) * self.speed[1]
+        slow = (np.abs(v) < (1.0 - OUTSIDE_SPEED) * self.speed[0]) & (np.abs(v) > sign_width)
+        return self.over_position.outside(q) | fast | slow
+
+
+@lru_cache(maxsize=256)
+def _slope_over_speed(scaling: Scaling, order: int) -> Array:
+    """Least-squares slope of T_0 ... T_order (order + 1,) over the speeds of the line."""
+    speeds = scaling.slope_speeds()
+    off = speeds - speeds.mean()
+    power = float(off @ off)
+    if power == 0.0:
+        return np.zeros(order + 1)
+    slope: Array = off @ _chebyshev(scaling.u(speeds), order) / power
+    slope.flags.writeable = False
+    return slope
+
+
+def _chebyshev(z: Array, order: int) -> Array:
+    """Return T_0 ... T_order (N, order + 1) at scaled values (N,)."""
+    return np.asarray(chebvander(z, order), dtype=np.float64)
+
+
+def tensor(over_position: Array, over_speed: Array) -> Array:
+    """Return the products (N, a b) of functions (N, a) and (N, b), the second fastest."""
+    product = over_position[:, :, None] * over_speed[:, None, :]
+    flat: Array = product.reshape(len(over_position), -1)
+    return flat
+
+
+def scaled(value: Array, low: float, high: float) -> Array:
+    """Return values (N,) scaled from [low, high] to [-1, 1] and held there."""
+    if high <= low:
+        return np.zeros_like(value)
+    return np.clip((2 * value - low - high) / (high - low), -1.0, 1.0)

@@ -16,8 +16,9 @@ from seqid_cli.identify.friction_summary import (
     JointFit,
     summarise,
 )
-from seqid_cli.identify.gravity_of_trials import GravityFit, GravityGroup, fit_gravity
+from seqid_cli.identify.gravity_of_trials import GravityFit, fit_gravity
 from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.ramps import without_acceleration
 from seqid_cli.identify.surface_fit import (
     Orders,
     Reduced,
@@ -52,7 +53,6 @@ class UnpairedError(QualityError):
 
 WIDE_RANGE = 4.0  # fastest over slowest speed from which a logarithmic scale is tried
 NARROW_SIGN = 25.0  # the sign is all there at a fifth of the slowest speed
-CLEAR_SIGMA = 5.0
 BLOCK = 8  # neighbouring slices whose errors may share a cause
 
 
@@ -114,7 +114,9 @@ def _identify_joint(
 ) -> JointFit:
     """Fit twice: the first surface shows what acceleration is left in the trials."""
     first = _fit(robot, j, trials, options, thorough=False)
-    steady = [trial for group in first.gravity.groups for trial in without_inertia(group, first)]
+    paired = [trial for group in first.gravity.groups for trial in group.trials]
+    groups = without_acceleration(robot, paired, first.surface)
+    steady = [trial for group in groups for trial in group.trials]
     unpaired = first.gravity.unpaired
     second = _fit(robot, j, steady, options, thorough=True)
     return summarise(robot, j, second, unpaired, options)
@@ -142,34 +144,6 @@ def _fit(
     chosen = _choose(data, chosen[0], options, thorough=thorough)
     surface = _surface(data, *chosen, directional=gravity.directional)
     return Fit(gravity, data, surface, chosen)
-
-
-def without_inertia(group: GravityGroup, fit: Fit) -> list[Trial]:
-    """Take the torque of what acceleration is left (Eq. 25) off the trials of one configuration.
-
-    With one joint moving, its inertia d_kk is one number per configuration. The impulse of the ramp
-    that led up to the speed v gives it without differentiating: the integral of the torque, less
-    those of gravity and friction, is d_kk v.
-    """
-    speeds = np.array([trial.velocity for trial in group.trials])
-    impulses = np.array([_inertial_impulse(group, fit, trial) for trial in group.trials])
-    power = float(speeds @ speeds)
-    inertia = float(speeds @ impulses) / power
-    left = impulses - inertia * speeds
-    error = float(np.sqrt(np.sum((speeds * left) ** 2))) / power
-    if inertia < CLEAR_SIGMA * error:
-        return group.trials
-    return [replace(trial, tau=trial.tau - inertia * trial.ddq) for trial in group.trials]
-
-
-def _inertial_impulse(group: GravityGroup, fit: Fit, trial: Trial) -> float:
-    """Impulse of the ramp, N m s, without gravity's and friction's."""
-    ramp = trial.ramp
-    if not len(ramp.q):
-        return 0.0
-    velocity = trial.velocity * np.linspace(0.0, 1.0, len(ramp.q))
-    known = group.torque(ramp.q) + fit.surface.torque(ramp.q, velocity)
-    return float(np.sum(ramp.tau - known) * ramp.dt)
 
 
 def weighted_by_level(data: list[SpeedData], chosen: Chosen) -> list[SpeedData]:

@@ -6,7 +6,7 @@ Friction is subtracted, gravity enters as a prior with the covariance of its sta
 uncertainties end up in the standard errors. Only joints that slide contribute rows: the torque of
 a locked joint lies anywhere within its stiction. Rotor inertias are parameters of their own,
 acting on their own joint alone (Eq. 43); whether the gyroscopic coupling to the link that carries
-the rotor is there too is asked of the data, as one more parameter that is either near 0 or near 1.
+the rotor is there too is asked of the data (see `rotor_coupling`).
 """
 
 from __future__ import annotations
@@ -29,11 +29,13 @@ from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.parts import reduced
+from seqid_cli.identify.posterior import Posterior, as_matrices, sensitivity_of
 from seqid_cli.identify.rigid_stage import (
     not_excited,
     parameters_of,
     representative_of,
 )
+from seqid_cli.identify.rotor_coupling import Coupling, decide
 from seqid_cli.identify.streaming import open_if_long, pass_over, streams
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
@@ -279,36 +281,54 @@ class InertiaEquations:
 
     def stage(self) -> RigidStage:
         """Solve, decide on the rotor coupling, and describe the result."""
-        prior = gravity_prior(self.stages.gravity, self.basis)
-        kappa = self.basis.size
-        share = float(self.counts[0] / max(self.counts[1], 1.0))
-        coupled = bool(self.rotors.any()) and self._coupled(prior, share)
-        fixed = [joint.with_fixed(kappa, float(coupled)) for joint in self.joints]
-        solution = solve(fixed, prior=prior, iterations=ROUNDS, independent=share)
-        covariance = solution.covariance + self._friction_part(solution, share)
-        return self._describe(solution, covariance, fixed, coupled)
+        coupling = decide(self) if self.rotors.any() else Coupling.none(self.basis.size)
+        fixed = self.with_coupling(float(coupling.used))
+        solution, posterior = self.solved(fixed)
+        posterior = posterior.with_doubt(coupling.doubt)
+        return self._describe(solution, posterior, fixed, coupling)
 
-    def _coupled(self, prior: Prior | None, share: float) -> bool:
-        """Whether the data show the gyroscopic coupling of rotors beyond doubt."""
-        kappa = self.basis.size
-        free = solve(self.joints, prior=_wider(prior), independent=share)
-        least = 0.5 + 2 * float(np.sqrt(free.covariance[kappa, kappa]))
-        return bool(free.determined[kappa] and free.theta[kappa] > least)
+    def with_coupling(self, share: float) -> list[Accumulator]:
+        """The rows of all joints with the share of gyroscopic coupling held at a value."""
+        return [joint.with_fixed(self.basis.size, share) for joint in self.joints]
 
-    def _friction_part(self, solution: Solution, share: float) -> Array:
-        """Covariance that the uncertainty of the friction surfaces adds."""
-        total = np.zeros_like(solution.bread)
-        for j, crossed in self._cross.items():
-            surface = self.surfaces[j]
-            assert surface is not None
-            G = share * solution.bread @ crossed[:-1] / solution.sigma[j] ** 2
-            total += G @ surface.covariance @ G.T
-        return total
+    def solved(self, joints: list[Accumulator]) -> tuple[Solution, Posterior]:
+        """Solve for the base parameters; with the coupling's share, where the rows still have it.
+
+        The gravity stage enters as a prior with its covariance, friction's errors as they come,
+        directly and through gravity.
+        """
+        free = joints[0].size > self.basis.size
+        prior, through = gravity_prior(self.stages.gravity, self.basis), {}
+        if prior is not None and self.stages.gravity is not None:
+            told = sensitivity_of(self.stages.gravity, self.robot.joint_names)
+            rows = whitened(np.array(self.stages.gravity.covariance))
+            through = {j: rows @ S for j, S in told.items()}
+        if free:
+            prior = _wider(prior)
+        share = self.independent_share
+        solution = solve(joints, prior=prior, iterations=ROUNDS, independent=share)
+        size = len(solution.theta)
+        direct = {
+            j: -share * solution.bread @ crossed[:size] / solution.sigma[j] ** 2
+            for j, crossed in self._cross.items()
+        }
+        gain = solution.bread @ prior.A.T if prior is not None else np.zeros((size, 0))
+        return solution, Posterior.of(solution, self.surfaces, direct, gain, through)
+
+    @property
+    def independent_share(self) -> float:
+        """Share of the samples that count as independent beside the gravity stage."""
+        return float(self.counts[0] / max(self.counts[1], 1.0))
 
     def _describe(
-        self, solution: Solution, covariance: Array, joints: list[Accumulator], coupled: bool
+        self,
+        solution: Solution,
+        posterior: Posterior,
+        joints: list[Accumulator],
+        coupling: Coupling,
     ) -> RigidStage:
         robot, basis = self.robot, self.basis
+        covariance = posterior.covariance
         known = {p.name for p in self.stages.gravity.parameters} if self.stages.gravity else set()
         own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
         determined = own[solution.determined[own]]
@@ -326,15 +346,16 @@ class InertiaEquations:
             structural_rank=basis.size,
             representative=representative_of(basis, solution.theta, self.rotors),
             covariance=covariance[np.ix_(determined, determined)].tolist(),
+            friction_sensitivity=as_matrices(posterior.friction, determined, robot.joint_names),
             not_excited=missing,
             rmse=rmse,
-            rotor_coupling="gyroscopic" if coupled else "diagonal",
+            rotor_coupling="gyroscopic" if coupling.used else "diagonal",
             motion={use.log: source_text(use) for use in self.uses},
             motion_use=self.uses,
             missing_pairs=pairs,
             cutoff_hz=float(np.median(self.cutoffs)),
             verdicts=self._verdicts(solution, joints),
-            notes=self._notes(missing, pairs, coupled),
+            notes=self._notes(missing, pairs, coupling),
         )
 
     def _verdicts(self, solution: Solution, joints: list[Accumulator]) -> list[Verdict]:
@@ -353,16 +374,14 @@ class InertiaEquations:
         verdicts.append(Verdict(good=full and solution.condition < POOR_CONDITION, reason=reason))
         return verdicts
 
-    def _notes(self, missing: list[str], pairs: list[list[str]], coupled: bool) -> list[str]:
+    def _notes(self, missing: list[str], pairs: list[list[str]], coupling: Coupling) -> list[str]:
         notes = [cutoff_note(self.cutoffs, self.options.motion)]
         if missing:
             notes.append("not excited by these logs: " + "; ".join(missing))
         if pairs:
             text = ", ".join(" + ".join(pair) for pair in pairs)
             notes.append(f"moving these joints together as well would give full rank: {text}")
-        if coupled:
-            notes.append("the data show rotors coupled to the links that carry them; used as such")
-        return notes
+        return [*notes, *coupling.notes]
 
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:

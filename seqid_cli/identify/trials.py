@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
 from seqid_cli.identify.parts import reduced
@@ -31,36 +31,54 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 SLICES = 64
+WINDOW_S = 0.08  # s, of motion in a ramp that is averaged
+LEAST_WINDOW = 8  # samples
+MOST_ORDER = 12  # of the polynomial in time that a trial's positions follow
 SAME_SPEED = 0.12
 SAME_CONFIGURATION = 0.03  # rad
 
 
 @dataclass(frozen=True)
-class Ramp:
-    """How a trial got up to speed: positions (R,) rad and torques (R,) N m, `dt` s apart."""
+class Ramps:
+    """How the joint of a trial got up to speed and back: means over windows of time.
+
+    `q`, `dq`, `ddq`, `tau` (R,) rad, rad/s, rad/s^2, N m under the same window, so that
+    `tau = I ddq + ...` holds for them as it does at an instant; `weight` samples each.
+    """
 
     q: Array
+    dq: Array
+    ddq: Array
     tau: Array
-    dt: float
+    weight: float = 0.0
+
+    @classmethod
+    def none(cls) -> Ramps:
+        """No window."""
+        return cls(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
 class Trial:
     """One joint at constant velocity.
 
-    `q` (K,) rad and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what acceleration is
-    left, `ramp` how the joint got up to speed, `configuration` (n,) rad where every joint stood,
-    the moving one at the middle of its range.
+    `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
+    acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
+    where every joint stood, the moving one at the middle of its range.
     """
 
     joint: int
     velocity: float
     q: Array
-    tau: Array
+    dq: Array
     ddq: Array
-    ramp: Ramp
+    tau: Array
+    ramps: Ramps
     weight: float  # samples per slice
     configuration: Array
+    t: Array  # (K,) s since the log began
+    seconds: float  # of a slice
+    log: int = 0  # which one
 
     @property
     def speed(self) -> float:
@@ -97,43 +115,86 @@ class TrialsOf:
 
     def __call__(self, recording: Recording | SurveyedLog, number: int) -> list[Trial]:
         """Find them."""
-        del number
         resolution, rate = encoder_resolution(self.robot), recording.rate_hz
         if isinstance(recording, SurveyedLog):
             assert recording.survey is not None
             found = pieces(recording, recording.survey.noise_step(resolution))
-            return [_trial(b.q, b.tau, rate, each) for b, own in found for each in own]
+            return [
+                _trial(b.q, b.tau, rate, each, begin=b.start, log=number)
+                for b, own in found
+                for each in own
+            ]
         tau = torque_of(recording)
         step = noise_step(recording.q, resolution)
         stretches = constant_velocity(recording.q, rate, step=step, valid=recording.valid)
-        return [_trial(recording.q, tau, rate, stretch) for stretch in stretches]
+        return [_trial(recording.q, tau, rate, each, begin=0, log=number) for each in stretches]
 
 
-def _trial(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Trial:
+def _trial(
+    q: Array, tau: Array, rate_hz: float, stretch: Stretch, *, begin: int, log: int
+) -> Trial:
     j = stretch.joint
     slices = int(np.clip(stretch.samples // 4, 4, SLICES))
     length = stretch.samples // slices
     stop = stretch.start + slices * length
     means = tau[stretch.start : stop, j].reshape(slices, length).mean(axis=1)
-    # A cubic through the stretch gives positions finer than the encoder's counts, and what
-    # acceleration a soft controller leaves.
-    time = (np.arange(stop - stretch.start) + 0.5) / (stop - stretch.start) * 2 - 1
-    seconds = (stop - stretch.start) / rate_hz / 2
-    position = q[stretch.start : stop, j]
-    cubic = Polynomial.fit(time, position, 3, domain=[-1, 1], window=[-1, 1])
-    middles = time.reshape(slices, length).mean(axis=1)
-    ramp = slice(stretch.ramp_start, stretch.start)
-    configuration = np.array(stretch.configuration)
+    half = (stop - stretch.start) / rate_hz / 2
+    middles = (np.arange(slices) + 0.5) / slices * 2 - 1
+    path = _path(middles, q[stretch.start : stop, j].reshape(slices, length).mean(axis=1))
+    move = slice(stretch.move_start, stretch.move_stop)
     return Trial(
         j,
         stretch.velocity,
-        np.asarray(cubic(middles), dtype=np.float64),
+        np.asarray(path(middles), dtype=np.float64),
+        np.asarray(path.deriv()(middles) / half, dtype=np.float64),
+        np.asarray(path.deriv(2)(middles) / half**2, dtype=np.float64),
         means,
-        np.asarray(cubic.deriv(2)(middles) / seconds**2, dtype=np.float64),
-        Ramp(q[ramp, j].copy(), tau[ramp, j].copy(), 1 / rate_hz),
+        _ramps(q[move, j], tau[move, j], rate_hz, stretch),
         float(length),
-        configuration,
+        np.array(stretch.configuration),
+        np.asarray((begin + stretch.start) / rate_hz + (middles + 1) * half, dtype=np.float64),
+        length / rate_hz,
+        log,
     )
+
+
+def _path(time: Array, q: Array) -> Chebyshev:
+    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts.
+
+    Its order is that of least BIC: gravity and friction that change with the position leave their
+    trace in the speed that a soft controller holds.
+    """
+    best, least = None, np.inf
+    for order in range(3, min(MOST_ORDER, len(q) // 3) + 1):
+        fit = Chebyshev.fit(time, q, order, domain=[-1, 1])
+        square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
+        score = len(q) * np.log(square) + (order + 1) * np.log(len(q))
+        if score < least:
+            best, least = fit, score
+    return best if best is not None else Chebyshev.fit(time, q, 1, domain=[-1, 1])
+
+
+def _ramps(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Ramps:
+    """Means of a move (N,) under raised cosines that overlap by half, where it speeds up or slows.
+
+    With a window that ends in zeros the means of its derivatives are derivatives of its means:
+    sums over positions times the window's own differences, without differentiating positions.
+    """
+    length = max(LEAST_WINDOW, round(WINDOW_S * rate_hz))
+    window = np.zeros(length + 4)
+    window[2:-2] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+    window /= window.sum()
+    starts = np.arange(0, len(q) - len(window) + 1, max(1, length // 2))
+    middles = starts + len(window) // 2 + stretch.move_start
+    starts = starts[(middles < stretch.start) | (middles >= stretch.stop)]
+    if not len(starts):
+        return Ramps.none()
+    pieces = starts[:, None] + np.arange(len(window))
+    first = -np.gradient(window) * rate_hz
+    second = np.gradient(np.gradient(window)) * rate_hz**2
+    positions = q[pieces]
+    off = positions - positions[:, :1]  # the sums of the differences are zero but for rounding
+    return Ramps(positions @ window, off @ first, off @ second, tau[pieces] @ window, length / 2)
 
 
 def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:

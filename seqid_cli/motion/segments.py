@@ -42,7 +42,8 @@ class Stretch:
     joint: int
     start: int
     stop: int
-    ramp_start: int  # where the move that the stretch is part of left zero velocity
+    move_start: int  # where the move in one direction that the stretch is part of begins
+    move_stop: int
     velocity: float  # rad/s, signed
     configuration: tuple[float, ...]  # mean position of every joint, rad
 
@@ -144,20 +145,21 @@ def _stretches(
     for a, b in _directions(position, rate_hz, step):
         for c, d in _plateaus(position[a:b], rate_hz, step):
             low, high = start + a + c, start + a + d
-            stretch = _stretch(q, rate_hz, joint, low, high, start + a)
+            stretch = _stretch(q, rate_hz, joint, (low, high), (start + a, start + b))
             if abs(stretch.velocity) > 0:
                 result.append(stretch)
     return result
 
 
 def _stretch(
-    q: Array, rate_hz: float, joint: int, start: int, stop: int, ramp_start: int
+    q: Array, rate_hz: float, joint: int, steady: tuple[int, int], move: tuple[int, int]
 ) -> Stretch:
+    start, stop = steady
     time = np.arange(stop - start) / rate_hz
     time -= time.mean()
     slope = float(time @ q[start:stop, joint] / (time @ time))
     where = tuple(float(x) for x in q[start:stop].mean(axis=0))
-    return Stretch(joint, start, stop, ramp_start, slope, where)
+    return Stretch(joint, start, stop, *move, slope, where)
 
 
 def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int, int]]:

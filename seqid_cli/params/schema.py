@@ -148,6 +148,9 @@ class RigidStage(Struct, kw_only=True):
     stage's model; for inertia, of the whole rigid body, gravity included. They are not physical by
     themselves. `encoder_std_errors` are what the parameters' standard errors would be, had the same
     logs been used with encoders alone (empty: they were, or it was not asked).
+    `friction_sensitivity` holds, by joint, the change of every parameter (a row) per change of
+    every entry of that joint's friction `covariance` (a column), through gravity as well: with the
+    covariances it gives that of everything identified with everything.
     """
 
     parameters: list[Parameter]
@@ -156,6 +159,7 @@ class RigidStage(Struct, kw_only=True):
     structural_rank: int = 0
     representative: dict[str, float] = {}
     covariance: Matrix = []
+    friction_sensitivity: dict[str, Matrix] = {}
     not_excited: list[str] = []
     rmse: dict[str, float] = {}
     method: str = "sequential"

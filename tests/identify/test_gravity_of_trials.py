@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.gravity_of_trials import GravityFit, fit_gravity
-from seqid_cli.identify.trials import Ramp, Trial, gravity_columns
+from seqid_cli.identify.trials import Ramps, Trial, gravity_columns
 from seqid_cli.robot.types import Robot
 from tests.robot.robots import arm_6r
 
@@ -26,16 +26,18 @@ def robot() -> Robot:
 
 
 def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
-    still = Ramp(np.zeros(0), np.zeros(0), 0.004)
     return Trial(
         joint=joint,
         velocity=velocity,
         q=q,
+        dq=np.full(len(q), velocity),
+        ddq=np.zeros(len(q)),
         tau=tau,
-        ddq=0.0,
-        ramp=still,
+        ramps=Ramps.none(),
         weight=20.0,
         configuration=configuration,
+        t=np.arange(len(q)) * 0.01,
+        seconds=0.01,
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.trials import (
-    Ramp,
+    Ramps,
     Trial,
     by_joint,
     collect_trials,
@@ -113,11 +113,14 @@ def trial(velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
         joint=1,
         velocity=velocity,
         q=q,
+        dq=np.full(len(q), velocity),
+        ddq=np.zeros(len(q)),
         tau=tau,
-        ddq=0.0,
-        ramp=Ramp(np.zeros(0), np.zeros(0), 0.004),
+        ramps=Ramps.none(),
         weight=10.0,
         configuration=configuration,
+        t=np.arange(len(q)) * 0.01,
+        seconds=0.01,
     )
 
 
@@ -195,9 +198,12 @@ def test_slices_average_position_and_torque() -> None:
         assert own.configuration[0] == pytest.approx(0.4, abs=0.006)
         np.testing.assert_allclose(own.tau, 2.0 * own.q + 1.0, atol=0.01)
         assert np.abs(own.ddq).max() < 0.1 * own.speed
-        # The ramp leads from rest to the speed; its impulse over the speed is the ramp's torque.
-        assert abs(own.ramp.q[0] - own.q[0]) >= abs(own.ramp.q[-1] - own.q[0])
-        np.testing.assert_allclose(own.ramp.tau, 2.0 * own.ramp.q + 1.0, atol=0.02)
+        np.testing.assert_allclose(own.dq, own.velocity, rtol=0.1)
+        # Means over a window of the ramps are those of torque and position alike.
+        np.testing.assert_allclose(own.ramps.tau, 2.0 * own.ramps.q + 1.0, atol=0.02)
+        assert np.abs(own.ramps.dq).min() < 0.5 * own.speed
+        assert own.ramps.ddq.max() > 2.0
+        assert own.ramps.ddq.min() < -2.0
         assert len(own.q) * own.weight <= len(reference.q)
 
 

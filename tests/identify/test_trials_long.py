@@ -82,11 +82,11 @@ def test_the_trials_are_those_of_the_held_log(
     assert len(found) == len(expected) > 10
     for own, other in zip(found, expected, strict=True):
         assert (own.joint, own.velocity, own.weight) == (other.joint, other.velocity, other.weight)
-        for name in ("q", "tau", "ddq", "configuration"):
+        for name in ("t", "q", "dq", "ddq", "tau", "configuration"):
             np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
-        np.testing.assert_array_equal(own.ramp.q, other.ramp.q)
-        np.testing.assert_array_equal(own.ramp.tau, other.ramp.tau)
-        assert own.ramp.q.base is None  # no trial keeps its piece of the log alive
+        for name in ("q", "dq", "ddq", "tau"):
+            np.testing.assert_array_equal(getattr(own.ramps, name), getattr(other.ramps, name))
+            assert getattr(own.ramps, name).base is None  # no trial keeps its log alive
 
 
 def test_short_logs_are_held(robot: Robot, tmp_path: Path) -> None:

@@ -205,6 +205,7 @@ def _residual(joint: JointResidual) -> ResidualEntry:
     return ResidualEntry(
         rmse=joint.rmse if counted else None,
         noise_floor=joint.noise_floor if counted else None,
+        noise_floor_interval=list(joint.noise_floor_interval) if counted else [],
         white=joint.white,
         rmse_explained=joint.rmse_explained if counted else None,
         samples=joint.samples,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,7 +88,9 @@ def run(
 ) -> int:
     """Predict the joint torques of any logs and compare them with the measured ones.
 
-    The error is given per joint in N m and relative to the RMS of the measured torque.
+    The error is given per joint over the samples in which it slides, in N m and relative to the RMS
+    of the measured torque there. At rest friction is an interval: the error over all samples counts
+    the distance to it.
     """
     if output is not None and torques is not None and output.resolve() == torques.resolve():
         message = "-o and --torques name the same file"
@@ -135,6 +138,7 @@ def _predict(
 ) -> PredictionFile:
     from seqid_cli.commands.prediction_errors import ErrorSums
     from seqid_cli.identify.predict import predict
+    from seqid_cli.identify.prediction import lacking
     from seqid_cli.model.effects.fitted import effect_notes
 
     names = job.robot.joint_names
@@ -159,6 +163,7 @@ def _predict(
                 own = slid = none
     joints = _joints(overall, sliding, names)
     used = list(present(job.stages))
+    lacks = lacking(job.stages, job.robot)
     return PredictionFile(
         schema=PREDICTION_SCHEMA,
         created=now(),
@@ -169,8 +174,12 @@ def _predict(
         stages=used,
         joints=joints,
         logs=logs,
-        verdicts=[_verdict(name, error) for name, error in joints.items() if error.samples_sliding],
-        notes=[*told, *_notes(used, joints), *account.notes()],
+        verdicts=[
+            _verdict(name, error, lacks.get(name, ()))
+            for name, error in joints.items()
+            if error.samples
+        ],
+        notes=[*told, *_notes(joints), *account.notes()],
     )
 
 
@@ -199,36 +208,36 @@ def _log_error(log: LogPrediction, joints: dict[str, JointError]) -> LogPredicti
 
 
 def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
-    # A joint that never slides is only held within its stiction: nothing to judge it by.
-    judged = [sliding.samples(index) > 0 for index in range(len(names))]
     return {
         name: JointError(
-            rmse=sums.rmse(index) if judged[index] else None,
-            relative_rmse=sums.relative_rmse(index) if judged[index] else None,
-            max_abs=sums.largest(index) if judged[index] else None,
-            samples=sums.samples(index),
-            rmse_sliding=sliding.rmse(index),
-            samples_sliding=sliding.samples(index),
+            rmse=sliding.rmse(index),
+            relative_rmse=sliding.relative_rmse(index),
+            max_abs=sliding.largest(index),
+            samples=sliding.samples(index),
+            rmse_all=sums.rmse(index),
+            samples_all=sums.samples(index),
+            share_sliding=_share(sliding.samples(index), sums.samples(index)),
         )
         for index, name in enumerate(names)
     }
 
 
-def _notes(stages: list[str], joints: dict[str, JointError]) -> list[str]:
-    notes = [] if "inertia" in stages else ["the parameters hold no inertia stage"]
-    still = [name for name, error in joints.items() if not error.samples_sliding]
-    if still:
-        notes.append(f"never slides in these logs and is not judged: {', '.join(still)}")
-    return notes
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
 
 
-def _verdict(name: str, error: JointError) -> Verdict:
-    share = error.relative_rmse
+def _notes(joints: dict[str, JointError]) -> list[str]:
+    still = [name for name, error in joints.items() if not error.samples]
+    return [f"never slides in these logs and is not judged: {', '.join(still)}"] if still else []
+
+
+def _verdict(name: str, error: JointError, lacks: Sequence[str]) -> Verdict:
+    """A joint is poor where the model lacks something of it, or its error is too large."""
+    share, reasons = error.relative_rmse, list(lacks)
     if share is None or share > MAX_RELATIVE_RMSE:
         limit = percent(MAX_RELATIVE_RMSE)
-        reason = f"the error is {percent(share)} of the torque's RMS, above {limit}"
-        return Verdict(joint=name, good=False, reason=reason)
-    return Verdict(joint=name, good=True)
+        reasons.append(f"the error is {percent(share)} of the torque's RMS, above {limit}")
+    return Verdict(joint=name, good=not reasons, reason="; ".join(reasons))
 
 
 def _show(screen: Screen, file: PredictionFile) -> None:
@@ -237,14 +246,14 @@ def _show(screen: Screen, file: PredictionFile) -> None:
             name,
             number(error.rmse),
             percent(error.relative_rmse),
-            number(error.rmse_sliding),
             number(error.max_abs),
-            str(error.samples),
-            verdict_text(file.verdicts, name),
+            percent(error.share_sliding),
+            number(error.rmse_all),
+            verdict_text(file.verdicts, name) if error.samples else "not judged",
         )
         for name, error in file.joints.items()
     ]
-    columns = ("joint", "RMSE N m", "relative", "sliding N m", "largest N m", "samples", "verdict")
+    columns = ("joint", "RMSE N m", "relative", "largest N m", "slides in", "all N m", "verdict")
     screen.table(columns, rows)
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     for note in notes:

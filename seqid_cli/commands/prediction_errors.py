@@ -21,6 +21,7 @@ from seqid_cli.params.files import replacing, writing
 
 _ROWS = 65536  # per row group
 _KINDS = ("torque", "predicted", "residual")
+_REST = ("low", "high")
 _MOTION = ("position", "velocity")
 
 
@@ -42,11 +43,11 @@ class ErrorSums:
     def of(cls, log: LogPrediction, *, sliding: bool) -> ErrorSums:
         """Return the sums over one log.
 
-        At rest friction takes any value up to its limit and the error is the distance to that
-        interval; `sliding` leaves those samples out.
+        Over the samples that slide, or over all that count: at rest friction takes any value up to
+        its limit, and the error is the distance to that interval.
         """
-        counts = log.used[:, None] & (log.sliding if sliding else np.ones_like(log.sliding))
-        error = np.where(counts, log.tau - log.predicted, 0.0)
+        counts = log.sliding if sliding else np.broadcast_to(log.used[:, None], log.tau.shape)
+        error = np.where(counts, log.residual if sliding else log.beyond, 0.0)
         torque = np.where(counts, log.tau, 0.0)
         return cls(
             count=counts.sum(axis=0, dtype=np.int64),
@@ -86,9 +87,11 @@ class ErrorSums:
 
 
 class TorqueWriter:
-    """Writes `t`, `log`, three torque columns per joint, then what they are looked at over.
+    """Writes `t`, `log`, torques of each joint, then what they are looked at over.
 
-    That is `used` (whether the errors count the sample) and position and velocity of each joint.
+    Of a joint: measured, predicted and residual torque, whether it slides, and at rest (else null)
+    the bounds of what the model allows. Then `used` (whether the errors count the sample), and
+    position and velocity of each joint.
     """
 
     def __init__(self, path: Path, writer: pq.ParquetWriter, schema: pa.Schema) -> None:
@@ -101,7 +104,10 @@ class TorqueWriter:
     def open(cls, path: Path, joints: Sequence[str]) -> Iterator[TorqueWriter]:
         """Write to `path` in one step: an interrupted run leaves the old file or none."""
         fields = [("t", pa.float64()), ("log", pa.string())]
-        fields += [(f"{name}.{kind}", pa.float64()) for name in joints for kind in _KINDS]
+        for name in joints:
+            fields += [(f"{name}.{kind}", pa.float64()) for kind in _KINDS]
+            fields += [(f"{name}.sliding", pa.bool_())]
+            fields += [(f"{name}.{kind}", pa.float64()) for kind in _REST]
         fields += [("used", pa.bool_())]
         fields += [(f"{name}.{kind}", pa.float64()) for name in joints for kind in _MOTION]
         schema = pa.schema(fields)
@@ -116,8 +122,10 @@ class TorqueWriter:
     def write(self, log: LogPrediction) -> None:
         """Append a log, or the next part of one, all its samples."""
         columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
-        for tau, predicted in zip(log.tau.T, log.predicted.T, strict=True):
-            columns += [pa.array(tau), pa.array(predicted), pa.array(tau - predicted)]
+        for j in range(log.tau.shape[1]):
+            columns += [pa.array(x[:, j]) for x in (log.tau, log.predicted, log.residual)]
+            columns.append(pa.array(log.sliding[:, j]))
+            columns += [pa.array(x[:, j], mask=log.sliding[:, j]) for x in (log.low, log.high)]
         columns.append(pa.array(log.used))
         for joint in range(log.tau.shape[1]):
             for values in (log.q, log.dq):

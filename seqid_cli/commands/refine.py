@@ -207,6 +207,7 @@ def _closed_loop(
         before=_rmse(loop.before),
         after=_rmse(loop.after),
         noise_floor=dict(loop.noise_floor),
+        noise_floor_interval={name: list(x) for name, x in loop.noise_floor_interval.items()},
         gain_interval={name: list(limits) for name, limits in loop.gain_interval.items()},
         evaluated_on=list(loop.evaluated_on),
         held_out=held_out,

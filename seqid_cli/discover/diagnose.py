@@ -363,6 +363,7 @@ def _joints(found: Investigation, robot: Robot) -> dict[str, JointResidual]:
         name: JointResidual(
             rmse=float(found.start[j]),
             noise_floor=float(found.floor.rms[j]),
+            noise_floor_interval=found.floor.interval(j),
             white=bool(whites[j]),
             rmse_explained=float(rms[j]),
             samples=rows.count(j),

@@ -42,30 +42,25 @@ LEAST_GAIN = 0.005  # of the squared error, from which a gain is worth an effect
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """Squared error (N m)^2 and samples (B, n) of every block, over all samples that count.
+    """Squared error (N m)^2 and samples (B, n) of every block, where a joint certainly slides.
 
-    `sliding`, `sliding_samples` (B, n) are the same where a joint certainly slides.
+    At rest the model says an interval: a wider one always fits better, and nothing is gained by it.
     """
 
     squares: Array
     samples: Array
-    sliding: Array
-    sliding_samples: Array
 
     def beside(self, other: HeldOutError) -> HeldOutError:
         """The blocks of both."""
-        pairs = zip(self._parts, other._parts, strict=True)
-        return HeldOutError(*(np.vstack(pair) for pair in pairs))
-
-    @property
-    def _parts(self) -> tuple[Array, Array, Array, Array]:
-        return self.squares, self.samples, self.sliding, self.sliding_samples
+        return HeldOutError(
+            np.vstack([self.squares, other.squares]), np.vstack([self.samples, other.samples])
+        )
 
     def rmse(self) -> Array:
-        """RMS error (n,) N m as `predict` reports it; NaN for a joint that is not judged."""
-        judged = self.sliding_samples.sum(axis=0) > 0
-        mean = self.squares.sum(axis=0) / np.maximum(self.samples.sum(axis=0), 1.0)
-        return np.where(judged, np.sqrt(mean), np.nan)
+        """RMS error (n,) N m as `predict` reports it; NaN for a joint that never slides."""
+        count = self.samples.sum(axis=0)
+        mean = self.squares.sum(axis=0) / np.maximum(count, 1.0)
+        return np.where(count > 0, np.sqrt(mean), np.nan)
 
 
 @dataclass(frozen=True)
@@ -95,21 +90,27 @@ def held_out_error(
     options: InertiaOptions,
     unexplained: bool = False,
 ) -> HeldOutError:
-    """Predict logs and add up the squared errors, block by block."""
+    """Predict logs and add up the squared errors, block by block.
+
+    Two models are compared on the same samples where `options.slides_from` is given.
+    """
     sums: list[_Sums] = []
     logs = cast("Iterable[Recording]", recordings)  # those that are passed over are predicted alike
     for log in predict(logs, robot, stages, options=options, unexplained=unexplained):
         if log.part == 0:
             sums.append(_Sums.of(log))
         sums[-1].add(log)
-    return HeldOutError(*(np.vstack([own.sums[k] for own in sums]) for k in range(4)))
+    return HeldOutError(
+        np.vstack([own.squares for own in sums]), np.vstack([own.counts for own in sums])
+    )
 
 
 @dataclass
 class _Sums:
     """Sums over the blocks of one log, whose samples come in parts."""
 
-    sums: list[Array]  # (B, n), in the order of HeldOutError
+    squares: Array  # (B, n), as in HeldOutError
+    counts: Array
     samples: int
     seen: int = 0
 
@@ -122,19 +123,16 @@ class _Sums:
             length *= first.samples / len(first.t)
             count = min(max(FEWEST_BLOCKS, round(length / BLOCK_S)), MOST_BLOCKS)
         n = first.tau.shape[1]
-        return cls([np.zeros((count, n)) for _ in range(4)], first.samples)
+        return cls(np.zeros((count, n)), np.zeros((count, n)), first.samples)
 
     def add(self, log: LogPrediction) -> None:
         """Add the next samples."""
-        count = len(self.sums[0])
+        count = len(self.squares)
         at = np.arange(self.seen, self.seen + len(log.t))
         self.seen += len(log.t)
         block = np.minimum(at * count // self.samples, count - 1)
-        square = (log.tau - log.predicted) ** 2
-        used = np.repeat(log.used[:, None], square.shape[1], axis=1)
-        for k, counts in zip((0, 2), (used, used & log.sliding), strict=True):
-            self.sums[k] += _by_block(block, count, np.where(counts, square, 0.0))
-            self.sums[k + 1] += _by_block(block, count, counts.astype(np.float64))
+        self.squares += _by_block(block, count, np.where(log.sliding, log.residual**2, 0.0))
+        self.counts += _by_block(block, count, log.sliding.astype(np.float64))
 
 
 def _by_block(block: NDArray[np.intp], count: int, values: Array) -> Array:
@@ -190,14 +188,11 @@ def gain(
     joints: Collection[int],
     rng: np.random.Generator,
 ) -> Gain:
-    """Compare two models on the same logs at some joints, each weighed by its error before.
-
-    Where joints slide counts: at rest a wider interval of friction always fits better.
-    """
-    chosen = [j for j in sorted(joints) if before.sliding[:, j].sum() > 0]
+    """Compare two models on the same samples at some joints, each weighed by its error before."""
+    chosen = [j for j in sorted(joints) if before.squares[:, j].sum() > 0]
     if not chosen:
         return Gain(0.0, 0.0, 0.0)
-    old, new = before.sliding[:, chosen], after.sliding[:, chosen]
+    old, new = before.squares[:, chosen], after.squares[:, chosen]
     weight = 1.0 / np.maximum(old.sum(axis=0), 1e-300)
     draws = rng.integers(0, len(old), (DRAWS, len(old)))
     counts = np.stack([np.bincount(d, minlength=len(old)) for d in draws]).astype(np.float64)

@@ -15,12 +15,11 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Tried
 from seqid_cli.discover.events import Interval
-from seqid_cli.discover.floor import noise_floor
+from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.heldout import (
     LEAST_GAIN,
     HeldOutError,
@@ -38,14 +37,13 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.search import Search
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.discover.withdraw import withdraw_idle
+from seqid_cli.identify.prediction import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
+from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.diagnosis_schema import MORE_THAN_NOISE
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-
 
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
@@ -94,6 +92,7 @@ def refine(
     """
     training, notes = usable_logs(training, robot)
     held_out, more = usable_logs(held_out, robot)
+    options = on_the_same_samples(options, file.stages, robot)
     material = Material(tuple(training), earlier, robot, options)
     known = fitted_effects(file.stages, robot, unexplained=True)
     bare = msgspec.structs.replace(file.stages, effects=None)
@@ -109,6 +108,12 @@ def refine(
     stages = with_effects(loop.model, robot)
     before, after, said = _reported(loop, error, file.stages, stages, whole)
     return stages, _closed(loop, before, after, (*notes, *more, *said))
+
+
+def on_the_same_samples(options: DiscoverOptions, stages: Stages, robot: Robot) -> DiscoverOptions:
+    """Options by which all models are judged where joints slide by the friction of these stages."""
+    slowest = slides_from(TorqueModel.from_stages(stages, robot), options.motion)
+    return replace(options, motion=replace(options.motion, slides_from=tuple(slowest.tolist())))
 
 
 def _reported(
@@ -295,29 +300,29 @@ def _closed(
 ) -> ClosedLoop:
     robot = loop.material.robot
     old, new = before.rmse(), after.rmse()
-    # What was measured bounds the noise in it.
-    floor = np.fmin(_floor(loop), new)
+    floor = _floor(loop)
     judged = [j for j in range(robot.n) if np.isfinite(old[j]) and np.isfinite(new[j])]
     names = {j: robot.joint_names[j] for j in judged}
     changes = {names[j]: gain(before, after, [j], loop.rng) for j in judged}
     lost = [f"{name} ({-100 * g.value:.1f} %)" for name, g in changes.items() if g.loses]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
-    loud = [j for j in judged if new[j] > MORE_THAN_NOISE * floor[j]]
-    times = ", ".join(f"{names[j]} ({new[j] / floor[j]:.1f} times)" for j in loud)
+    loud = [j for j in judged if new[j] > MORE_THAN_NOISE * floor.rms[j]]
+    times = ", ".join(f"{names[j]} ({new[j] / floor.rms[j]:.1f} times)" for j in loud)
     more = f"more is left than torque noise and encoder account for: {times}; {ASK}"
     return ClosedLoop(
         rounds=tuple(loop.rounds),
         before={names[j]: float(old[j]) for j in judged},
         after={names[j]: float(new[j]) for j in judged},
-        noise_floor={names[j]: float(floor[j]) for j in judged},
+        noise_floor={names[j]: float(floor.rms[j]) for j in judged},
+        noise_floor_interval={names[j]: floor.interval(j) for j in judged},
         gain_interval={name: (g.low, g.high) for name, g in changes.items()},
         evaluated_on=tuple(dict.fromkeys(str(log.path) for log in loop.held_out)),
         notes=(*notes, *((said,) if lost else ()), *((more,) if loud else ())),
     )
 
 
-def _floor(loop: Loop) -> Array:
-    """Noise floor (n,) N m of the held-out logs; the training logs help to find it."""
+def _floor(loop: Loop) -> NoiseFloor:
+    """Noise floor of the held-out logs; the training logs help to find it."""
     material, model = loop.material, loop.model
     logs = [*loop.held_out, *material.training]
     freed = material.freed(logs, model.stages, model.effects)
@@ -325,5 +330,4 @@ def _floor(loop: Loop) -> Array:
     rows = rows_of(scenes)
     left = [whole.residual for whole in base_of(rows, model.stages).whole]
     judged = range(len(loop.held_out))
-    floor: Array = noise_floor(freed, scenes, rows, left, judged).rms
-    return floor
+    return noise_floor(freed, scenes, rows, left, judged)

@@ -52,10 +52,14 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class JointResidual:
-    """Residual of one joint [N m]: as the model stands, its noise floor, and with the findings."""
+    """Residual of one joint [N m]: as the model stands, its noise floor, and with the findings.
+
+    `noise_floor_interval` is of the floor, 95 %.
+    """
 
     rmse: float
     noise_floor: float
+    noise_floor_interval: tuple[float, float]
     white: bool
     rmse_explained: float
     samples: int
@@ -118,6 +122,7 @@ class ClosedLoop:
     before: Mapping[str, float]
     after: Mapping[str, float]
     noise_floor: Mapping[str, float]
+    noise_floor_interval: Mapping[str, tuple[float, float]]  # 95 %
     gain_interval: Mapping[str, tuple[float, float]]  # of 1 - (after / before)^2, 95 %
     evaluated_on: tuple[str, ...]
     notes: tuple[str, ...] = ()

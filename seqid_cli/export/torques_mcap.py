@@ -1,9 +1,10 @@
 """Measured, predicted and residual torque as MCAP, for Foxglove, PlotJuggler and rerun.
 
-Three topics of `sensor_msgs/msg/JointState` in CDR, as ROS 2 records them: `effort` holds the
-torque, `position` and `velocity` the motion behind the prediction, `header.frame_id` the name of
-the log. A log without a clock, or one that would run into the log before it, starts a second after
-that one; the metadata record `seqid.logs` says where each log went.
+Topics of `sensor_msgs/msg/JointState` in CDR, as ROS 2 records them: `effort` holds the torque
+(`low` and `high` what the model allows: at rest an interval, else the predicted value), `position`
+and `velocity` the motion behind the prediction, `header.frame_id` the name of the log. A log
+without a clock, or one that would run into the log before it, starts a second after that one; the
+metadata record `seqid.logs` says where each log went.
 
 Every message of one log has the same layout, so that messages are filled in as rows of bytes.
 """
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-TOPICS = ("/seqid/measured", "/seqid/predicted", "/seqid/residual")
+TOPICS = ("/seqid/measured", "/seqid/predicted", "/seqid/residual", "/seqid/low", "/seqid/high")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 _PAUSE_S = 1.0
 _LATEST_S = 2.0**31  # seconds of a ROS 2 stamp are 32 bits
@@ -76,7 +77,7 @@ class McapTorqueWriter:
         stamps = self._stamps(log)
         tables = [
             _messages(stamps, str(log.path), self._joints, log.q, log.dq, torque)
-            for torque in (log.tau, log.predicted, log.tau - log.predicted)
+            for torque in (log.tau, log.predicted, log.residual, log.low, log.high)
         ]
         with writing(self._path):
             for k, stamp in enumerate(stamps.tolist()):

@@ -23,7 +23,13 @@ class FrictionOptions:
 
 @dataclass(frozen=True)
 class InertiaOptions:
-    """`source` is where joint motion comes from: "auto", "encoder", "imu" or "fused"."""
+    """`source` is where joint motion comes from: "auto", "encoder", "imu" or "fused".
+
+    `slides_from` are the speeds [rad/s; m/s where prismatic], one per joint, from which a joint
+    certainly slides in a prediction. None: what the model's own friction says. Errors of two models
+    are compared on the same samples only where both have the same.
+    """
 
     motion: MotionOptions = field(default_factory=MotionOptions)
     source: str = "auto"
+    slides_from: tuple[float, ...] | None = None

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.identify.inertia import slowest_speeds
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.parts import mapped
 from seqid_cli.identify.predict_long import LongPrediction, local_effects
-from seqid_cli.identify.prediction import LogPrediction, notes_on
+from seqid_cli.identify.prediction import LogPrediction, notes_on, slides_from
 from seqid_cli.identify.streaming import open_if_long, streams
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
@@ -112,12 +111,13 @@ def _predict_log(
     motion = best_motion(recording, robot, stages.imu, encoder, source=options.source)
     torque_of(recording)
     assert motion.tau is not None
-    slowest = slowest_speeds(model.surfaces)
+    slowest = slides_from(model, options)
     slides = sliding(motion, slowest)
     added = None
     if effects:
         scene = scene_of_log(recording, robot, model, motion)
         added = added_torque(scene, recording, effects, slowest)
+    allowed = model.predict_set(motion, slides, added)
     outside = model.outside(motion) & slides
     share = outside.sum(axis=0) / np.maximum(slides.sum(axis=0), 1)
     return LogPrediction(
@@ -127,7 +127,9 @@ def _predict_log(
         cutoff_hz=motion.cutoff.hz,
         t=motion.t,
         tau=motion.tau,
-        predicted=model.predict_set(motion, slides, added),
+        predicted=allowed.value,
+        low=allowed.low,
+        high=allowed.high,
         used=motion.usable,
         sliding=slides,
         notes=tuple(notes_on(model.surfaces, robot, stages, share)),

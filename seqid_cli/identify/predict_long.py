@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.inertia import slowest_speeds
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction import LogPrediction, notes_on
+from seqid_cli.identify.prediction import LogPrediction, notes_on, slides_from
 from seqid_cli.identify.streaming import chosen_cutoff, overlapping, too_short
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.stored import local_copy
@@ -54,6 +53,7 @@ class LongPrediction:
     plan: Plan
     model: TorqueModel
     stages: Stages
+    slides_from: tuple[float, ...]  # rad/s, by joint
     effects: tuple[Fitted, ...] = ()
 
     @classmethod
@@ -68,7 +68,9 @@ class LongPrediction:
         """Choose how the log is filtered; the effects must be `local_effects`."""
         cutoff, step = chosen_cutoff(log, model.robot, options.motion)
         plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
-        return cls(replace(log, survey=None), log.sha256, plan, model, stages, tuple(effects))
+        slowest = tuple(slides_from(model, options).tolist())
+        log = replace(log, survey=None)
+        return cls(log, log.sha256, plan, model, stages, slowest, tuple(effects))
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the temporary file, which is of this process."""
@@ -84,7 +86,7 @@ class LongPrediction:
         """
         lowpass = self.plan.lowpass
         margin = 2 * (lowpass.memory + lowpass.settling)
-        slowest = slowest_speeds(self.model.surfaces)
+        slowest = np.array(self.slides_from)
         outside = slides = np.zeros(self.model.robot.n, dtype=np.int64)
         moving = np.zeros(self.model.robot.n, dtype=bool)
         usable = False
@@ -119,7 +121,7 @@ class LongPrediction:
         """Predict samples [start, stop) of the motion; returns also which are outside friction."""
         slides = sliding(motion, slowest)
         added = self._added(motion, slowest) if self.effects else None
-        predicted = self.model.predict_set(motion, slides, added)
+        allowed = self.model.predict_set(motion, slides, added)
         inner = slice(start, stop)
         own = part_of(motion, start, stop)
         assert own.tau is not None
@@ -130,7 +132,9 @@ class LongPrediction:
             cutoff_hz=motion.cutoff.hz,
             t=own.t,
             tau=own.tau,
-            predicted=predicted[inner],
+            predicted=allowed.value[inner],
+            low=allowed.low[inner],
+            high=allowed.high[inner],
             used=own.usable,
             sliding=slides[inner],
             q=own.q,

@@ -9,8 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.identify.inertia import slowest_speeds
+from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.torque import TorqueModel, friction_surfaces
 from seqid_cli.params.schema import MotionUse, Stages
+from seqid_cli.robot.base import free_basis
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -23,11 +27,12 @@ OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a 
 class LogPrediction:
     """Measured and predicted torque (N, n) N m of one log, both low-passed alike.
 
-    `used` (N,) marks the samples that count, away from ends and gaps; `sliding` (N, n) those at
-    which a joint certainly slides. Elsewhere friction is known only as an interval, and
-    `predicted` is the value of it that lies nearest to the measured torque. `q`, `dq`, `ddq`
-    (N, n) are the joint motion behind the prediction, `start` [s] is the first sample of
-    the log on its own clock.
+    `predicted` is the model's own value, whatever was measured. `used` (N,) marks the samples that
+    count, away from ends and gaps; `sliding` (N, n) those of them at which a joint certainly
+    slides. Elsewhere friction is known only as an interval, and the model allows torques between
+    `low` and `high` (N, n) N m; where the joint slides these are `predicted`. `q`, `dq`, `ddq`
+    (N, n) are the joint motion behind the prediction, `start` [s] is the first sample of the log
+    on its own clock.
 
     A long log comes in several parts, one behind the other: `samples` are those of the whole log,
     `part` counts its parts from 0, and only the `last` one has `notes` and `motion`.
@@ -40,6 +45,8 @@ class LogPrediction:
     t: Array
     tau: Array
     predicted: Array
+    low: Array
+    high: Array
     used: Mask
     sliding: Mask
     notes: tuple[str, ...] = ()
@@ -50,6 +57,36 @@ class LogPrediction:
     start: float = 0.0
     part: int = 0
     last: bool = True
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus predicted torque (N, n) N m."""
+        return self.tau - self.predicted
+
+    @property
+    def beyond(self) -> Array:
+        """Measured torque minus the nearest that the model allows (N, n) N m."""
+        return self.tau - np.clip(self.tau, self.low, self.high)
+
+
+def slides_from(model: TorqueModel, options: InertiaOptions) -> Array:
+    """Speeds (n,) rad/s (m/s where prismatic) from which joints certainly slide."""
+    if options.slides_from is not None:
+        return np.array(options.slides_from)
+    return slowest_speeds(model.surfaces)
+
+
+def lacking(stages: Stages, robot: Robot) -> dict[str, list[str]]:
+    """What the file does not hold of each joint's torque, though there is something to identify."""
+    found: dict[str, list[str]] = {name: [] for name in robot.joint_names}
+    without_inertia = stages.inertia is None and not free_basis(robot).gravity.all()
+    surfaces = friction_surfaces(stages, robot)
+    for name, surface in zip(robot.joint_names, surfaces, strict=True):
+        if surface is None:
+            found[name].append("the file holds no friction of this joint")
+        if without_inertia:
+            found[name].append("the file holds no inertia stage")
+    return found
 
 
 def notes_on(

@@ -47,6 +47,20 @@ class Added:
 
 
 @dataclass(frozen=True)
+class Predicted:
+    """What the model says of the torque of a log, whatever was measured there.
+
+    `value` (N, n) N m is the model's own: rigid body, friction surface and effects. Coulomb's law
+    at rest is an interval, and `low`, `high` (N, n) N m bound what the model allows: where a joint
+    slides, `value` alone.
+    """
+
+    value: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
 class TorqueModel:
     """Everything identified so far, ready to predict.
 
@@ -101,26 +115,27 @@ class TorqueModel:
         rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
         return rigid, motion.filtered(sampled_friction(self.surfaces, motion), times=2)
 
-    def predict_set(self, motion: Motion, slides: Mask, added: Added | None = None) -> Array:
-        """Torque (N, n) N m where joints slide; at rest the value nearest to the measured one.
+    def predict_set(self, motion: Motion, slides: Mask, added: Added | None = None) -> Predicted:
+        """Torque that the model allows: one value where joints slide, an interval at rest.
 
-        Coulomb's law at rest is an interval: friction takes whatever value balances, up to what it
-        has at the slowest speed. The residual at rest is the distance to that interval. What
-        effects add is there in either state.
+        At rest friction takes whatever value balances, up to what it has at the slowest speed; the
+        interval holds the model's own value as well, which near the onset of motion may lie beyond.
+        What effects add is there in either state. The measured torque plays no part.
         """
-        assert motion.tau is not None
         rigid, friction = self._terms(motion)
         if added is not None:
             rigid = rigid + added.torque
-        predicted = rigid + friction
+        value = rigid + friction
+        low, high = value.copy(), value.copy()
         for j, surface in enumerate(self.surfaces):
             if surface is not None:
-                low, high = surface.at_rest(motion.q[:, j])
+                least, most = surface.at_rest(motion.q[:, j])
                 if added is not None:
-                    low, high = low + added.low[:, j], high + added.high[:, j]
-                held = rigid[:, j] + np.clip(motion.tau[:, j] - rigid[:, j], low, high)
-                predicted[:, j] = np.where(slides[:, j], predicted[:, j], held)
-        return predicted
+                    least, most = least + added.low[:, j], most + added.high[:, j]
+                rests = ~slides[:, j]
+                low[rests, j] = np.minimum(value[:, j], rigid[:, j] + least)[rests]
+                high[rests, j] = np.maximum(value[:, j], rigid[:, j] + most)[rests]
+        return Predicted(value, low, high)
 
     def outside(self, motion: Motion) -> Mask:
         """Samples (N, n) at which a joint's friction was never identified."""

@@ -109,11 +109,12 @@ def _closed_loop(key: str, loop: ClosedLoop, joints: Sequence[str]) -> Iterable[
             yield from _interval(f"{key}.{name}[{index}].interval", tried.interval)
             if tried.accepted != (name == "rounds"):
                 yield f"{key}.{name}[{index}].accepted", f"contradicts its place in {name}"
-    for name in ("before", "after", "noise_floor", "gain_interval"):
+    for name in ("before", "after", "noise_floor", "noise_floor_interval", "gain_interval"):
         for joint in getattr(loop, name):
             yield from _known(f"{key}.{name}", joint, joints)
-    for joint, interval in loop.gain_interval.items():
-        yield from _interval(f"{key}.gain_interval.{joint}", interval)
+    for name in ("gain_interval", "noise_floor_interval"):
+        for joint, interval in getattr(loop, name).items():
+            yield from _interval(f"{key}.{name}.{joint}", interval)
 
 
 def _interval(key: str, interval: Sequence[float]) -> Iterable[_Problem]:

@@ -71,11 +71,14 @@ class UnexplainedPart(Struct, kw_only=True):
 class ResidualEntry(Struct, kw_only=True):
     """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
 
-    Numbers are null where no sample counts. `white` says that nothing but noise is left.
+    `noise_floor` is what torque noise alone leaves, estimated by itself, and
+    `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts. `white` says
+    that nothing but noise is left.
     """
 
     rmse: float | None
     noise_floor: float | None
+    noise_floor_interval: list[float] = []
     white: bool
     rmse_explained: float | None
     samples: int

@@ -17,18 +17,20 @@ class FileId(Struct, kw_only=True):
 class JointError(Struct, kw_only=True):
     """Error of the predicted torque of one joint, N m.
 
-    `relative_rmse` is `rmse` over the RMS of the measured torque on the same samples. At rest the
-    model says an interval, and the error is the distance to it; `rmse_sliding` leaves such samples
-    out and counts `samples_sliding`. Numbers are null where there is nothing
-    to compute them from (no sample counted, no torque measured).
+    `rmse`, `relative_rmse` (to the RMS of the measured torque) and `max_abs` are over the `samples`
+    in which the joint slides. `rmse_all` is over all `samples_all` that count: at rest the model
+    says an interval, and the error is the distance to it. `share_sliding` is `samples` over
+    `samples_all`. Numbers are null where there is nothing to compute them from: a joint that never
+    slides has no `rmse` and is not judged.
     """
 
     rmse: float | None
     relative_rmse: float | None
     max_abs: float | None
     samples: int
-    rmse_sliding: float | None
-    samples_sliding: int
+    rmse_all: float | None
+    samples_all: int
+    share_sliding: float | None
 
 
 class LogPredictionError(Struct, kw_only=True):

@@ -294,7 +294,9 @@ class ClosedLoop(Struct, kw_only=True):
 
     `rounds` are the effects that were added, in order; `refused` those that were tried and did not
     help. `before` is by the model as it came in, `after` by the refined one; `gain_interval` is of
-    1 - (after / before)^2, 95 %. `held_out` identifies the logs that `evaluated_on` names.
+    1 - (after / before)^2, 95 %. All are over the same samples, those in which a joint slides.
+    `noise_floor` is what torque noise alone leaves there, N m, estimated by itself, with its 95 %
+    interval. `held_out` identifies the logs that `evaluated_on` names.
     """
 
     rounds: list[RefinementRound]
@@ -302,6 +304,7 @@ class ClosedLoop(Struct, kw_only=True):
     before: dict[str, JointRmse] = {}
     after: dict[str, JointRmse] = {}
     noise_floor: dict[str, float] = {}
+    noise_floor_interval: dict[str, list[float]] = {}
     gain_interval: dict[str, list[float]] = {}
     evaluated_on: list[str] = []
     held_out: list[InputLog] = []

@@ -160,14 +160,14 @@ def _prediction_points(collection: Collection, independent: list[Prediction]) ->
             if not verdict.good:
                 text = f"{verdict.joint or 'the prediction'}: {verdict.reason}"
                 yield Point("poor", text, item.path, command="seqid diagnose " + _tail(collection))
-        still = [n for n, error in item.file.joints.items() if error.relative_rmse is None]
+        still = [n for n, error in item.file.joints.items() if not error.samples]
         if still:
-            text = f"{listed(still)} never moved far enough in these logs to be judged"
+            text = f"{listed(still)} never slides in these logs and is not judged"
             yield Point("open", text, item.path, "Predict logs in which every joint moves.")
         for name, error in item.file.joints.items():
             floor = collection.noise_floor(item, name)
-            if floor and error.rmse_sliding is not None and error.rmse_sliding > _FAR * floor:
-                times = number(error.rmse_sliding / floor, 2)
+            if floor and error.rmse is not None and error.rmse > _FAR * floor:
+                times = number(error.rmse / floor, 2)
                 text = f"{name}: the RMS error is {times} times the noise floor of the same logs"
                 yield Point("open", text, item.path, command="seqid diagnose " + _tail(collection))
         if item not in independent:

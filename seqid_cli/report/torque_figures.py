@@ -52,8 +52,11 @@ def over_time(series: Series, place: Place, events: Sequence[Event], columns: in
     good &= np.isfinite(series.residual)
     end = float(t[-1]) if len(t) > 1 and t[-1] > 0 else 1.0
     unit, name = place.torque_unit, short_path(series.log)
-    shown = good & series.used if np.any(good & series.used) else good
-    both = np.concatenate([series.torque[good], series.predicted[good]])
+    counted = good & series.used & series.sliding
+    shown = counted if np.any(counted) else good
+    rests = good & np.isfinite(series.low) & np.isfinite(series.high)
+    held = [series.low[rests], series.high[rests]]
+    both = np.concatenate([series.torque[good], series.predicted[good], *held])
     torque = Panel(
         Box(_LEFT, 26, WIDE - _LEFT - _RIGHT, 164),
         (0.0, end),
@@ -76,6 +79,14 @@ def over_time(series: Series, place: Place, events: Sequence[Event], columns: in
             panel.span(start, stop, "event", f"pushed from {start:.2f} to {stop:.2f} s")
         for start, stop in _unused(t, series.used):
             panel.span(start, stop, "unused")
+    for piece in pieces(t, rests):
+        kept = np.union1d(
+            extremes(t[piece], series.low[piece], columns),
+            extremes(t[piece], series.high[piece], columns),
+        )
+        bounds = (series.low[piece][kept].tolist(), series.high[piece][kept].tolist())
+        lower, upper = (list(zip(t[piece][kept].tolist(), x, strict=True)) for x in bounds)
+        torque.band(lower, upper, "faint")
     for panel, values, style, label in (
         (torque, series.torque, "measured", "measured"),
         (torque, series.predicted, "predicted", "predicted"),
@@ -93,6 +104,7 @@ def over_time(series: Series, place: Place, events: Sequence[Event], columns: in
         Key("predicted", "predicted"),
         Key("residual", "residual"),
     ]
+    legend += [Key("faint", "held at rest")] if np.any(rests) else []
     legend += [Key("event", "pushed")] if events else []
     legend += [] if np.all(series.used) else [Key("unused", "not counted")]
     return Figure(name, svg, legend, _time_table(t, series, good, unit, title), wide=True)
@@ -157,7 +169,7 @@ def _time_table(t: Array, series: Series, good: Mask, unit: str, title: str) -> 
 
 def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str) -> Figure | None:
     """Draw how the residual spreads over position or velocity; None where it is not known."""
-    pairs = [(getattr(s, quantity), s.residual, s.used) for s in logs]
+    pairs = [(getattr(s, quantity), s.residual, s.used & s.sliding) for s in logs]
     kept = [
         (x[m], r[m])
         for x, r, used in pairs

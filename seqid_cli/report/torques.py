@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _KINDS = ("torque", "predicted", "residual")
+_REST = ("low", "high")
 _MOTION = ("position", "velocity")
 _MOST_ROWS = 200_000_000
 _MOST_LOGS = 10_000
@@ -32,8 +33,10 @@ _HINT = "Name the Parquet file that seqid predict wrote with --torques."
 class Series:
     """One joint in one log: samples (N,); NaN where a value is missing.
 
-    `residual` is measured minus predicted torque. Position and velocity are None where the file
-    was written without them; `used` marks the samples that the errors are computed from.
+    `residual` is measured torque minus the nearest that the model allows: where the joint slides
+    the predicted torque, at rest between `low` and `high` (NaN where it slides). Position and
+    velocity are None where the file was written without them; `used` marks the samples that count,
+    `sliding` those that the errors are computed from.
     """
 
     log: str
@@ -42,6 +45,9 @@ class Series:
     predicted: Array
     residual: Array
     used: Mask
+    sliding: Mask
+    low: Array
+    high: Array
     position: Array | None = None
     velocity: Array | None = None
 
@@ -88,7 +94,8 @@ class TorqueTable:
         """
         names = ["t", *(f"{joint}.{kind}" for kind in _KINDS)]
         names += [f"{joint}.{kind}" for kind in _MOTION if f"{joint}.{kind}" in self.columns]
-        names += ["used"] if "used" in self.columns else []
+        names += [f"{joint}.{kind}" for kind in _REST if f"{joint}.{kind}" in self.columns]
+        names += [name for name in ("used", f"{joint}.sliding") if name in self.columns]
         table = _read(Path(self.path), names)
         values = {name: _numbers(table, name, self.path) for name in names}
         return [self._one(joint, log, rows, values) for log, rows in self.rows.items()]
@@ -98,14 +105,25 @@ class TorqueTable:
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0.0):
             message = f"t is missing or goes back in {log}"
             raise InputError(message, where=self.path, hint="Run seqid predict again.")
-        own = {kind: values.get(f"{joint}.{kind}") for kind in (*_KINDS, *_MOTION)}
+        own = {kind: values.get(f"{joint}.{kind}") for kind in (*_KINDS, *_REST, *_MOTION)}
         cut = {kind: None if value is None else value[rows] for kind, value in own.items()}
         torque, predicted, residual = (cut[kind] for kind in _KINDS)
         assert torque is not None
         assert predicted is not None
         assert residual is not None
-        used = values["used"][rows] > 0.0 if "used" in values else np.ones(len(t), dtype=np.bool_)
-        return Series(log, t, torque, predicted, residual, used, cut["position"], cut["velocity"])
+        used, sliding = (
+            values[name][rows] > 0.0 if name in values else np.ones(len(t), dtype=np.bool_)
+            for name in ("used", f"{joint}.sliding")
+        )
+        unknown = np.full(len(t), np.nan)
+        low, high = (unknown if cut[kind] is None else cut[kind] for kind in _REST)
+        assert low is not None
+        assert high is not None
+        # NaN bounds, where the joint slides, leave the residual as it is.
+        nearest = np.fmin(np.fmax(torque, low), high)
+        residual = np.where(np.isnan(low) | np.isnan(torque), residual, torque - nearest)
+        motion = (cut["position"], cut["velocity"])
+        return Series(log, t, torque, predicted, residual, used, sliding, low, high, *motion)
 
 
 def find_torques(prediction: str) -> Path | None:

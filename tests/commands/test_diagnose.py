@@ -68,8 +68,8 @@ CURVE = Unexplained(
     curve=((-1.0, 0.0, 1.0), (0.5, -0.5, 0.5)),
 )
 JOINTS = {
-    "shoulder": JointResidual(0.3, 0.1, False, 0.12, 400),
-    "elbow": JointResidual(float("nan"), float("nan"), True, float("nan"), 0),
+    "shoulder": JointResidual(0.3, 0.1, (0.08, 0.13), False, 0.12, 400),
+    "elbow": JointResidual(float("nan"), float("nan"), (0.0, 0.0), True, float("nan"), 0),
 }
 FOUND = Diagnosis(
     verdict="effect_found",

@@ -50,8 +50,10 @@ class Model:
             tau = rng.normal(size=(SAMPLES, robot.n))
             used = np.ones(SAMPLES, dtype=bool)
             used[0] = False
-            sliding = np.full(tau.shape, self.slides)
+            sliding = np.full(tau.shape, self.slides) & used[:, None]
             sliding[1, 1] = False
+            predicted = tau + self.scale * rng.normal(size=tau.shape)
+            wide = np.where(sliding, 0.0, 0.5 * self.scale)
             log = LogPrediction(
                 path=recording.path,
                 sha256=recording.sha256,
@@ -59,7 +61,9 @@ class Model:
                 cutoff_hz=20.0,
                 t=recording.t,
                 tau=tau,
-                predicted=tau + self.scale * rng.normal(size=tau.shape),
+                predicted=predicted,
+                low=predicted - wide,
+                high=predicted + wide,
                 used=used,
                 sliding=sliding,
                 notes=("a remark",),
@@ -78,13 +82,12 @@ def model(monkeypatch: pytest.MonkeyPatch) -> Model:
     return fake
 
 
-def stacked(model: Model, joint: int, *, sliding: bool) -> tuple[np.ndarray, np.ndarray]:
-    used = np.concatenate(
-        [log.used & (log.sliding[:, joint] if sliding else True) for log in model.made]
-    )
-    tau = np.concatenate([log.tau[:, joint] for log in model.made])[used]
-    predicted = np.concatenate([log.predicted[:, joint] for log in model.made])[used]
-    return tau, tau - predicted
+def stacked(model: Model, joint: int, name: str) -> np.ndarray:
+    return np.concatenate([getattr(log, name)[:, joint] for log in model.made])
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def test_errors_over_all_logs_and_per_log(rig: Rig, reader: Reader, model: Model) -> None:
@@ -94,19 +97,22 @@ def test_errors_over_all_logs_and_per_log(rig: Rig, reader: Reader, model: Model
     document = json.loads((rig.folder / "out.json").read_text())
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
     for joint, name in enumerate(("shoulder", "elbow")):
-        tau, error = stacked(model, joint, sliding=False)
+        tau, predicted = stacked(model, joint, "tau"), stacked(model, joint, "predicted")
+        slides = stacked(model, joint, "sliding")
+        used = np.concatenate([log.used for log in model.made])
+        error = (tau - predicted)[slides]
         found = document["joints"][name]
-        assert found["samples"] == 2 * (SAMPLES - 1)
-        assert found["samples_sliding"] == 2 * (SAMPLES - 1 - joint)
-        _, slid = stacked(model, joint, sliding=True)
-        assert found["rmse_sliding"] == pytest.approx(np.sqrt(np.mean(slid**2)))
-        assert found["rmse"] == pytest.approx(np.sqrt(np.mean(error**2)))
-        assert found["relative_rmse"] == pytest.approx(
-            np.sqrt(np.mean(error**2)) / np.sqrt(np.mean(tau**2))
-        )
+        assert found["samples"] == 2 * (SAMPLES - 1 - joint)
+        assert found["samples_all"] == 2 * (SAMPLES - 1)
+        assert found["share_sliding"] == pytest.approx(1 - joint / (SAMPLES - 1))
+        assert found["rmse"] == pytest.approx(root_mean_square(error))
+        expected = root_mean_square(error) / root_mean_square(tau[slides])
+        assert found["relative_rmse"] == pytest.approx(expected)
         assert found["max_abs"] == pytest.approx(np.max(np.abs(error)))
+        beyond = np.maximum(np.abs(tau - predicted) - np.where(slides, 0.0, 0.05), 0.0)
+        assert found["rmse_all"] == pytest.approx(root_mean_square(beyond[used]))
     assert [log["path"] for log in document["logs"]] == ["a.parquet", "b.parquet"]
-    assert document["logs"][0]["joints"]["elbow"]["samples_sliding"] == SAMPLES - 2
+    assert document["logs"][0]["joints"]["elbow"]["samples"] == SAMPLES - 2
     assert document["parameters"][0]["path"] == "p.json"
     assert document["stages"] == ["friction", "gravity", "imu", "inertia", "effects"]
     assert "a.parquet: a remark" in done.err
@@ -116,7 +122,7 @@ def test_the_torques_themselves(rig: Rig, reader: Reader, model: Model) -> None:
     rig.params("p.json", full_file())
     assert rig.run(*BOTH).code == 0
     table = pq.read_table(rig.folder / "t.parquet")
-    kinds = ("torque", "predicted", "residual")
+    kinds = ("torque", "predicted", "residual", "sliding", "low", "high")
     assert table.column_names == [
         "t",
         "log",
@@ -126,6 +132,11 @@ def test_the_torques_themselves(rig: Rig, reader: Reader, model: Model) -> None:
     ]
     assert table["log"].to_pylist() == ["a.parquet"] * SAMPLES + ["b.parquet"] * SAMPLES
     columns = {name: table[name].to_numpy() for name in table.column_names if name != "log"}
+    slides = stacked(model, 1, "sliding")
+    np.testing.assert_array_equal(columns["elbow.sliding"], slides)
+    for kind in ("low", "high"):
+        bound = np.where(slides, np.nan, stacked(model, 1, kind))
+        np.testing.assert_array_equal(columns[f"elbow.{kind}"], bound)
     measured = np.concatenate([log.tau[:, 1] for log in model.made])
     np.testing.assert_array_equal(columns["elbow.torque"], measured)
     np.testing.assert_allclose(
@@ -160,19 +171,38 @@ def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model:
     done = rig.run(*BASE, "--json")
     document = json.loads(done.out)
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
-    for key in ("rmse", "relative_rmse", "max_abs", "rmse_sliding"):
+    for key in ("rmse", "relative_rmse", "max_abs"):
         assert document["joints"]["elbow"][key] is None
-    assert document["joints"]["elbow"]["samples_sliding"] == 0
-    assert document["joints"]["elbow"]["samples"] == 2 * (SAMPLES - 1)
+    assert document["joints"]["elbow"]["samples"] == 0
+    assert document["joints"]["elbow"]["samples_all"] == 2 * (SAMPLES - 1)
+    assert document["joints"]["elbow"]["share_sliding"] == 0.0
+    assert document["joints"]["elbow"]["rmse_all"] > 0.0
     assert document["verdicts"] == []
     assert "never slides in these logs and is not judged: shoulder, elbow" in done.err
 
 
-def test_friction_alone_is_used_and_said(rig: Rig, reader: Reader, model: Model) -> None:
+def test_a_file_without_inertia_is_poor_and_says_why(
+    rig: Rig, reader: Reader, model: Model
+) -> None:
     rig.params("p.json", friction_file())
-    done = rig.run(*BASE)
-    assert done.code == 0
-    assert "note: the parameters hold no inertia stage" in done.err
+    done = rig.run(*BASE, "--strict")
+    assert done.code == 1
+    assert "poor: the file holds no inertia stage" in done.out
+
+
+def test_a_joint_without_friction_is_poor_and_says_why(
+    rig: Rig, reader: Reader, model: Model
+) -> None:
+    file = full_file()
+    assert file.stages.friction is not None
+    del file.stages.friction.joints["elbow"]
+    rig.params("p.json", file)
+    document = json.loads(rig.run(*BASE, "--json").out)
+    assert [(v["joint"], v["good"]) for v in document["verdicts"]] == [
+        ("shoulder", True),
+        ("elbow", False),
+    ]
+    assert document["verdicts"][1]["reason"] == "the file holds no friction of this joint"
 
 
 def test_outputs_must_not_be_inputs(rig: Rig, reader: Reader, model: Model) -> None:

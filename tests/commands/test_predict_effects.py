@@ -90,7 +90,7 @@ def test_the_prediction_changes_by_the_effects_torque(folder: Path) -> None:
     change = torques(folder) - before
     assert np.median(change) == pytest.approx(0.4, abs=1e-9)
     document = json.loads((folder / "out.json").read_text())
-    assert document["joints"]["hip"]["rmse_sliding"] < 0.1
+    assert document["joints"]["hip"]["rmse"] < 0.1
     assert "effects in the prediction: torque_bias (hip)" in document["notes"]
     assert document["stages"] == ["friction", "effects"]
 

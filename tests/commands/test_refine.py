@@ -44,6 +44,7 @@ LOOP = ClosedLoop(
     before={"shoulder": 0.2, "elbow": 0.4},
     after={"shoulder": 0.2, "elbow": 0.2},
     noise_floor={"shoulder": 0.15, "elbow": 0.18},
+    noise_floor_interval={"shoulder": (0.12, 0.19), "elbow": (0.14, 0.3)},
     gain_interval={"shoulder": (-0.01, 0.01), "elbow": (0.7, 0.8)},
     evaluated_on=("b.parquet",),
     notes=("a remark",),
@@ -154,6 +155,7 @@ def test_the_document(rig: Rig, library: Library) -> None:
     assert loop["before"] == {"shoulder": {"rmse": 0.2}, "elbow": {"rmse": 0.4}}
     assert loop["after"]["elbow"] == {"rmse": 0.2}
     assert loop["noise_floor"]["elbow"] == 0.18
+    assert loop["noise_floor_interval"]["elbow"] == [0.14, 0.3]
     assert loop["gain_interval"]["elbow"] == [0.7, 0.8]
     assert loop["evaluated_on"] == ["b.parquet"]
     assert [(log["path"], log["sha256"]) for log in loop["held_out"]] == [

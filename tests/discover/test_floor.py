@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.floor import NoiseFloor, fitted, noise_floor, rms
+from seqid_cli.discover.floor import NoiseFloor, noise_floor, rms
+from seqid_cli.discover.noise_level import Spectrum, level_of
 from tests.discover.drawn_logs import (
     RATE_HZ,
     low_passed,
@@ -79,21 +80,26 @@ def test_white_noise_shows_above_the_cutoff_of_any_motion() -> None:
     np.testing.assert_allclose(found, 1.0, atol=0.15)
 
 
-def test_flicker_hidden_below_the_cutoff_only_lowers_the_floor() -> None:
-    found, _ = ratio([wander(60.0, 4)], coloured=0.1, step=0.0, seed=4)
-    assert np.all((found > 0.35) & (found < 1.15))
+def test_flicker_that_shows_above_the_cutoff_goes_on_below_it() -> None:
+    found, floor = ratio([wander(60.0, 4)], coloured=0.5, step=0.0, seed=4)
+    assert floor.ways == ("spectrum", "spectrum")
+    np.testing.assert_allclose(found, 1.0, atol=0.35)
+    np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
+    np.testing.assert_array_less(1.0, floor.high / floor.rms * found)
 
 
-def test_the_floor_is_never_above_the_residual() -> None:
+def test_the_residual_does_not_bound_the_floor() -> None:
     q = wander(30.0, 6)
     tau = np.random.default_rng(0).standard_normal(q.shape)
     log = recording(q, tau)
     found, rows = scenes([log])
-    small = [1e-3 * low_passed(tau, found[0])]
+    left = low_passed(tau, found[0])
+    small = [1e-3 * left]
     floor = noise_floor([log], found, rows, small)
-    np.testing.assert_allclose(
-        floor.rms, [rms(rows.of(j, [small[0][:, j]])) for j in range(2)], rtol=1e-12
-    )
+    truth = np.array([rms(rows.of(j, [left[:, j]])) for j in range(2)])
+    np.testing.assert_allclose(floor.rms, truth, rtol=0.2)
+    assert np.all(floor.low < truth)
+    assert np.all(floor.high > truth)
 
 
 def test_white_and_flicker_noise_are_told_apart() -> None:
@@ -101,12 +107,15 @@ def test_white_and_flicker_noise_are_told_apart() -> None:
     frequency = np.linspace(0.5, 250.0, 500)
     shape = 2.0 + 30.0 / frequency
     drawn = shape * rng.gamma(10, 0.1, 500)
-    white, flicker, exponent = fitted(frequency, drawn, (1.0, 0.5, 1.5), averaged=10)
-    assert exponent == 1.0
-    assert white == pytest.approx(2.0, rel=0.1)
-    assert flicker == pytest.approx(30.0, rel=0.2)
-    alone = fitted(frequency, 2.0 * rng.gamma(10, 0.1, 500), (1.0, 0.5, 1.5), averaged=10)
-    assert alone[1] == pytest.approx(0.0, abs=1e-9)
+    averaged = np.full(500, 10.0)
+    level = level_of(Spectrum(frequency, drawn, averaged), (1.0, 0.5, 1.5), 0.0)
+    likely = level.shapes[0]
+    assert likely.exponent == 1.0
+    assert likely.white == pytest.approx(2.0, rel=0.1)
+    assert likely.flicker == pytest.approx(30.0, rel=0.2)
+    assert np.all(np.diag(likely.covariance) > 0.0)
+    flat = Spectrum(frequency, 2.0 * rng.gamma(10, 0.1, 500), averaged)
+    assert level_of(flat, (1.0, 0.5, 1.5), 0.0).shapes[0].flicker == 0.0
 
 
 def test_logs_that_repeat_tell_the_noise_of_others() -> None:

@@ -36,6 +36,8 @@ def prediction(name: str, start: float, *, motion: bool = True, seed: int = 0) -
         t=0.004 * np.arange(SAMPLES),
         tau=tau,
         predicted=predicted,
+        low=predicted - 0.5,
+        high=predicted + 0.5,
         used=every[:, 0],
         sliding=every,
         q=q if motion else None,
@@ -71,7 +73,8 @@ def save(path: Path, *logs: LogPrediction) -> None:
 def test_torques_read_back(tmp_path: Path, motion: bool, name: str) -> None:
     log = prediction(name, 1_700_000_000.25, motion=motion)
     save(tmp_path / "out.mcap", log)
-    expected = dict(zip(TOPICS, (log.tau, log.predicted, log.tau - log.predicted), strict=True))
+    torques = (log.tau, log.predicted, log.tau - log.predicted, log.low, log.high)
+    expected = dict(zip(TOPICS, torques, strict=True))
     seen = dict.fromkeys(TOPICS, 0)
     for message in messages(tmp_path / "out.mcap"):
         topic, state = message.topic, message.state

@@ -113,16 +113,15 @@ def test_rest_holds_what_the_effects_allow(recording: Recording) -> None:
     without, with_hump = predicted(recording), predicted(recording, STRIBECK)
     still = (recording.t > 5.6) & (recording.t < 6.4)
     assert not without.sliding[still, 0].any()
-    gap = (without.tau - without.predicted)[still, 0]
-    np.testing.assert_allclose(gap, 0.95 * HUMP, atol=0.15)
-    np.testing.assert_allclose(with_hump.predicted[still, 0], with_hump.tau[still, 0], atol=1e-6)
+    np.testing.assert_allclose(without.beyond[still, 0], 0.95 * HUMP, atol=0.15)
+    np.testing.assert_allclose(with_hump.beyond[still, 0], 0.0, atol=1e-6)
 
 
 def test_rest_includes_an_offset(recording: Recording) -> None:
     """The offset moves the interval; a torque beyond it by more than that stays an error."""
     with_bias = predicted(recording, BIAS)
     still = (recording.t > 5.6) & (recording.t < 6.4)
-    np.testing.assert_allclose(with_bias.predicted[still, 1], with_bias.tau[still, 1], atol=1e-6)
+    np.testing.assert_allclose(with_bias.beyond[still, 1], 0.0, atol=1e-6)
 
 
 def test_an_unknown_effect_is_named(recording: Recording) -> None:

@@ -73,7 +73,7 @@ def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -
 def assert_same(parts: list[LogPrediction], held: LogPrediction) -> None:
     assert [part.part for part in parts] == list(range(len(parts)))
     assert [part.last for part in parts] == [False] * (len(parts) - 1) + [True]
-    for name in ("t", "tau", "predicted", "q", "dq"):
+    for name in ("t", "tau", "predicted", "low", "high", "q", "dq"):
         found = np.concatenate([getattr(part, name) for part in parts])
         expected = getattr(held, name)
         scale = np.abs(expected).max()

@@ -207,21 +207,22 @@ def test_standard_parameters_of_a_stage() -> None:
     np.testing.assert_array_equal(rotor, arm.rotor_inertia)
 
 
-def test_at_rest_the_prediction_is_the_nearest_that_friction_allows(
-    robot: Robot, motion: Motion
-) -> None:
+def test_at_rest_the_model_allows_what_friction_can_hold(robot: Robot, motion: Motion) -> None:
     model = TorqueModel.from_stages(stages(robot), robot)
     rigid = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
     held = np.zeros_like(motion.moving)
     bands = [s.at_rest(motion.q[:, j]) for j, s in enumerate(model.surfaces) if s is not None]
     low, high = (np.stack(side, axis=1) for side in zip(*bands, strict=True))
-    within = replace(motion, tau=rigid + 0.5 * (low + high) + 0.4 * (high - low))
-    assert within.tau is not None
-    np.testing.assert_allclose(model.predict_set(within, held), within.tau, atol=1e-9)
-    beyond = replace(motion, tau=rigid + high + 1.5)
-    np.testing.assert_allclose(model.predict_set(beyond, held), rigid + high, atol=1e-9)
-    slides = ~held
-    np.testing.assert_array_equal(model.predict_set(beyond, slides), model.predict(beyond))
+    own = model.predict(motion)
+    at_rest = model.predict_set(motion, held)
+    np.testing.assert_array_equal(at_rest.value, own)
+    np.testing.assert_allclose(at_rest.low, np.minimum(rigid + low, own), atol=1e-9)
+    np.testing.assert_allclose(at_rest.high, np.maximum(rigid + high, own), atol=1e-9)
+    moving = model.predict_set(motion, ~held)
+    for found in (moving.value, moving.low, moving.high):
+        np.testing.assert_array_equal(found, own)
+    blind = model.predict_set(replace(motion, tau=None), held)
+    np.testing.assert_array_equal(blind.low, at_rest.low)
 
 
 def test_sliding_leaves_out_rest_and_its_neighbourhood(motion: Motion) -> None:

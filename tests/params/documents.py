@@ -132,6 +132,7 @@ def closed_loop() -> ClosedLoop:
         before={"elbow": JointRmse(rmse=0.2)},
         after={"elbow": JointRmse(rmse=0.1)},
         noise_floor={"elbow": 0.09},
+        noise_floor_interval={"elbow": [0.08, 0.11]},
         gain_interval={"elbow": [0.7, 0.8]},
         evaluated_on=["v"],
         held_out=[log("v", "")],
@@ -158,7 +159,12 @@ def diagnosis_file() -> DiagnosisFile:
         joint="shoulder", depends_on=["position", "direction"], share=0.4, curve=curve
     )
     residual = ResidualEntry(
-        rmse=0.3, noise_floor=0.1, white=False, rmse_explained=0.12, samples=400
+        rmse=0.3,
+        noise_floor=0.1,
+        noise_floor_interval=[0.08, 0.13],
+        white=False,
+        rmse_explained=0.12,
+        samples=400,
     )
     still = ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
     return DiagnosisFile(

@@ -62,8 +62,9 @@ def test_predictions_follow_the_schema() -> None:
         relative_rmse=None,
         max_abs=0.2,
         samples=3,
-        rmse_sliding=None,
-        samples_sliding=0,
+        rmse_all=None,
+        samples_all=3,
+        share_sliding=1.0,
     )
     part = LogPredictionError(
         path="v", sha256="0", samples=3, cutoff_hz=12.0, joints={"elbow": error}

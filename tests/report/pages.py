@@ -47,9 +47,10 @@ def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile
             rmse=share * 2.0,
             relative_rmse=share,
             max_abs=share * 6.0,
-            samples=2 * SAMPLES,
-            rmse_sliding=share * 2.0,
-            samples_sliding=SAMPLES,
+            samples=SAMPLES,
+            rmse_all=share * 1.5,
+            samples_all=2 * SAMPLES,
+            share_sliding=0.5,
         )
         for name, share in zip(JOINTS, shares, strict=True)
     }
@@ -127,6 +128,8 @@ def predicted_log(path: str, seed: int) -> LogPrediction:
         t=t,
         tau=tau,
         predicted=predicted,
+        low=predicted,
+        high=predicted,
         used=used,
         sliding=np.ones(tau.shape, dtype=bool),
         q=q,

@@ -245,8 +245,9 @@ def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
                     relative_rmse=0.01 * (k + 1),
                     max_abs=0.2,
                     samples=SAMPLES,
-                    rmse_sliding=0.1,
-                    samples_sliding=SAMPLES,
+                    rmse_all=0.1,
+                    samples_all=SAMPLES,
+                    share_sliding=1.0,
                 )
                 for name, error in prediction.joints.items()
             },

@@ -94,13 +94,13 @@ def held_out(
 
 
 def summed(predictions: Sequence[LogPrediction]) -> HeldOut:
-    """RMSE over the samples of all predictions."""
-    squares = [(p.tau - p.predicted) ** 2 for p in predictions]
-    pairs = list(zip(predictions, squares, strict=True))
+    """RMSE over the samples of all predictions; at rest of the distance to friction's interval."""
     used = sum(int(p.used.sum()) for p in predictions)
     slid = np.sum([p.sliding.sum(axis=0) for p in predictions], axis=0)
-    every = np.sum([s[p.used].sum(axis=0) for p, s in pairs], axis=0)
-    while_sliding = np.sum([np.where(p.sliding, s, 0.0).sum(axis=0) for p, s in pairs], axis=0)
+    every = np.sum([(p.beyond[p.used] ** 2).sum(axis=0) for p in predictions], axis=0)
+    while_sliding = np.sum(
+        [np.where(p.sliding, p.residual**2, 0.0).sum(axis=0) for p in predictions], axis=0
+    )
     return HeldOut(
         every=np.sqrt(every / used),
         sliding=np.sqrt(while_sliding / np.maximum(slid, 1)),

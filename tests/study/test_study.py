@@ -94,6 +94,8 @@ def prediction(error: Array, *, sliding: Array, used: Array) -> LogPrediction:
         t=np.arange(len(error), dtype=float),
         tau=error,
         predicted=np.zeros_like(error),
+        low=np.zeros_like(error),
+        high=np.where(sliding, 0.0, 0.5),
         used=used.astype(bool),
         sliding=sliding.astype(bool),
     )
@@ -107,7 +109,7 @@ def test_held_out_rmse_pools_samples_of_all_logs() -> None:
         np.array([[4.0], [1.0]]), sliding=np.array([[1], [0]]), used=np.array([1, 1])
     )
     found = summed([first, second])
-    assert found.every[0] == pytest.approx(np.sqrt((9 + 16 + 1) / 3))
+    assert found.every[0] == pytest.approx(np.sqrt((9 + 16 + 0.5**2) / 3))
     assert found.sliding[0] == pytest.approx(np.sqrt((9 + 16) / 2))
     assert found.sliding_share[0] == pytest.approx(2 / 3)
     assert found.cutoff_hz == (5.0, 5.0)

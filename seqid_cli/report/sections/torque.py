@@ -34,8 +34,9 @@ def torque(collection: Collection, torques: TorqueTable | None, found: str = "")
         if name in joints or any(name in p.file.joints for p in collection.predictions)
     ]
     lead = (
-        "Measured torque against what the model predicts, both low-passed alike. The residual is "
-        "measured minus predicted; at rest it is the distance to what friction can hold."
+        "Measured torque against what the model predicts, both low-passed alike. Errors are over "
+        "samples in which the joint slides. At rest friction holds whatever balances, within an "
+        "interval; there the residual that is drawn is the distance to it."
     )
     notes = [
         f"{short_path(log.path)}: {note}"
@@ -150,6 +151,7 @@ def _facts(collection: Collection, name: str, place: Place) -> list[tuple[str, s
                 ("RMS error", f"{number(error.rmse)} {unit}"),
                 ("of the RMS torque", percent(error.relative_rmse)),
                 ("largest error", f"{number(error.max_abs)} {unit}"),
+                ("slides in", f"{percent(error.share_sliding)} of the samples"),
             ]
         floor = collection.noise_floor(item, name)
         if floor is not None:
@@ -163,9 +165,10 @@ def _errors(collection: Collection, name: str, place: Place) -> Table:
         Column("log"),
         Column("RMS error", numeric=True, unit=unit),
         Column("relative", numeric=True, unit="of RMS torque"),
-        Column("while sliding", numeric=True, unit=unit),
         Column("largest", numeric=True, unit=unit),
         Column("samples", numeric=True),
+        Column("slides in", numeric=True, unit="of samples"),
+        Column("with rests", numeric=True, unit=unit),
         Column("cut-off", numeric=True, unit="Hz"),
     )
     rows = [
@@ -173,9 +176,10 @@ def _errors(collection: Collection, name: str, place: Place) -> Table:
             short_path(log.path),
             number(error.rmse),
             percent(error.relative_rmse),
-            number(error.rmse_sliding),
             number(error.max_abs),
             str(error.samples),
+            percent(error.share_sliding),
+            number(error.rmse_all),
             number(log.cutoff_hz),
         )
         for item in collection.predictions

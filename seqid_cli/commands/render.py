@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import typer
 
+from seqid_cli import shares
 from seqid_cli.commands.options import screen_flag
 from seqid_cli.params.encode import encode
 
@@ -79,7 +80,7 @@ def number(value: float | None, digits: int = 3) -> str:
 
 def percent(share: float | None) -> str:
     """Return a share in percent."""
-    return "-" if share is None else f"{100.0 * share:.1f} %"
+    return "-" if share is None else shares.percent(share)
 
 
 def plain_table(columns: Row, rows: Sequence[Row]) -> str:
@@ -120,7 +121,7 @@ def _style(cell: str) -> str:
 
 
 def _is_number(cell: str) -> bool:
-    return cell == "-" or cell.rstrip(" %").replace(".", "", 1).lstrip("+-")[:1].isdigit()
+    return cell == "-" or cell.rstrip(" %").replace(".", "", 1).lstrip("+-<> ")[:1].isdigit()
 
 
 def _terminal_has_color() -> bool:

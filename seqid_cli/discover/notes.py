@@ -13,6 +13,7 @@ from seqid_cli.discover.loud import LOUD, Loud
 from seqid_cli.discover.rows import extrapolated
 from seqid_cli.identify.prediction import OUTSIDE_NOTE
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[
         times = rms(left[outside[:, j], j]) / max(ordinary[j], 1e-12)
         if times > LOUD:
             notes.append(
-                f"joint {name}: {100 * share:.0f} % of its moving samples are at speeds or "
+                f"joint {name}: {percent(share, 0)} of its moving samples are at speeds or "
                 f"positions at which friction was not identified; {times:.0f} times what torque "
                 "noise and encoder account for is left there, and no effect was looked for in it; "
                 "identify friction with trials there"

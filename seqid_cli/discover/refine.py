@@ -44,6 +44,7 @@ from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.diagnosis_schema import MORE_THAN_NOISE
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
@@ -264,8 +265,8 @@ def _reason(loop: Loop, candidate: Candidate, training_gain: float, account: Acc
         names = [loop.material.robot.joint_names[j] for j in account.losing]
         return f"predicts {', '.join(names)} worse on the held-out logs"
     return (
-        f"takes {100 * training_gain:.1f} % off the logs that were fitted, but "
-        f"{100 * change.value:.1f} % ({100 * change.low:.1f} to {100 * change.high:.1f} %) "
+        f"takes {percent(training_gain)} off the logs that were fitted, but "
+        f"{percent(change.value)} ({percent(change.low)} to {percent(change.high)}) "
         "off the held-out ones"
     )
 
@@ -304,7 +305,7 @@ def _closed(
     judged = [j for j in range(robot.n) if np.isfinite(old[j]) and np.isfinite(new[j])]
     names = {j: robot.joint_names[j] for j in judged}
     changes = {names[j]: gain(before, after, [j], loop.rng) for j in judged}
-    lost = [f"{name} ({-100 * g.value:.1f} %)" for name, g in changes.items() if g.loses]
+    lost = [f"{name} ({percent(-g.value)})" for name, g in changes.items() if g.loses]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
     loud = [j for j in judged if new[j] > MORE_THAN_NOISE * floor.rms[j]]
     times = ", ".join(f"{names[j]} ({new[j] / floor.rms[j]:.1f} times)" for j in loud)

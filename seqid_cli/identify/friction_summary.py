@@ -14,6 +14,7 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionJoint, GravityOfTrial, SpeedLevel, Verdict
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 Chosen = tuple[Scaling, list[Reduced], Orders]
@@ -117,11 +118,11 @@ def _verdict(name: str, joint: FrictionJoint, friction_rms: float) -> Verdict:
     share = joint.held_out_rmse / max(friction_rms, 1e-12)
     if share > POOR_HELD_OUT:
         reason = (
-            f"speeds left out are missed by {100 * share:.0f} % of the friction; "
+            f"speeds left out are missed by {percent(share, 0)} of the friction; "
             "record more speeds, or look at what else moves the torque (seqid diagnose)"
         )
         return Verdict(joint=name, good=False, reason=reason)
-    reason = f"speeds left out are predicted to {100 * share:.1f} % of the friction"
+    reason = f"speeds left out are predicted to {percent(share)} of the friction"
     return Verdict(joint=name, good=True, reason=reason)
 
 
@@ -134,13 +135,13 @@ def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> 
         )
     if joint.directional:
         notes.append(
-            f"{name}: friction depends on direction by {100 * asymmetry:.1f} %, against the "
+            f"{name}: friction depends on direction by {percent(asymmetry)}, against the "
             "assumption of Eq. 15; each direction has its own surface"
         )
     if not joint.criterion_met:
         notes.append(
             f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the "
-            f"largest error is {100 * joint.max_error:.1f} % "
+            f"largest error is {percent(joint.max_error)} "
             f"({joint.max_abs_error:.3g} {joint.unit})"
         )
     return notes

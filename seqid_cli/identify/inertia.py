@@ -48,6 +48,7 @@ from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
 from seqid_cli.robot.base import Basis, free_basis, gear_ratios, loaded_columns, standard_names
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -367,7 +368,7 @@ class InertiaEquations:
                 continue
             rms = float(np.sqrt(self.torque_squares[j] / joints[j].samples))
             share = float(solution.sigma[j]) / max(rms, 1e-300)
-            reason = f"leaves {100 * share:.1f} % of the torque ({solution.sigma[j]:.3g} N m)"
+            reason = f"leaves {percent(share)} of the torque ({solution.sigma[j]:.3g} N m)"
             verdicts.append(Verdict(joint=name, good=share < POOR_SHARE, reason=reason))
         full = solution.rank == self.basis.size
         reason = f"rank {solution.rank} of {self.basis.size}, condition {solution.condition:.3g}"

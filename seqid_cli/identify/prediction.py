@@ -16,6 +16,7 @@ from seqid_cli.model.torque import TorqueModel, friction_surfaces
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base import free_basis
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -110,7 +111,7 @@ def notes_on(
     if unknown:
         yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
     far = [
-        f"{name} {100 * part:.0f} %"
+        f"{name} {percent(part, 0)}"
         for name, part in zip(robot.joint_names, share, strict=True)
         if part > OUTSIDE_NOTE
     ]

@@ -43,6 +43,7 @@ from seqid_cli.params.schema import (
 )
 from seqid_cli.robot.base import Basis, free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -255,7 +256,7 @@ class SimultaneousEquations:
                 continue
             rms = float(np.sqrt(self.torque_squares[j] / samples))
             share = float(solution.sigma[j]) / max(rms, 1e-300)
-            reason = f"leaves {100 * share:.1f} % of the torque ({solution.sigma[j]:.3g} N m)"
+            reason = f"leaves {percent(share)} of the torque ({solution.sigma[j]:.3g} N m)"
             at = self._own(j).start
             dry, error = float(solution.theta[at]), float(np.sqrt(solution.covariance[at, at]))
             drives = dry < -CLEARLY * error

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.logs.timebase import JITTER_LIMIT
+from seqid_cli.shares import percent
 
 SLOW_HZ, TOO_SLOW_HZ, TOO_FAST_HZ = 20.0, 5.0, 50_000.0
 EARLY_S, LATE_S = -0.005, 5.0  # of logging behind the header stamp
@@ -51,7 +52,7 @@ def clock_findings(data: LogData) -> Iterator[Finding]:
     if health.jitter > JITTER_LIMIT:
         yield found(
             "jitter",
-            f"the sample interval scatters by {100 * health.jitter:.0f} % of its median"
+            f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
             + (f", with {len(health.gaps)} gaps" if health.gaps else ""),
         )
     elif health.gaps:

@@ -22,6 +22,7 @@ from seqid_cli.inspect.report import Finding, found
 from seqid_cli.robot.base import base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -111,7 +112,9 @@ def _structural(data: LogData, sample: Sample) -> Iterator[Finding]:
     if mended is not None:
         yield mended.finding
     elif error > POOR and all(sample.rms_speed(j) > SEEN * data.step[j] for j in sample.moving):
-        yield found("model_mismatch", f"the equations leave {error:.0%} of the torque's RMS")
+        yield found(
+            "model_mismatch", f"the equations leave {percent(error, 0)} of the torque's RMS"
+        )
 
 
 def _mending(
@@ -146,7 +149,7 @@ def _mending(
     if after.error > min(MENDED * most, SOUND):
         return None
     names = ", ".join(robot.joint_names[j] for j in cause.joints)
-    fall = f"falls from {before.error:.1%} to {after.error:.1%}"
+    fall = f"falls from {percent(before.error)} to {percent(after.error)}"
     text = f"{cause.text}; the equations' error {fall}"
     others = [other for other in alike if set(other.joints) != set(cause.joints)]
     if others:

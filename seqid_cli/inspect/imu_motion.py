@@ -21,6 +21,7 @@ from seqid_cli.inspect.report import Finding, found
 from seqid_cli.logs.raw import GYRO
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.types import Imu
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -118,7 +119,7 @@ def _better(data: LogData, item: Following) -> Finding | None:
     if found_best is None or found_best[0] > OTHER_LINK * item.fit.left:
         return None
     share, joint, link = found_best
-    text = f"{share:.1%} of its variance is left against {item.fit.left:.0%}"
+    text = f"{percent(share)} of its variance is left against {percent(item.fit.left, 0)}"
     if joint is not None:
         text = f"by IMU {name} it turns the other way round: {text}"
         return found("axis_flipped", text, joint=names[joint], channel="position")
@@ -135,7 +136,7 @@ def _not_following(data: LogData, item: Following) -> Finding:
     better = _better(data, item)
     if better is not None:
         return better
-    text = f"the motion of its link leaves {item.fit.left:.0%} of its variance unexplained"
+    text = f"the motion of its link leaves {percent(item.fit.left, 0)} of its variance unexplained"
     return found("imu_not_moving", text, joint=item.imu.name)
 
 

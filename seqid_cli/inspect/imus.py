@@ -18,6 +18,7 @@ from seqid_cli.motion.filtering import runs
 from seqid_cli.motion.imu_array import layout
 from seqid_cli.motion.segments import standing
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -98,7 +99,7 @@ def _channel(imu: Imu, name: str, values: Array, seconds: float, *, others: bool
     present = values[np.isfinite(values)]
     share = missing_share(values)
     if share > MISSING:
-        text = f"{100 * share:.1f} % of the values are missing"
+        text = f"{percent(share)} of the values are missing"
         return found("values_missing", text, joint=imu.name, channel=name)
     least = max(STUCK_SAMPLES, int(STUCK_S / max(seconds, 1e-9)))
     # A channel that repeats itself all the time is slow or coarse, not stuck.
@@ -115,7 +116,7 @@ def _channel(imu: Imu, name: str, values: Array, seconds: float, *, others: bool
         return found("imu_stuck", text, joint=imu.name, channel=name)
     limit = clipped(present)
     if limit is not None:
-        text = f"is at {limit[0]:.4g} in {100 * limit[1]:.2g} % of the samples"
+        text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
         return found("imu_saturated", text, joint=imu.name, channel=name)
     return None
 

@@ -13,6 +13,7 @@ from seqid_cli.inspect.values import equal_runs, held, lattice, missing_share
 from seqid_cli.motion.segments import windowed_velocity
 from seqid_cli.robot.types import Joint
 from seqid_cli.robust import white_noise
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ def position_findings(data: LogData) -> Iterator[Finding]:
             continue
         share = missing_share(data.joints.channels["position"][:, j])
         if share > MISSING:
-            text = f"{100 * share:.1f} % of the positions are missing"
+            text = f"{percent(share)} of the positions are missing"
             yield found("values_missing", text, joint=joint.name, channel="position")
         step = lattice(q)
         broken = list(_breaks(joint, t, q, step))

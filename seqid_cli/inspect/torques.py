@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import clipped, equal_runs, held, lattice, missing_share
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def torque_findings(data: LogData) -> Iterator[Finding]:
             continue
         share = missing_share(column)
         if share > MISSING:
-            text = f"{100 * share:.1f} % of the values are missing"
+            text = f"{percent(share)} of the values are missing"
             yield found("values_missing", text, joint=joint.name, channel=quantity)
         if data.moves(j):
             for code, text in _of_moving(data, j, column, present):
@@ -61,7 +62,7 @@ def _of_moving(
         return
     limit = clipped(values)
     if limit is not None:
-        yield "torque_saturated", f"is at {limit[0]:.4g} in {100 * limit[1]:.2g} % of the samples"
+        yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
     size = held(values)
     if size > 1:
         yield "channel_held", f"repeats each value {size} times"

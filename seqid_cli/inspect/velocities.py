@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.positions import DEGREES
 from seqid_cli.inspect.report import Finding, found
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -146,7 +147,7 @@ def _verdict(
 ) -> Iterator[Finding]:
     joint = data.robot.joints[j]
     if ratio < NOTHING and abs(correlation) < CORRELATED:
-        text = f"integrates to {100 * ratio:.2g} % of the position's travel"
+        text = f"integrates to {percent(ratio)} of the position's travel"
         yield found("velocity_zero", text, joint=joint.name, channel="velocity")
         return
     codes = {DEGREES: "position_in_degrees", 1.0 / DEGREES: "velocity_in_degrees", -1.0: ""}

@@ -6,6 +6,7 @@ import numpy as np
 
 from seqid_cli.logs.raw import Array, Mask
 from seqid_cli.robot.types import Imu, Joint, Robot
+from seqid_cli.shares import percent
 
 STANDARD_GRAVITY = 9.80665
 _DEGREES = 180.0 / np.pi
@@ -68,8 +69,8 @@ def clock_warnings(rate_hz: float, jitter: float, jitter_limit: float) -> list[s
         )
     if jitter > jitter_limit:
         warnings.append(
-            f"the sample interval scatters by {100 * jitter:.0f} % (limit "
-            f"{100 * jitter_limit:.0f} %): resampling is not reliable; log with the controller's "
+            f"the sample interval scatters by {percent(jitter, 0)} (limit "
+            f"{percent(jitter_limit, 0)}): resampling is not reliable; log with the controller's "
             "own clock"
         )
     return warnings

@@ -18,6 +18,7 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.stored import local_copy
 from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 READERS: dict[str, Reader] = {
     "parquet": parquet.read,
@@ -286,7 +287,7 @@ def _usable(name: str, cleaned: list[Tidy], base: Base, warnings: list[str]) -> 
             return False
         if covered < 0.99:
             warnings.append(
-                f"{stream.name} covers {100 * covered:.0f} % of the joints' time; samples outside "
+                f"{stream.name} covers {percent(covered, 0)} of the joints' time; samples outside "
                 "it are not valid"
             )
     return True

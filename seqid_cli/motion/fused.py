@@ -25,6 +25,7 @@ from seqid_cli.motion.smoother import smoothed_motion
 from seqid_cli.motion.smoother_imus import mounted_imus, read
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -198,7 +199,7 @@ def _silent(task: _Task, names: tuple[str, ...]) -> Iterator[str]:
         live = read(imu, recording, slice(None)).live[recording.valid]
         share = np.count_nonzero(live.any(axis=1)) / max(len(live), 1)
         if share < MOSTLY:
-            yield f"{imu.name} reads in {100 * share:.0f} % of the samples"
+            yield f"{imu.name} reads in {percent(share, 0)} of the samples"
 
 
 @lru_cache(maxsize=32)

@@ -13,6 +13,7 @@ from seqid_cli.motion.smoother_chunk import Chunk, Mounted, mean_motion
 from seqid_cli.motion.smoother_imus import moved
 from seqid_cli.motion.smoother_system import jacobians, predicted
 from seqid_cli.robust import gaussian_spread
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -102,12 +103,12 @@ def contradiction(found: Sequence[Fit]) -> tuple[str, list[str]]:
             continue
         text = (
             f"it differs from the motion by {fit.size:.3g}, {fit.together:.1f} times its noise and "
-            f"{100 * fit.share:.0f} % of what it differs from the encoders'"
+            f"{percent(fit.share, 0)} of what it differs from the encoders'"
         )
         notes.append(f"{fit.name} fits badly: {text}; check geometry, mounting and gravity")
         if fit.share > worst:
             worst, name = fit.share, fit.name
-            said = f"{fit.name} is left out: {text} (limit {100 * UNEXPLAINED:.0f} %)"
+            said = f"{fit.name} is left out: {text} (limit {percent(UNEXPLAINED, 0)})"
     return (name, [said]) if name else ("", notes)
 
 
@@ -214,7 +215,7 @@ def _contradiction(x: Mounted, expected: Array, chunk: Chunk) -> str:
     """Why an IMU cannot be right, or nothing."""
     share = float(x.seen.mean()) * chunk.stride
     if share < LEAST_SEEN:
-        return f"it reads in {100 * share:.0f} % of the samples"
+        return f"it reads in {percent(share, 0)} of the samples"
     width = max(3, int(COMPARE_S / chunk.spacing))
     weight = np.maximum(uniform_filter1d(x.seen.astype(float), width, axis=0), 1e-9)
     seen, told = (uniform_filter1d(v * x.seen, width, axis=0) / weight for v in (x.y, expected))

@@ -10,6 +10,8 @@ from pathlib import PurePath
 
 from markupsafe import Markup, escape
 
+from seqid_cli import shares
+
 Z95 = 1.959963984540054  # of a two-sided 95 % interval
 _INDEXED = re.compile(r"(?P<stem>[A-Za-z]+)_(?P<index>[0-9]+)")
 _STEM = {"mx": ("m", "x"), "my": ("m", "y"), "mz": ("m", "z")}
@@ -35,7 +37,7 @@ def percent(share: float | None, digits: int = 1) -> str:
     """Return a share in percent."""
     if share is None or not math.isfinite(share):
         return DASH
-    return f"{100.0 * share:.{digits}f} %".replace("-", MINUS)
+    return shares.percent(share, digits).replace("-", MINUS)
 
 
 def with_error(value: float, error: float) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from seqid_cli.shares import percent
 
 PACKAGE = Path(__file__).parents[1] / "seqid_cli"
 # A share formatted by hand: {100 * x:.1f} or {x:.0%}.
-BY_HAND = re.compile(r"\{[^{}]*(?:\b100(?:\.0)? \* [^{}]*:[^{}]*\} ?%|:\.\d%\})")
+BY_HAND = re.compile(r"\{[^{}]*(?:\b100(?:\.0)? \* [^{}]*:\.\d[fg]\} ?%|:\.\d%\})")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from seqid_cli.discover import heldout
 from seqid_cli.discover.gather import Gathered, gather
 from seqid_cli.discover.heldout import WholeLogs, held_out_error
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refine import refine
+from seqid_cli.discover.refine import on_the_same_samples, refine
 from seqid_cli.discover.results import ClosedLoop
 from seqid_cli.identify import predict_long
 from seqid_cli.logs.read import read_recording
@@ -96,7 +96,8 @@ def test_errors_are_of_the_whole_log(folder: Path) -> None:
     stages, loop = refined(folder)
     training, _ = cases()
     log = read_recording(folder / "held.parquet", training.robot)
-    robot, motion = training.robot, OPTIONS.motion
+    robot = training.robot
+    motion = on_the_same_samples(OPTIONS, file_of(training).stages, robot).motion
     before = held_out_error([log], robot, file_of(training).stages, options=motion)
     after = held_out_error([log], robot, stages, options=motion, unexplained=True)
     np.testing.assert_allclose(list(loop.before.values()), before.rmse(), rtol=1e-8)

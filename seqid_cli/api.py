@@ -153,6 +153,7 @@ def inertia(
     *,
     output: PathLike | None = None,
     motion: Source = "auto",
+    consistent: bool = False,
     cutoff: float | None = None,
     time: Clock = "header",
     jobs: int | None = 1,
@@ -160,8 +161,12 @@ def inertia(
     scheduler: str | None = None,
     skip_failed: bool = False,
 ) -> ParameterFile:
-    """Identify the inertia parameters (Eq. 22-26); `motion` says which sensors tell it."""
+    """Identify the inertia parameters (Eq. 22-26); `motion` says which sensors tell it.
+
+    `consistent` allows only parameters that bodies can have.
+    """
     own = {"parameters": _paths(parameters), "motion": motion, "cutoff": cutoff, "time": time}
+    own["consistent"] = consistent
     who = _workers(jobs, engine, scheduler, skip_failed)
     return _parameters("inertia", logs, robot, output, **own, **who)
 
@@ -174,11 +179,13 @@ def simultaneous(
     output: PathLike | None = None,
     offset: bool = False,
     motion: Source = "auto",
+    consistent: bool = False,
     cutoff: float | None = None,
     time: Clock = "header",
 ) -> ParameterFile:
     """Identify everything in one classical least squares (Eq. 5-6); see `inertia`."""
     own = {"parameters": _paths(parameters), "motion": motion, "cutoff": cutoff, "time": time}
+    own["consistent"] = consistent
     return _parameters("simultaneous", logs, robot, output, offset=offset, **own)
 
 

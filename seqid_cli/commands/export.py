@@ -91,7 +91,7 @@ def run(
 
 
 def _content(model: ExportModel) -> dict[str, object]:
-    from seqid_cli.export.pseudo_inertia import Body
+    from seqid_cli.model.bodies.pseudo_inertia import Body
 
     links = {}
     for k, name in enumerate(model.robot.joint_names):
@@ -135,7 +135,7 @@ def _content(model: ExportModel) -> dict[str, object]:
 
 
 def _show(screen: Screen, model: ExportModel) -> None:
-    from seqid_cli.export.pseudo_inertia import Body
+    from seqid_cli.model.bodies.pseudo_inertia import Body
 
     rows = []
     for k, name in enumerate(model.robot.joint_names):

@@ -10,6 +10,7 @@ import typer
 from seqid_cli.commands.job import prepare
 from seqid_cli.commands.options import (
     Clock,
+    Consistent,
     Cutoff,
     Engine,
     Jobs,
@@ -54,6 +55,7 @@ def run(
     engine: Engine = "local",
     scheduler: Scheduler = None,
     skip_failed: SkipFailed = False,
+    consistent: Consistent = False,
     strict: Strict = False,
 ) -> int:
     """Identify the inertia parameters, given friction and gravity.
@@ -71,6 +73,7 @@ def run(
         needs=("friction", "gravity", *imu_stage_for(motion)),
     )
 
+    from seqid_cli.identify.consistency import made_consistent
     from seqid_cli.identify.inertia import identify_inertia
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.motion.options import MotionOptions
@@ -79,8 +82,9 @@ def run(
 
     def identify(recordings: Iterable[Recording]) -> Stages:
         logs = announced(recordings, job.screen, job.stages.imu, motion)
-        return Stages(
-            inertia=identify_inertia(logs, job.robot, job.stages, options=options, compare=True)
-        )
+        stage = identify_inertia(logs, job.robot, job.stages, options=options, compare=True)
+        if consistent:
+            stage = made_consistent(stage, job.stages, job.robot)
+        return Stages(inertia=stage)
 
     return run_stage(job, identify, strict=strict, following=_FOLLOWING)

@@ -108,6 +108,14 @@ SkipFailed = Annotated[
     bool,
     typer.Option("--skip-failed", help="Go on without logs that cannot be used; exits with 3."),
 ]
+Consistent = Annotated[
+    bool,
+    typer.Option(
+        "--consistent",
+        help="Allow only parameters that bodies with positive density and rotors of positive"
+        " inertia can have; says what moved, in standard errors.",
+    ),
+]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 when a verdict is poor.")]
 
 _SCREEN_FLAGS = (

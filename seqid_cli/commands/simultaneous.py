@@ -10,6 +10,7 @@ import typer
 from seqid_cli.commands.job import prepare
 from seqid_cli.commands.options import (
     Clock,
+    Consistent,
     Cutoff,
     Logs,
     MotionSource,
@@ -50,6 +51,7 @@ def run(
     motion: MotionSource = "auto",
     cutoff: Cutoff = None,
     time: Clock = "header",
+    consistent: Consistent = False,
     strict: Strict = False,
 ) -> int:
     """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
@@ -67,6 +69,7 @@ def run(
         needs=imu_stage_for(motion),
     )
 
+    from seqid_cli.identify.consistency import made_consistent
     from seqid_cli.identify.simultaneous import identify_simultaneous
     from seqid_cli.motion.options import MotionOptions
 
@@ -82,6 +85,8 @@ def run(
             source=motion,
             offset=offset,
         )
+        if consistent:
+            inertia = made_consistent(inertia, Stages(), job.robot)
         return Stages(friction=friction, inertia=inertia)
 
     return run_stage(job, identify, strict=strict, following=_FOLLOWING)

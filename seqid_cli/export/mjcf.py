@@ -13,8 +13,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from seqid_cli.export.model import ExportModel
-from seqid_cli.export.pseudo_inertia import Body
 from seqid_cli.export.text import real, reals, remarks
+from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.types import Array
 
 _THICKNESS = 0.1  # radius of a drawn link over its length

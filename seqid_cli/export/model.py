@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.export.consistent import consistent_links
-from seqid_cli.export.demand import Deviation, Identified, identified
 from seqid_cli.export.effects import absorbed_effects
 from seqid_cli.export.friction_fit import SimpleFriction, simple_friction
-from seqid_cli.export.prior import Expected, expected_links
 from seqid_cli.export.urdf_tree import UrdfBody
+from seqid_cli.model.bodies.demand import Deviation, Identified, identified
+from seqid_cli.model.bodies.nearest import nearest_bodies
+from seqid_cli.model.bodies.prior import Expected
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import Stages
@@ -109,24 +109,24 @@ def export_model(
     kept = np.zeros((robot.n, PER_LINK))
     if bodies is not None:
         kept = np.array([body.kept for body in bodies])
-    own, rotor, exact, expected = _links(robot, demand, kept)
+    nearest = nearest_bodies(robot, demand, kept)
     rigid = stages.inertia or stages.gravity
     coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
     surfaces = tuple(friction_surfaces(stages, robot))
     friction = tuple(None if s is None else simple_friction(s) for s in surfaces)
     return ExportModel(
         robot=robot,
-        own=own,
+        own=nearest.links,
         kept=kept,
-        rotor=rotor,
+        rotor=nearest.rotor,
         coupling="gyroscopic" if coupled else "diagonal",
         surfaces=surfaces,
         friction=friction,
-        deviations=demand.deviations(own + kept, rotor),
-        exact=exact,
-        from_cad=expected.from_cad,
+        deviations=demand.deviations(nearest.links + kept, nearest.rotor),
+        exact=nearest.exact,
+        from_cad=nearest.expected.from_cad,
         notes=(
-            *_notes_on_links(robot, stages, demand, expected),
+            *_notes_on_links(robot, stages, demand, nearest.expected),
             *_notes_on_friction(robot, friction),
             *effects.notes,
         ),
@@ -141,25 +141,6 @@ def _check_enough(robot: Robot, stages: Stages) -> None:
             where=str(robot.source),
             hint="Run seqid inertia first and export its result.",
         )
-
-
-def _links(robot: Robot, demand: Identified, kept: Array) -> tuple[Array, Array, bool, Expected]:
-    """Links (n, 10) without `kept`, rotors (n,), whether exact, and what had been expected."""
-    wanted = demand.demand
-    fixed = wanted.E @ kept.ravel()
-    expected = expected_links(robot, kept, wanted.E, wanted.values - fixed)
-    wanted = type(wanted)(wanted.E, wanted.G, wanted.values - fixed, wanted.whitening)
-    ratio = gear_ratios(robot)
-    sizes = np.array([_turning(expected.J[j]) / ratio[j] ** 2 for j in demand.free])
-    found = consistent_links(expected.J, sizes, wanted)
-    rotor = demand.known.copy()
-    rotor[list(demand.free)] = found.rotors
-    return found.phi, rotor, found.exact, expected
-
-
-def _turning(J: Array) -> float:
-    """Size of a link's inertia, kg m^2."""
-    return float(np.trace(J[:3, :3]))
 
 
 def _notes_on_links(

@@ -6,8 +6,8 @@ import json
 from collections.abc import Iterable
 
 from seqid_cli.export.model import ExportModel
-from seqid_cli.export.pseudo_inertia import Body
 from seqid_cli.export.text import real, remarks
+from seqid_cli.model.bodies.pseudo_inertia import Body
 
 
 def ros2_parameters(model: ExportModel) -> str:

@@ -11,9 +11,9 @@ from xml.dom import minidom
 from xml.dom.minidom import Comment, Document, Element, Text
 
 from seqid_cli.export.model import ExportModel
-from seqid_cli.export.pseudo_inertia import Body
 from seqid_cli.export.text import plain, real, reals, remarks
 from seqid_cli.export.urdf_tree import UrdfBody, rpy_of_rotation
+from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.base import gear_ratios
 from seqid_cli.robot.types import Array, Joint
 

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.export.pseudo_inertia import Body, pseudo_inertia, standard_of
+from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
 from seqid_cli.robot.types import Array
 
 

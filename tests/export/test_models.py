@@ -16,8 +16,8 @@ from ruamel.yaml import YAML
 
 from seqid_cli.export.c_header import identifier
 from seqid_cli.export.formats import Exported, export
-from seqid_cli.export.pseudo_inertia import pseudo_inertia
 from seqid_cli.export.urdf_tree import bodies_of_urdf
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import Stages

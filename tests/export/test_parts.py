@@ -10,12 +10,12 @@ import pinocchio as pin
 import pytest
 
 from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.export.consistent import Demand, consistent_links
 from seqid_cli.export.formats import export, format_of
 from seqid_cli.export.friction_fit import simple_friction
-from seqid_cli.export.pseudo_inertia import Body, pseudo_inertia, standard_of
 from seqid_cli.export.text import plain, real
 from seqid_cli.export.urdf_tree import bodies_of_urdf, rotation_of_rpy, rpy_of_rotation
+from seqid_cli.model.bodies.consistent import Demand, consistent_links
+from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.friction import FrictionSurface

@@ -31,7 +31,7 @@ import numpy as np
 from scipy import sparse
 
 from seqid_cli.errors import QualityError
-from seqid_cli.export.pseudo_inertia import standard_of
+from seqid_cli.model.bodies.pseudo_inertia import standard_of
 from seqid_cli.robot.types import Array
 
 MARGIN = 1e-3  # least eigenvalue of S: share of the expected pseudo-inertia that is always there

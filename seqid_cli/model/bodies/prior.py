@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from seqid_cli.export.pseudo_inertia import pseudo_inertia, standard_of
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.robot.types import Array, Chain, Robot
 
 _NO_MASS = 1e-6  # kg; below it a link of the URDF has no inertial worth the name

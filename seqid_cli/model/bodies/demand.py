@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.export.consistent import Demand
+from seqid_cli.model.bodies.consistent import Demand
 from seqid_cli.model.torque import known_rotors, standard_parameters
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
 from seqid_cli.robot.base import Basis, free_basis

@@ -1,0 +1,67 @@
+"""Physical consistency as a constraint of identification.
+
+Least squares does not know that masses are positive. Of all models that bodies with positive
+density and rotors of positive inertia can have, the constrained one is the nearest to the
+unconstrained in units of its covariance, which is the maximum of the posterior under the
+constraint (see `model.bodies.consistent`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec.structs import replace
+
+from seqid_cli.model.bodies.demand import Deviation, identified
+from seqid_cli.model.bodies.nearest import nearest_bodies
+from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.robot.base import standard_names
+from seqid_cli.robot.types import Robot
+
+TOLD = 0.5  # standard errors by which a parameter must move to be named
+
+
+def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidStage:
+    """Put the parameters of an inertia stage among those that bodies can have.
+
+    Parameters
+    ----------
+    stage : RigidStage
+        As it was identified.
+    stages : Stages
+        With the gravity stage, which it continues.
+    robot : Robot
+
+    Returns
+    -------
+    RigidStage
+        With other values, of which bodies (`representative`) exist; standard errors are those of
+        the unconstrained estimate. A note names what moved by half a standard error or more.
+
+    Raises
+    ------
+    QualityError
+        If no physically consistent parameters are found.
+    """
+    found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
+    nearest = nearest_bodies(robot, found)
+    told = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
+    parameters = [
+        replace(p, value=told[p.name].exported) if p.name in told else p for p in stage.parameters
+    ]
+    phi = np.concatenate([nearest.links.ravel(), nearest.rotor])
+    names = standard_names(robot.n)
+    return replace(
+        stage,
+        parameters=parameters,
+        representative={name: float(x) for name, x in zip(names, phi, strict=True) if x != 0.0},
+        notes=[*stage.notes, _note(list(told.values()), exact=nearest.exact)],
+    )
+
+
+def _note(deviations: list[Deviation], *, exact: bool) -> str:
+    if exact:
+        return "physically consistent as identified: bodies with these parameters exist"
+    moved = [(d.name, d.std_errors or 0.0) for d in deviations]
+    named = [f"{name} by {by:+.1f}" for name, by in moved if abs(by) >= TOLD]
+    said = ", ".join(named) or f"none by more than {TOLD:g}"
+    return f"made physically consistent; moved, in standard errors: {said}"

@@ -1,0 +1,1 @@
+"""Bodies that can exist, nearest to what was identified."""

@@ -83,4 +83,4 @@ def run(
     def identify(recordings: Iterable[Recording]) -> Stages:
         return Stages(imu=calibrate_imus(recordings, job.robot, earlier, options=options))
 
-    return run_stage(job, identify, strict=strict, following=_FOLLOWING)
+    return run_stage(job, identify, strict=strict, following=_FOLLOWING, imus=True)

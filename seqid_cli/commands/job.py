@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -23,6 +23,7 @@ from seqid_cli.scale.options import Workers
 
 if TYPE_CHECKING:
     from seqid_cli.identify.parts import PartOf
+    from seqid_cli.inspect.report import Finding
     from seqid_cli.logs.recording import Recording
     from seqid_cli.robot.types import Robot
     from seqid_cli.scale.work import LogNote, Task
@@ -139,8 +140,11 @@ class Account:
     `partial` and `left_out` are complete afterwards. Health warnings go to the screen as they come.
     """
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: Job, *, imus: bool | None = None) -> None:
+        """Take a job; `imus` says whether IMUs are read, else the IMU stage does."""
         self._job = job
+        self._imus = job.stages.imu is not None if imus is None else imus
+        self.findings: list[Finding] = []
         self._progress = ProgressLine(len(job.files), sys.stderr, enabled=not job.screen.quiet)
         self._logs: list[tuple[str, str, int]] = []
         self.partial: list[str] = []
@@ -149,14 +153,17 @@ class Account:
 
     def __iter__(self) -> Iterator[Recording]:
         """Read the logs one after the other."""
-        from seqid_cli.logs.read import read_recordings
+        from seqid_cli.inspect.screening import read_screened
         from seqid_cli.scale.work import note_of
 
         job = self._job
         try:
             self._progress.show(0, job.files[0].name)
-            for recording in read_recordings(job.files, job.robot, time_source=job.time_source):
-                self.done(note_of(recording))
+            for path in job.files:
+                clock = job.time_source
+                found = read_screened(path, job.robot, time_source=clock, imus=self._imus)
+                recording = found.recording
+                self.done(replace(note_of(recording), findings=found.findings))
                 self.begun(recording)
                 yield recording
                 self._progress.show(len(self._logs), recording.path.name)
@@ -190,7 +197,7 @@ class Account:
     def _task(self, part: PartOf[Any, P]) -> Task[P]:
         from seqid_cli.scale.work import Task
 
-        return Task(self._job.robot, self._job.time_source, part, Path.cwd())
+        return Task(self._job.robot, self._job.time_source, part, Path.cwd(), self._imus)
 
     def inputs(self, stage: str = "") -> list[InputLog]:
         """Return the logs read so far, as documents list them."""
@@ -213,10 +220,20 @@ class Account:
         screen.detail(f"{path}: {note.samples} samples at {note.rate_hz:.6g} Hz")
         for warning in note.warnings:
             screen.warn(f"{path}: {warning}")
+        self._found(note)
         if note.partial:
             self.partial.append(f"{path}: {note.partial}")
             screen.warn(f"{path}: only partly read: {note.partial}")
         self._show_progress(note.path)
+
+    def _found(self, note: LogNote) -> None:
+        """Take account of what is wrong with a log; what its reader warned of is said already."""
+        for finding in note.findings:
+            self.findings.append(finding)
+            if finding.message not in note.warnings and finding.severity == "error":
+                about = " ".join(part for part in (finding.joint, finding.channel) if part)
+                text = f"{about}: {finding.message}" if about else finding.message
+                self._job.screen.warn(f"{note.path}: [{finding.code}] {text}")
 
     def failed(self, path: Path, error: Exception) -> None:
         """Take account of a log that was left out because the user wants to go on."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
@@ -14,12 +14,16 @@ from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import Stages, Verdict
 
 if TYPE_CHECKING:
+    from seqid_cli.commands.render import Screen
+    from seqid_cli.inspect.report import Finding
     from seqid_cli.logs.recording import Recording
 
 Identify = Callable[["Iterable[Recording]"], Stages]
 
 
-def run_stage(job: Job, identify: Identify, *, strict: bool, following: str) -> int:
+def run_stage(
+    job: Job, identify: Identify, *, strict: bool, following: str, imus: bool | None = None
+) -> int:
     """Run a stage and deal with its result; returns the exit code.
 
     Parameters
@@ -31,10 +35,16 @@ def run_stage(job: Job, identify: Identify, *, strict: bool, following: str) -> 
     strict : bool
         Whether a poor verdict makes the exit code 1.
     following : str
-        The command that comes next, with `{output}` and `{robot}` to fill in.
+        The command that comes next, with `{output}` and `{robot}` to fill in; it is not proposed
+        after a poor verdict.
+    imus : bool, optional
+        Whether the readings of IMUs are used; by default where they are calibrated.
     """
-    account = Account(job)
+    from seqid_cli.identify.judge import judged
+
+    account = Account(job, imus=imus)
     found = _with_notes(identify(account), account.notes())
+    found = judged(found, job.previous, job.robot, account.findings)
     names = tuple(present(found))
     for name in stale_stages(job.previous, names):
         job.screen.warn(f"the {name} stage rested on the old result and is left out: redo it")
@@ -51,8 +61,10 @@ def run_stage(job: Job, identify: Identify, *, strict: bool, following: str) -> 
         write_json_atomic(job.output, file, inputs=[*job.files, *job.parameters])
     job.screen.document(file)
     show_stages(job.screen, found)
-    tell_output(job, following)
     poor = any(not verdict.good for verdict in stage_verdicts(found))
+    tell_output(job, "" if poor else following)
+    if poor:
+        tell_remedies(job.screen, account.findings)
     return exit_code(untrusted=strict and poor, partial=account.incomplete)
 
 
@@ -76,6 +88,18 @@ def tell_output(job: Job, following: str) -> None:
     if following:
         command = following.format(output=job.output, robot=job.robot.source)
         job.screen.note(f"next: {command}")
+
+
+def tell_remedies(screen: Screen, findings: Sequence[Finding]) -> None:
+    """Say what to do after a poor verdict."""
+    from seqid_cli.identify.log_verdicts import remedies
+
+    for remedy in remedies(findings):
+        screen.note(f"do: {remedy}")
+    screen.note(
+        "do: look at the reasons above and mend the logs or the robot file before going on"
+        + ("" if findings else " (seqid inspect LOG... -r ROBOT looks closer)")
+    )
 
 
 def stage_verdicts(stages: Stages) -> list[Verdict]:

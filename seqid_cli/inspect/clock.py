@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+import numpy as np
+
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
+from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.shares import percent
 
@@ -55,12 +58,12 @@ def clock_findings(data: LogData) -> Iterator[Finding]:
             f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
             + (f", with {len(health.gaps)} gaps" if health.gaps else ""),
         )
-    elif health.gaps:
-        worst = max(health.gaps, key=lambda gap: gap[1] - gap[0])
-        lost = sum(end - start for start, end in health.gaps)
+    elif gaps := _gaps(data):
+        worst = max(gaps, key=lambda gap: gap[1] - gap[0])
+        lost = sum(end - start for start, end in gaps)
         yield found(
             "clock_gap",
-            f"{len(health.gaps)} gaps, {lost:.3g} s in all, the longest from {worst[0]:.3f} to "
+            f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {worst[0]:.3f} to "
             f"{worst[1]:.3f} s",
         )
     delay = health.log_minus_header_s
@@ -72,6 +75,15 @@ def clock_findings(data: LogData) -> Iterator[Finding]:
         # Noise on the position of a joint that stands adds up to travel, not to motion.
         if finding.code != "torque_echo" or finding.joint not in standing:
             yield finding
+
+
+def _gaps(data: LogData) -> list[tuple[float, float]]:
+    """Gaps without a row; holes of single channels are another matter (`hole_findings`)."""
+    if not data.recording.health.gaps:
+        return []
+    t = data.t
+    wide = np.flatnonzero(np.diff(t) > gap_limit(np.diff(t)))
+    return [(float(t[k]), float(t[k + 1])) for k in wide]
 
 
 def _said(warnings: tuple[str, ...], names: tuple[str, ...]) -> Iterator[Finding]:

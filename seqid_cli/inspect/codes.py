@@ -45,6 +45,12 @@ CODES: Mapping[str, Code] = {
         "More than 1 % of the samples, not at even distances as of a slower channel.",
         "Look for lost packets in the logger; missing samples are bridged by a curve.",
     ),
+    "channel_hole": Code(
+        "error",
+        "A channel has no values for a while, the others go on.",
+        "Null or NaN for more than 5 median intervals and 20 ms in which the log has rows.",
+        "Look for lost packets between drive and logger; these samples are left out.",
+    ),
     "values_absurd": Code(
         "error",
         "A channel holds infinite or absurdly large values.",
@@ -309,6 +315,15 @@ CODES: Mapping[str, Code] = {
         "The effort is torque already although the robot file takes it for current.",
         "It stands to the gravity torque of the URDF's inertials as torque does.",
         'Write effort = "torque" under [channels], or name the column <joint>.torque.',
+    ),
+    "effort_unclear": Code(
+        "error",
+        "The log carries torque, the robot file gives torque constants, and nothing tells whether "
+        "the values are torque or current.",
+        'torque_constant of a joint, neither effort = "torque" nor torque under [channels], and no '
+        "weight by a URDF's inertials to compare with.",
+        'Write effort = "torque" under [channels] where it is joint torque, effort = "current" '
+        "(or name the column <joint>.current) where it is motor current.",
     ),
     "torque_scale": Code(
         "error",

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.robot.base import Basis, base_parameters, base_regressor
@@ -28,7 +28,7 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-ROWS = 3000
+ROWS = 1000
 FEWEST = 60
 BOTH_WAYS = 0.05  # rad (m) that a joint must go each way
 BALANCED = 0.2  # of the way there, that a joint must go back: else friction is an offset
@@ -92,8 +92,13 @@ def sample_of(data: LogData) -> Sample | None:
         direction[rows],
         max(1.0, MEMORY_S / spacing),
         moving,
-        base_parameters(robot, rotor=[]) if data.modelled and moving else None,
+        _basis(robot) if data.modelled and moving else None,
     )
+
+
+@per_robot
+def _basis(robot: Robot) -> Basis:
+    return base_parameters(robot, rotor=[])
 
 
 def _both_ways(motion: Motion, rows: NDArray[np.intp], j: int) -> bool:

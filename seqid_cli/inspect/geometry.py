@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.inspect.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics import Sample, joint_columns, position_columns
-from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.robot.base import base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -33,7 +33,7 @@ MENDED = 0.5  # of the error, that a cause may leave
 SOUND = 0.35  # of the torque's RMS, that a mended fit may leave
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
 RIVALS, MOST_ALIKE = 8, 3  # causes looked at closely, and joints that they may be of
-ROWS, FEW_ROWS = 900, 250  # of a fit, and of a first look at many
+ROWS, FEW_ROWS = 600, 250  # of a fit, and of a first look at many
 SLIDES = 0.2  # of the RMS speed
 SIGMAS = 3.0
 SMALL, LARGE = 0.25, 4.0
@@ -96,7 +96,7 @@ def geometry_findings(data: LogData, sample: Sample, friction: list[Finding]) ->
         mends = [f for f in structural if f.code != "model_mismatch"]
         agrees = any((f.code, frozenset(f.joint.split(", "))) in known for f in mends)
         return friction if agrees or not mends else mends
-    return structural or [*_scale(data, sample, _weights(data.robot, sample))]
+    return structural or [*_scale(data, sample, _weights(data.robot, _thinned(sample, ROWS)))]
 
 
 def _structural(data: LogData, sample: Sample) -> Iterator[Finding]:
@@ -163,9 +163,11 @@ def _mending(
 
 
 def _thinned(sample: Sample, count: int) -> Sample:
-    rows = slice(None, None, max(1, len(sample.q) // count))
+    every = max(1, len(sample.q) // count)
+    rows = slice(None, None, every)
     return replace(
         sample,
+        memory=max(1.0, sample.memory / every),
         q=sample.q[rows],
         dq=sample.dq[rows],
         ddq=sample.ddq[rows],
@@ -206,7 +208,7 @@ def _weights(robot: Robot, sample: Sample) -> list[Weight]:
         return []
     gravity, inertia = _nominal(robot, sample)
     rms = gravity.std(axis=0)
-    could = _largest_gravity(robot)
+    could = largest_gravity(robot)
     slides = np.array([joint.prismatic for joint in robot.joints])
     moving = np.isin(np.arange(robot.n), sample.moving)
     columns = joint_columns(robot, sample)
@@ -231,9 +233,11 @@ def _weights(robot: Robot, sample: Sample) -> list[Weight]:
     return result
 
 
-def _largest_gravity(robot: Robot) -> Array:
-    """Largest gravity torque (n,) by the URDF's inertials over postures spread evenly."""
-    assert robot.nominal is not None
+@per_robot
+def largest_gravity(robot: Robot) -> Array:
+    """Largest gravity torque (n,) by the URDF's inertials over postures spread evenly; else 0."""
+    if robot.nominal is None:
+        return np.zeros(robot.n)
     root = 2.0 ** (1.0 / (robot.n + 1))  # powers of it step through all angles evenly
     turns = np.outer(np.arange(POSTURES), root ** -np.arange(1, robot.n + 1)) % 1.0
     slides = np.array([joint.prismatic for joint in robot.joints])

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.channels import missing_imus, missing_joints
-from seqid_cli.inspect.clock import clock_findings
-from seqid_cli.inspect.dynamics import friction_findings, sample_of
-from seqid_cli.inspect.geometry import geometry_findings
+from seqid_cli.inspect.checks import check
 from seqid_cli.inspect.guess import guess, stand_in
-from seqid_cli.inspect.imu_fit import FOLLOWS
-from seqid_cli.inspect.imu_motion import Following, follow, motion_findings
-from seqid_cli.inspect.imus import imu_findings, layout_findings
+from seqid_cli.inspect.imus import layout_findings
 from seqid_cli.inspect.material import LogData, read_log
 from seqid_cli.inspect.moves import (
     imu_summaries,
@@ -24,53 +20,13 @@ from seqid_cli.inspect.moves import (
     stretches_of,
     together,
 )
-from seqid_cli.inspect.positions import fast_in_degrees, position_findings
 from seqid_cli.inspect.report import Finding, InspectReport, LogReport, found
-from seqid_cli.inspect.torques import temperature_findings, torque_findings
-from seqid_cli.inspect.velocities import velocity_findings
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.survey import Survey, survey
 from seqid_cli.robot.types import Robot
 
-# Findings that make everything computed from the motion of a joint meaningless.
-_SPOIL = frozenset(
-    {
-        "position_in_degrees",
-        "position_in_mm",
-        "position_motor_side",
-        "position_wraps",
-        "position_spikes",
-        "position_jump",
-        "position_frozen",
-        "position_stuck",
-        "joints_swapped",
-        "sign_mismatch",
-        "torque_zero",
-        "torque_constant_value",
-        "torque_stuck",
-        "torque_echo",
-        "axis_flipped",
-        "position_zero",
-        "current_in_ma",
-        "values_absurd",
-    }
-)
-_SPOIL_ALL = frozenset({"time_unit", "clock_set_back", "stamps_far_off", "drive_data_missing"})
-# What is left out of a joint where one of the first codes explains it.
-_FOLLOW_UP = (
-    (
-        {"position_in_degrees", "position_in_mm", "position_motor_side", "joints_swapped"},
-        {"position_limits", "speed_limit", "velocity_inconsistent", "encoder_resolution"},
-    ),
-    ({"torque_zero", "torque_constant_value"}, {"torque_echo"}),
-    ({"torque_echo"}, {"torque_saturated", "torque_quantised", "torque_stuck"}),
-)
-_FOLLOW_UP_OF_MOTION = (({"gyro_in_degrees"}, {"gyro_bias"}),)
-# What a clock that scatters makes of sound values.
-_UNEVEN = frozenset({"velocity_inconsistent", "speed_limit", "position_jump", "values_missing"})
 _STAGES = ("friction", "gravity", "imu-calib", "inertia")
 
-Rules = tuple[tuple[set[str], set[str]], ...]
 Progress = Callable[[int, str], None]
 
 
@@ -167,8 +123,7 @@ def _guessed(
 
 def _report(path: Path, surveyed: Survey, data: LogData, found_before: list[Finding]) -> LogReport:
     recording = data.recording
-    following = follow(data)
-    findings = [*found_before, *_findings(data, following)]
+    checked = check(data)
     stretches = stretches_of(data)
     health = recording.health
     return LogReport(
@@ -184,87 +139,13 @@ def _report(path: Path, surveyed: Survey, data: LogData, found_before: list[Find
         log_minus_header_s=health.log_minus_header_s,
         sha256=recording.sha256,
         joints=joint_summaries(data),
-        imus=imu_summaries(data, following),
+        imus=imu_summaries(data, checked.following),
         moves=moves_of(data, stretches),
         moving_together=together(data),
         serves=serves(data, stretches) if data.modelled else (),
         partial=recording.partial,
-        findings=_located(_unique(findings), path),
+        findings=_located((*found_before, *checked.findings), path),
     )
-
-
-def _findings(data: LogData, following: list[Following]) -> Iterator[Finding]:
-    """Run the checks, the sound ones first; what is spoilt is not judged again."""
-    own = [*clock_findings(data)]
-    if data.recording.partial:
-        own.append(found("salvaged", data.recording.partial))
-    own += torque_findings(data)
-    own += temperature_findings(data)
-    if not any(finding.code in _SPOIL_ALL for finding in own):
-        own += imu_findings(data)
-    if not any(finding.code in _SPOIL_ALL for finding in own):
-        positions = [*position_findings(data)]
-        broken = frozenset(f.joint for f in positions if f.code in _SPOIL)
-        velocities = velocity_findings(data, broken)
-        own += velocities
-        if not any(finding.code in _SPOIL_ALL for finding in own):
-            own += [*positions, *fast_in_degrees(data)]
-        if any(f.code == "jitter" for f in own):  # slopes over such times mean nothing
-            own = [f for f in own if f.code not in _UNEVEN]
-    own = _one_cause(own, _FOLLOW_UP)
-    if not any(finding.code in _SPOIL_ALL for finding in own):
-        own += _of_dynamics(data, own, following)
-    yield from _one_cause(own, _FOLLOW_UP_OF_MOTION)
-
-
-def _of_dynamics(
-    data: LogData, own: list[Finding], following: list[Following]
-) -> Iterator[Finding]:
-    """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
-    spoilt = {f.joint for f in own if f.code in _SPOIL}
-    against: list[Finding] = []
-    uneven = any(f.code == "jitter" for f in own)  # accelerations mean nothing then
-    sample = None if uneven else sample_of(data)
-    if sample is not None:
-        friction = [] if spoilt else [*friction_findings(data, sample)]
-        against += friction if spoilt else geometry_findings(data, sample, friction)
-    yield from (_with_imus(finding, data, following) for finding in against)
-    spoil = {*_SPOIL, "position_limits"}  # a zero that is off turns the link
-    joints = {name for f in (*own, *against) if f.code in spoil for name in f.joint.split(", ")}
-    if not joints & set(data.robot.joint_names):
-        broken = {f.joint for f in own if f.severity == "error"}
-        broken |= {f.joint for f in own if f.code == "imu_saturated"}
-        sound = [item for item in following if item.imu.name not in broken]
-        yield from motion_findings(data, sound)
-
-
-def _with_imus(finding: Finding, data: LogData, following: list[Following]) -> Finding:
-    """Add to a sign that is wrong whether the IMUs blame the position."""
-    if finding.code != "sign_mismatch":
-        return finding
-    joint = data.robot.joint_names.index(finding.joint)
-    told = [f for f in following if f.imu.after_joint >= joint]
-    if not told:
-        return finding
-    blamed = "position" if any(f.fit.left > FOLLOWS for f in told) else "torque"
-    return replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
-
-
-def _one_cause(findings: list[Finding], rules: Rules) -> list[Finding]:
-    """Leave out what another finding of the same joint already explains."""
-    codes: dict[str, set[str]] = {}
-    for finding in findings:
-        for name in finding.joint.split(", "):
-            codes.setdefault(name, set()).add(finding.code)
-    return [
-        finding
-        for finding in findings
-        if not any(
-            finding.code in follow_up and codes[finding.joint] & causes
-            for causes, follow_up in rules
-            if finding.joint in codes
-        )
-    ]
 
 
 def _unreadable(path: Path, error: InputError, form: str = "") -> LogReport:
@@ -276,10 +157,6 @@ def _unreadable(path: Path, error: InputError, form: str = "") -> LogReport:
 
 def _located(findings: Sequence[Finding], path: Path) -> tuple[Finding, ...]:
     return tuple(replace(finding, log=str(path)) for finding in findings)
-
-
-def _unique(findings: Sequence[Finding]) -> list[Finding]:
-    return list({(f.code, f.joint, f.channel): f for f in reversed(findings)}.values())[::-1]
 
 
 def _duplicates(logs: Sequence[LogReport]) -> list[Finding]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.logs.clocks import tidy
-from seqid_cli.logs.open import check_log
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
-from seqid_cli.logs.read import READERS, read_recording
+from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -22,9 +23,23 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+V = TypeVar("V")
 
 ABSURD = 1e9  # the reader takes such values as missing
 LOWEST_HZ, LOWEST_SHARE = 3.0, 0.1  # cut-off, and as a share of the rate
+ENOUGH_HZ = 100.0  # samples per second of motion that is compared with torque
+
+
+def per_robot(function: Callable[[Robot], V]) -> Callable[[Robot], V]:
+    """Work something out once for all logs of a robot (the very object that was loaded)."""
+    last: list[tuple[Robot, V]] = []
+
+    def remembered(robot: Robot) -> V:
+        if not last or last[0][0] is not robot:
+            last[:] = [(robot, function(robot))]
+        return last[0][1]
+
+    return remembered
 
 
 @dataclass(frozen=True)
@@ -86,8 +101,12 @@ def read_log(path: Path, robot: Robot, *, modelled: bool, time_source: TimeSourc
     InputError
         It cannot be read, or lacks what the robot file promises.
     """
-    recording = read_recording(path, robot, time_source=time_source)
-    raw = READERS[check_log(path)](path, robot, time_source)
+    recording, raw = read_both(path, robot, time_source=time_source)
+    return log_data(recording, raw, robot, modelled=modelled)
+
+
+def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool) -> LogData:
+    """Prepare a log that was read for the checks."""
     step = noise_step(recording.q, encoder_resolution(robot))
     return LogData(
         robot=robot,
@@ -102,6 +121,7 @@ def read_log(path: Path, robot: Robot, *, modelled: bool, time_source: TimeSourc
 
 def _motion(recording: Recording, robot: Robot) -> Motion | None:
     """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
+    recording = averaged(recording, ENOUGH_HZ)
     lowest = min(LOWEST_HZ, LOWEST_SHARE * recording.rate_hz)
     try:
         motion = estimate_motion(recording, robot, MotionOptions())
@@ -110,6 +130,45 @@ def _motion(recording: Recording, robot: Robot) -> Motion | None:
     except SeqidError:
         return None
     return motion
+
+
+def averaged(recording: Recording, rate_hz: float) -> Recording:
+    """Average a log over groups of samples, so that no more than needed are filtered.
+
+    Parameters
+    ----------
+    recording : Recording
+    rate_hz : float
+        What is left is at least that fast [Hz].
+
+    Returns
+    -------
+    Recording
+        Position and torque alone, both averaged alike; a group is valid if all of it is. The same
+        recording where its rate is not twice as high, or where its IMUs are wanted.
+    """
+    size = int(recording.rate_hz / rate_hz)
+    if size < 2 or recording.accelerometers or recording.gyros:
+        return recording
+    count = len(recording.t) // size
+
+    def mean(values: Array) -> Array:
+        groups = values[: count * size].reshape(count, size, -1)
+        total = groups[:, 0].copy()
+        for k in range(1, size):  # several times as fast as `mean` over a short axis
+            total += groups[:, k]
+        return np.asarray(total / size)
+
+    return replace(
+        recording,
+        t=mean(recording.t)[:, 0],
+        q=mean(recording.q),
+        valid=np.asarray(recording.valid[: count * size].reshape(count, size).all(axis=1)),
+        health=replace(recording.health, rate_hz=recording.rate_hz / size),
+        dq=None,
+        tau=None if recording.tau is None else mean(recording.tau),
+        temperature=None,
+    )
 
 
 def _without_absurd(stream: Stream) -> Stream:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,7 +61,7 @@ def joint_summaries(data: LogData) -> tuple[JointSummary, ...]:
     return tuple(result)
 
 
-def imu_summaries(data: LogData, following: list[Following]) -> tuple[ImuSummary, ...]:
+def imu_summaries(data: LogData, following: Sequence[Following]) -> tuple[ImuSummary, ...]:
     """Describe what the log shows of each IMU."""
     result = []
     for imu in data.robot.imus:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,14 @@ from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import equal_runs, held, lattice, missing_share
 from seqid_cli.motion.segments import windowed_velocity
-from seqid_cli.robot.types import Joint
+from seqid_cli.robot.types import Joint, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
+NONE: Rows = np.zeros(0, dtype=np.intp)
 DEGREES = 180.0 / np.pi
 OUTSIDE = 0.02  # of the limits' span
 JUMP_ACCELERATION = 1000.0  # rad/s^2 (m/s^2): beyond any arm
@@ -34,26 +37,76 @@ SPEEDING = 2.0
 ON_LATTICE, OFF_LATTICE = 0.9, 0.5
 
 
-def position_findings(data: LogData) -> Iterator[Finding]:
-    """Check every joint's positions."""
+@dataclass(frozen=True)
+class Break:
+    """Where the positions of one joint are broken, and the joint samples that are wrong.
+
+    `rows` is empty where the samples cannot be told, or all after some moment are wrong.
+    """
+
+    joint: int
+    finding: Finding
+    rows: NDArray[np.intp]
+
+
+def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
+    """Find wraps, freezes, spikes and jumps of every joint.
+
+    Parameters
+    ----------
+    robot : Robot
+    t : (M,) array
+        Time of the joint samples [s].
+    position : (M, n) array
+        As logged [rad; m where prismatic], NaN where missing.
+
+    Returns
+    -------
+    list of Break
+    """
+    breaks = []
+    for j, joint in enumerate(robot.joints):
+        rows = np.flatnonzero(np.isfinite(position[:, j]))
+        own_t, q = t[rows], position[rows, j]
+        if len(q) < 3 or _smooth(own_t, q):
+            continue
+        broken = _breaks(joint, own_t, q, lattice(q))
+        breaks += [Break(j, finding, rows[wrong]) for finding, wrong in broken]
+    return breaks
+
+
+def _smooth(t: Array, q: Array) -> bool:
+    """Whether no two changes of a position in a row differ by as much as any break makes."""
+    usual = float(np.median(np.diff(t)))
+    least = ALONE * min(JUMP_ACCELERATION * usual**2, JUMP_MOST)
+    bend = np.diff(q, 2)
+    return bool(max(bend.max(), -bend.min()) < least)
+
+
+def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Finding]:
+    """Check every joint's positions; `breaks` are those of `breaks_of`."""
+    for j in range(data.robot.n):
+        broken = [each.finding for each in breaks if each.joint == j]
+        yield from broken
+        unit = None if broken else _unit(data, j)
+        if unit is not None:
+            yield unit
+
+
+def position_quality(data: LogData, broken: Container[str]) -> Iterator[Finding]:
+    """Check how well positions are measured, but for the joints named in `broken`."""
     for j, joint in enumerate(data.robot.joints):
-        rows = np.isfinite(data.joints.channels["position"][:, j])
-        q, t = data.joints.channels["position"][rows, j], data.t[rows]
+        column = data.joints.channels["position"][:, j]
+        q = column[np.isfinite(column)]
         if len(q) < 3:
             continue
-        share = missing_share(data.joints.channels["position"][:, j])
+        share = missing_share(column)
         if share > MISSING:
             text = f"{percent(share)} of the positions are missing"
             yield found("values_missing", text, joint=joint.name, channel="position")
-        step = lattice(q)
-        broken = list(_breaks(joint, t, q, step))
-        yield from broken
-        unit = _unit(data, j, q) if not broken else None
-        if unit is not None:
-            yield unit
-        if broken or unit is not None:
+        if joint.name in broken:
             continue
-        yield from _resolution(joint, q, step)
+        yield from _resolution(joint, q, lattice(q))
         size = held(q)
         if size > 1 and data.moves(j):
             text = f"the position repeats each value {size} times"
@@ -61,10 +114,12 @@ def position_findings(data: LogData) -> Iterator[Finding]:
         yield from _speed(data, j)
 
 
-def _unit(data: LogData, j: int, q: Array) -> Finding | None:
+def _unit(data: LogData, j: int) -> Finding | None:
     """Compare with the limits, as they are and in other units."""
     joint = data.robot.joints[j]
-    if joint.position_limits is None:
+    column = data.joints.channels["position"][:, j]
+    q = column[np.isfinite(column)]
+    if joint.position_limits is None or len(q) < 3:
         return None
     margin = max(3.0 * data.step[j], OUTSIDE * _span(joint.position_limits))
     if _within(q, joint.position_limits, margin):
@@ -145,8 +200,8 @@ def _speed(data: LogData, j: int) -> Iterator[Finding]:
         yield found("speed_limit", text, joint=joint.name, channel="position")
 
 
-def _breaks(joint: Joint, t: Array, q: Array, step: float) -> Iterator[Finding]:
-    """Find wraps, freezes, spikes and jumps."""
+def _breaks(joint: Joint, t: Array, q: Array, step: float) -> Iterator[tuple[Finding, Rows]]:
+    """Find wraps, freezes, spikes and jumps, each with the samples that are wrong."""
     dt, d = np.diff(t), np.diff(q)
     usual = float(np.median(dt))
     if usual <= 0.0:
@@ -156,7 +211,7 @@ def _breaks(joint: Joint, t: Array, q: Array, step: float) -> Iterator[Finding]:
     if not joint.prismatic and wraps.any() and usual < 0.25:
         at = float(t[int(np.argmax(wraps))])
         text = f"changes by whole turns {int(wraps.sum())} times, first at {at:.3f} s"
-        yield found("position_wraps", text, joint=joint.name, channel="position")
+        yield found("position_wraps", text, joint=joint.name, channel="position"), NONE
         return
     large = _least_jump(q, step, usual)
     frozen = _frozen(t, q, large)
@@ -166,7 +221,8 @@ def _breaks(joint: Joint, t: Array, q: Array, step: float) -> Iterator[Finding]:
             f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
             f"{t[start + length - 1] - t[start]:.3f} s, and then catches up by {jump:.3g}"
         )
-        yield found("position_frozen", text, joint=joint.name, channel="position")
+        wrong = np.concatenate([np.arange(a + 1, a + size) for a, size, _ in frozen])
+        yield found("position_frozen", text, joint=joint.name, channel="position"), wrong
         return
     yield from _jumps(joint, t, q, large, usual)
 
@@ -185,7 +241,9 @@ def _least_jump(q: Array, step: float, usual: float) -> float:
     )
 
 
-def _jumps(joint: Joint, t: Array, q: Array, large: float, usual: float) -> Iterator[Finding]:
+def _jumps(
+    joint: Joint, t: Array, q: Array, large: float, usual: float
+) -> Iterator[tuple[Finding, Rows]]:
     d = np.diff(q)
     size = np.abs(d)
     big = size > large
@@ -194,21 +252,27 @@ def _jumps(joint: Joint, t: Array, q: Array, large: float, usual: float) -> Iter
     at = np.flatnonzero(big & (around < ALONE * size) & (np.diff(t) < 1.5 * usual))
     if not len(at):
         return
-    back = [
-        k
-        for k in at
-        if any(k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * size[k] for s in (1, 2, 3))
-    ]
+    back = {int(k): s for k in at if (s := _returns(d, int(k)))}
     code = "position_spikes" if back else "position_jump"
-    first = int(back[0] if back else at[0])
+    first = next(iter(back), int(at[0]))
     count = len(back) if back else len(at)
     text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
-    yield found(
+    wrong = [np.arange(k + 1, k + s + 1) for k, s in back.items()]
+    finding = found(
         code,
         text + (f" and {count - 1} more times" if count > 1 else ""),
         joint=joint.name,
         channel="position",
     )
+    yield finding, np.concatenate(wrong) if wrong else NONE
+
+
+def _returns(d: Array, k: int) -> int:
+    """Return after how many samples change k is undone, at most three; 0 if it is not."""
+    for s in (1, 2, 3):
+        if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * abs(d[k]):
+            return s
+    return 0
 
 
 def _smaller(size: Array, direction: int) -> Array:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.geometry import HEAVY, largest_gravity
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import clipped, equal_runs, held, lattice, missing_share
+from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
@@ -23,31 +25,32 @@ WHOLE, WHOLE_LEAST = 0.999, 30.0
 
 
 def torque_findings(data: LogData) -> Iterator[Finding]:
-    """Check the torque or current of every joint."""
+    """Check the torque or current of every joint that moves."""
     effort = data.effort()
     if effort is None:
         yield found("torque_missing", "there is neither torque nor current")
         return
     quantity, values = effort
     for j, joint in enumerate(data.robot.joints):
-        column = values[:, j]
-        present = np.isfinite(column)
-        if not present.any():
-            continue
-        share = missing_share(column)
-        if share > MISSING:
-            text = f"{percent(share)} of the values are missing"
-            yield found("values_missing", text, joint=joint.name, channel=quantity)
-        if data.moves(j):
-            for code, text in _of_moving(data, j, column, present):
+        if data.moves(j) and np.isfinite(values[:, j]).any():
+            for code, text in _of_moving(data, j, values[:, j]):
                 yield found(code, text, joint=joint.name, channel=quantity)
     if quantity == "current":
         yield from _milliamperes(data, values)
+    elif data.modelled and _unclear(data.robot):
+        text = "could be torque or current: the robot file gives torque_constant, the log torque"
+        yield found("effort_unclear", text, channel=quantity)
 
 
-def _of_moving(
-    data: LogData, j: int, column: Array, present: NDArray[np.bool_]
-) -> Iterator[tuple[str, str]]:
+def _unclear(robot: Robot) -> bool:
+    """Whether neither the robot file nor the robot's weight tells torque from current."""
+    drives = any(joint.torque_constant is not None for joint in robot.joints)
+    said = robot.channels.effort == "torque" or robot.channels.torque is not None
+    return drives and not said and float(largest_gravity(robot).max()) < HEAVY
+
+
+def _of_moving(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]]:
+    present = np.isfinite(column)
     values, t = column[present], data.t[present]
     if not values.any():
         yield "torque_zero", "is zero throughout although the joint moves"
@@ -55,19 +58,39 @@ def _of_moving(
     if np.ptp(values) == 0.0:
         yield "torque_constant_value", f"is {values[0]:.4g} throughout although the joint moves"
         return
-    moving = data.moving_samples(j)[present]
-    stuck = _stuck(values, t, moving)
+    stuck = _stuck(values, t, data.moving_samples(j)[present])
     if stuck:
         yield "torque_stuck", stuck
         return
     limit = clipped(values)
     if limit is not None:
         yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
+
+
+def torque_quality(data: LogData, broken: Container[str]) -> Iterator[Finding]:
+    """Check how well torque is measured, but for the joints named in `broken`."""
+    effort = data.effort()
+    if effort is None:
+        return
+    quantity, values = effort
+    for j, joint in enumerate(data.robot.joints):
+        share = missing_share(values[:, j])
+        if share > MISSING:
+            text = f"{percent(share)} of the values are missing"
+            yield found("values_missing", text, joint=joint.name, channel=quantity)
+        if data.moves(j) and joint.name not in broken:
+            for code, text in _resolved(data, j, values[:, j]):
+                yield found(code, text, joint=joint.name, channel=quantity)
+
+
+def _resolved(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]]:
+    present = np.isfinite(column)
+    values, moving = column[present], data.moving_samples(j)[present]
     size = held(values)
     if size > 1:
         yield "channel_held", f"repeats each value {size} times"
     step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
-    dithered = np.mean(np.diff(values) != 0) > DITHERED
+    dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > DITHERED
     if step and spread and step > COARSE * spread and not dithered:
         yield "torque_quantised", f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
 

@@ -47,7 +47,7 @@ def clipped(values: Array) -> tuple[float, float] | None:
     """
     if len(values) < FEW or len(np.unique(values[:: max(1, len(values) // 2000)])) < FEW:
         return None
-    step = lattice(values)
+    step: float | None = None
     for limit in (float(values.max()), float(values.min())):
         if limit == 0.0:
             continue  # a brake, or a channel that is off, not a limit
@@ -56,6 +56,7 @@ def clipped(values: Array) -> tuple[float, float] | None:
         piled = sum(b - a for a, b in visits if b - a >= RUN)
         if max(piled, len(visits)) < max(CLIPPED_LEAST, CLIPPED_SHARE * len(values)):
             continue
+        step = lattice(values) if step is None else step
         inner = (
             [
                 int(np.count_nonzero(np.abs(np.abs(values - limit) - k * step) < 0.5 * step))

@@ -58,6 +58,28 @@ class Block:
 
 
 @dataclass(frozen=True)
+class Bridge:
+    """Samples [start, stop) of one joint's position that are damaged, and the values around them.
+
+    `valid` says whether a straight line between those stands in for them.
+    """
+
+    joint: int
+    start: int
+    stop: int
+    before: float
+    after: float
+    valid: bool
+
+    def laid(self, block: Block) -> None:
+        """Write the bridge into a block's own arrays, where it has a part of it."""
+        rows = np.arange(max(self.start, block.start), min(self.stop, block.start + len(block.q)))
+        share = (rows - self.start + 1) / (self.stop - self.start + 1)
+        block.q[rows - block.start, self.joint] = self.before + share * (self.after - self.before)
+        block.valid[rows - block.start] &= self.valid
+
+
+@dataclass(frozen=True)
 class LongLog:
     """A log that can be passed over again and again; see the module's text."""
 
@@ -75,6 +97,7 @@ class LongLog:
     partial: str = ""
     warnings: tuple[str, ...] = ()
     spool: Spool | None = field(default=None, repr=False, compare=False)
+    bridges: tuple[Bridge, ...] = ()
 
     @property
     def rate_hz(self) -> float:
@@ -94,7 +117,14 @@ class LongLog:
             rows = (Rows(*part) for part in self.spool.parts())
         else:
             rows = _rows(self.file, self.format, self.robot, self.time_source)
-        return self._as_logged(rows) if self.exact else self._resampled(rows)
+        blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
+        return map(self._bridged, blocks) if self.bridges else blocks
+
+    def _bridged(self, block: Block) -> Block:
+        block = replace(block, q=block.q.copy(), valid=block.valid.copy())
+        for bridge in self.bridges:
+            bridge.laid(block)
+        return block
 
     def _as_logged(self, rows: Iterator[Rows]) -> Iterator[Block]:
         start, n = 0, self.robot.n

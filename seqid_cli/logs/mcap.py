@@ -134,7 +134,7 @@ class _Log:
     @classmethod
     def of(cls, path: Path, robot: Robot) -> _Log:
         """Gather what a robot needs."""
-        names = NameMap(robot.joint_names, robot.channels.effort)
+        names = NameMap(robot.joint_names, robot.channels.effort or "torque")
         kinds: dict[str, Kind] = {JOINT_STATES: "joint_state", **imu_topics(robot)}
         return cls(path, names, {t: Collector(t, kind, names) for t, kind in kinds.items()})
 

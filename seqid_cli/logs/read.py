@@ -77,12 +77,52 @@ def read_recording(
     UsageError
         `time_source` or `rate_hz` is not usable.
     """
+    return read_both(path, robot, time_source=time_source, rate_hz=rate_hz)[0]
+
+
+def read_both(
+    path: Path,
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    rate_hz: float | None = None,
+) -> tuple[Recording, RawLog]:
+    """Read one log as a recording and as it was logged; see `read_recording`."""
     with local_copy(path) as file:
-        recording = _read(Path(file), robot, time_source, rate_hz)
-    return replace(recording, path=path) if file is not path else recording
+        recording, raw = _read(Path(file), robot, time_source, rate_hz)
+    return (replace(recording, path=path) if file is not path else recording), raw
 
 
-def _read(path: Path, robot: Robot, time_source: TimeSource, rate_hz: float | None) -> Recording:
+def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stream) -> Recording:
+    """Lay a log on its base anew after some values of its joint samples were taken out.
+
+    Parameters
+    ----------
+    recording, raw
+        The log as `read_both` gives it.
+    robot : Robot
+    joints : Stream
+        Its joint samples in the order of time, NaN where a value is not to be used.
+
+    Returns
+    -------
+    Recording
+        Short holes are bridged by a curve, longer ones are not valid, like any missing values.
+    """
+    cleared, before = replace(raw, joints=joints), recording.health
+    where = recording.path
+    again = _assemble(where, recording.format, recording.sha256, cleared, robot, None)
+    health = replace(
+        before,
+        gaps=tuple(sorted({*before.gaps, *again.health.gaps})),
+        resampled=again.health.resampled,
+    )
+    return replace(again, health=health)
+
+
+def _read(
+    path: Path, robot: Robot, time_source: TimeSource, rate_hz: float | None
+) -> tuple[Recording, RawLog]:
     kind = check_log(path)
     path = storage_file(path)
     if time_source not in ("header", "log"):
@@ -93,7 +133,7 @@ def _read(path: Path, robot: Robot, time_source: TimeSource, rate_hz: float | No
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return _assemble(path, kind, digest, raw, robot, rate_hz)
+    return _assemble(path, kind, digest, raw, robot, rate_hz), raw
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class ChannelsEntry(Table, frozen=True):
     current: str | None = None
     torque: str | None = None
     temperature: str | None = None
-    effort: Literal["torque", "current"] = "torque"
+    effort: Literal["torque", "current"] | None = None
 
 
 class RobotFile(Table, frozen=True):

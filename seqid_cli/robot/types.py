@@ -60,7 +60,7 @@ class Channels:
     current: str | None = None
     torque: str | None = None
     temperature: str | None = None
-    effort: str = "torque"  # what `effort` of a JointState is: "torque" or "current"
+    effort: str | None = None  # what it is: "torque" or "current"; torque where it is not said
 
 
 @dataclass(frozen=True)

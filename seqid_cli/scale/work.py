@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast, runtime_chec
 from seqid_cli.logs.stored import local_copy
 
 if TYPE_CHECKING:
+    from seqid_cli.inspect.report import Finding
     from seqid_cli.logs.raw import TimeSource
     from seqid_cli.logs.recording import Recording
     from seqid_cli.motion.survey import SurveyedLog
@@ -28,6 +29,7 @@ class LogNote:
     rate_hz: float
     warnings: tuple[str, ...]
     partial: str
+    findings: tuple[Finding, ...] = ()
 
 
 @runtime_checkable
@@ -99,12 +101,15 @@ class Task(Generic[P]):
         From a recording and its number to what is wanted of it.
     folder : Path
         Where relative paths start; they stay as they are in results.
+    imus : bool
+        Whether the readings of IMUs are used, and hence checked.
     """
 
     robot: Robot
     time_source: TimeSource
     part: Callable[[Recording, int], P]
     folder: Path
+    imus: bool = True
 
     def __call__(self, item: Item) -> Done[P]:
         """Work on one log.
@@ -122,21 +127,25 @@ class Task(Generic[P]):
 
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with local_copy(item.path) as file:
-            log = self.read(file, item.path)
+            log, findings = self.read(file, item.path)
             if listener is not None and isinstance(log, Recording):
                 listener.begun(log)
+            note = replace(note_of(log), findings=findings)
             # Only a part that opened it itself is given a log that is to be passed over.
-            return Done(note_of(log), self.part(cast("Recording", log), item.number))
+            return Done(note, self.part(cast("Recording", log), item.number))
 
-    def read(self, file: Path, name: Path) -> Recording | SurveyedLog:
-        """Read one log from a file, under the name that it was given by."""
-        from seqid_cli.logs.read import read_recordings
+    def read(self, file: Path, name: Path) -> tuple[Recording | SurveyedLog, tuple[Finding, ...]]:
+        """Read and check one log from a file, under the name that it was given by."""
+        from seqid_cli.inspect.screening import read_screened, screened_long
 
         away = not file.is_absolute() and self.folder != Path.cwd()
         place = self.folder / file if away else file
-        log: Recording | SurveyedLog | None = None
+        opened: SurveyedLog | None = None
         if isinstance(self.part, LogOpener):
-            log = self.part.open_log(place, self.robot, self.time_source)
-        if log is None:
-            log = next(iter(read_recordings([place], self.robot, time_source=self.time_source)))
-        return log if place is name else replace(log, path=name)
+            opened = self.part.open_log(place, self.robot, self.time_source)
+        if opened is None:
+            held = read_screened(place, self.robot, time_source=self.time_source, imus=self.imus)
+            findings = tuple(replace(finding, log=str(name)) for finding in held.findings)
+            return replace(held.recording, path=name), findings
+        found = screened_long(replace(opened, path=name), self.robot)
+        return found.log, found.findings

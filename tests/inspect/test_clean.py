@@ -68,7 +68,9 @@ def test_sample_logs_are_good_without_a_robot_file(rig: str) -> None:
     assert {len(log.joints) for log in report.logs} == {1 + RIGS.index(rig) + 3 * (rig[0] == "s")}
 
 
-RECORDED = sorted(DATA.glob("*/*.parquet")) if DATA.is_dir() else []
+RECORDED = [
+    path for path in sorted(DATA.glob("*/*.parquet")) if (path.parent / "robot.toml").is_file()
+]
 # Logs of one robot are much alike: every fourth of the many of the UR10e, one of the TX40's two
 # long ones, and all with something wrong.
 CHOSEN = [

@@ -1,0 +1,62 @@
+"""From what is wrong with the logs to the verdicts of whatever was made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from seqid_cli.inspect.report import Finding
+from seqid_cli.params.schema import Verdict
+
+
+def verdicts_of_logs(findings: Iterable[Finding]) -> list[Verdict]:
+    """A poor verdict for every joint (or IMU) that a log's error is about.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+        Of all logs. Errors count; warnings do not spoil a result.
+
+    Returns
+    -------
+    list of Verdict
+        One per code, joint and channel, however many logs show it; the joint is empty where the
+        whole log is meant.
+    """
+    verdicts = []
+    for alike in _grouped(findings, "error"):
+        verdicts += [
+            Verdict(joint=name, good=False, reason=_text(alike) + f". {alike[0].remedy}")
+            for name in alike[0].joint.split(", ")
+        ]
+    return verdicts
+
+
+def notes_of_logs(findings: Iterable[Finding], said: Iterable[str] = ()) -> list[str]:
+    """Return warnings about the logs in words, but for those `said` already."""
+    known = set(said)
+    return [
+        (f"{alike[0].joint}: " if alike[0].joint else "") + _text(alike)
+        for alike in _grouped(findings, "warning")
+        if alike[0].message not in known
+    ]
+
+
+def remedies(findings: Iterable[Finding]) -> list[str]:
+    """Return what to do about the errors, each once."""
+    return list(dict.fromkeys(f.remedy for f in findings if f.severity == "error"))
+
+
+def _grouped(findings: Iterable[Finding], severity: str) -> list[list[Finding]]:
+    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    for finding in findings:
+        if finding.severity == severity:
+            groups.setdefault((finding.code, finding.joint, finding.channel), []).append(finding)
+    return list(groups.values())
+
+
+def _text(alike: Sequence[Finding]) -> str:
+    first = alike[0]
+    logs = list(dict.fromkeys(finding.log for finding in alike))
+    more = f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}" if len(logs) > 1 else ""
+    channel = f"{first.channel} " if first.channel else ""
+    return f"[{first.code}] {logs[0]}{more}: {channel}{first.message}"

@@ -1,0 +1,223 @@
+"""The checks of one log, in their order: those of `seqid inspect` and of every stage that reads it.
+
+Samples that are damaged and can be told (spikes, freezes) are taken out, and the checks that
+compare channels with each other go on without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from seqid_cli.inspect.clock import clock_findings
+from seqid_cli.inspect.dynamics import friction_findings, sample_of
+from seqid_cli.inspect.geometry import geometry_findings
+from seqid_cli.inspect.holes import hole_findings
+from seqid_cli.inspect.imu_fit import FOLLOWS
+from seqid_cli.inspect.imu_motion import Following, follow, motion_findings
+from seqid_cli.inspect.imus import imu_findings
+from seqid_cli.inspect.material import LogData, log_data
+from seqid_cli.inspect.positions import (
+    Break,
+    breaks_of,
+    fast_in_degrees,
+    position_findings,
+    position_quality,
+)
+from seqid_cli.inspect.report import Finding, found
+from seqid_cli.inspect.torques import temperature_findings, torque_findings, torque_quality
+from seqid_cli.inspect.velocities import velocity_findings
+from seqid_cli.logs.read import without_values
+from seqid_cli.logs.timebase import JITTER_LIMIT
+
+# Findings that make everything computed from the motion of a joint meaningless.
+SPOIL = frozenset(
+    {
+        "position_in_degrees",
+        "position_in_mm",
+        "position_motor_side",
+        "position_wraps",
+        "position_spikes",
+        "position_jump",
+        "position_frozen",
+        "position_stuck",
+        "joints_swapped",
+        "sign_mismatch",
+        "torque_zero",
+        "torque_constant_value",
+        "torque_stuck",
+        "torque_echo",
+        "axis_flipped",
+        "position_zero",
+        "current_in_ma",
+        "values_absurd",
+    }
+)
+# Of those, the ones whose samples are taken out.
+_TAKEN_OUT = frozenset({"position_spikes", "position_frozen"})
+SPOIL_ALL = frozenset({"time_unit", "clock_set_back", "stamps_far_off", "drive_data_missing"})
+# What is left out of a joint where one of the first codes explains it.
+_FOLLOW_UP = (
+    (
+        {"position_in_degrees", "position_in_mm", "position_motor_side", "joints_swapped"},
+        {"position_limits", "speed_limit", "velocity_inconsistent", "encoder_resolution"},
+    ),
+    ({"torque_zero", "torque_constant_value"}, {"torque_echo"}),
+    ({"torque_echo"}, {"torque_saturated", "torque_quantised", "torque_stuck"}),
+)
+_FOLLOW_UP_OF_MOTION = (({"gyro_in_degrees"}, {"gyro_bias"}),)
+# What a clock that scatters makes of sound values.
+_UNEVEN = frozenset({"velocity_inconsistent", "speed_limit", "position_jump", "values_missing"})
+
+Rules = tuple[tuple[set[str], set[str]], ...]
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A log with its findings; `data` is without the samples that are damaged."""
+
+    data: LogData
+    findings: tuple[Finding, ...]
+    following: tuple[Following, ...]
+
+
+def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
+    """Check a log.
+
+    Parameters
+    ----------
+    data : LogData
+    imus : bool
+        Whether its IMUs are checked as well.
+    quality : bool
+        Whether it is also judged how well channels are measured (steps, held values, temperature):
+        warnings at most.
+
+    Returns
+    -------
+    Checked
+        Findings, each code once per joint and channel.
+    """
+    breaks = breaks_of(data.robot, data.t, data.joints.channels["position"])
+    sound = _without(data, breaks)
+    following = tuple(follow(sound)) if imus else ()
+    findings = [*_findings(data, sound, breaks, following, imus=imus, quality=quality)]
+    return Checked(sound, tuple(_unique(findings)), following)
+
+
+def _without(data: LogData, breaks: Sequence[Break]) -> LogData:
+    """Take the samples out that are known to be wrong."""
+    if not any(len(each.rows) for each in breaks):
+        return data
+    position = data.joints.channels["position"].copy()
+    for each in breaks:
+        position[each.rows, each.joint] = np.nan
+    joints = replace(data.joints, channels={**data.joints.channels, "position": position})
+    recording = without_values(data.recording, data.raw, data.robot, joints)
+    again = log_data(recording, data.raw, data.robot, modelled=data.modelled)
+    return replace(again, joints=joints)
+
+
+def _findings(
+    data: LogData,
+    sound: LogData,
+    breaks: Sequence[Break],
+    following: Sequence[Following],
+    *,
+    imus: bool,
+    quality: bool,
+) -> Iterator[Finding]:
+    """Run the checks, the sound ones first; what is spoilt is not judged again.
+
+    `sound` is the log without damaged samples.
+    """
+    own = [*clock_findings(data), *hole_findings(data)]
+    if data.recording.partial:
+        own.append(found("salvaged", data.recording.partial))
+    torques = [*torque_findings(data)]
+    own += torques
+    if quality:
+        own += torque_quality(data, {f.joint for f in torques if f.code in SPOIL})
+        own += temperature_findings(data)
+    if imus and not _all_spoilt(own):
+        own += imu_findings(data)
+    if not _all_spoilt(own):
+        own += _of_positions(data, breaks, quality=quality)
+    own = _one_cause(own, _FOLLOW_UP)
+    if not _all_spoilt(own):
+        own += _of_dynamics(sound, own, following)
+    yield from _one_cause(own, _FOLLOW_UP_OF_MOTION)
+
+
+def _all_spoilt(findings: Sequence[Finding]) -> bool:
+    return any(finding.code in SPOIL_ALL for finding in findings)
+
+
+def _of_positions(data: LogData, breaks: Sequence[Break], *, quality: bool) -> list[Finding]:
+    """Check positions and velocities."""
+    positions = [*position_findings(data, breaks)]
+    broken = frozenset(f.joint for f in positions if f.code in SPOIL)
+    own = [*velocity_findings(data, broken)]
+    if not _all_spoilt(own):
+        own += [*positions, *fast_in_degrees(data)]
+    if quality:
+        own += position_quality(data, {f.joint for f in positions})
+    if data.recording.health.jitter > JITTER_LIMIT:  # slopes over such times mean nothing
+        own = [f for f in own if f.code not in _UNEVEN]
+    return own
+
+
+def _of_dynamics(
+    data: LogData, own: list[Finding], following: Sequence[Following]
+) -> Iterator[Finding]:
+    """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
+    spoilt = {f.joint for f in own if f.code in SPOIL - _TAKEN_OUT}
+    against: list[Finding] = []
+    uneven = any(f.code == "jitter" for f in own)  # accelerations mean nothing then
+    sample = None if uneven else sample_of(data)
+    if sample is not None:
+        friction = [] if spoilt else [*friction_findings(data, sample)]
+        against += friction if spoilt else geometry_findings(data, sample, friction)
+    yield from (_with_imus(finding, data, following) for finding in against)
+    spoil = {*SPOIL - _TAKEN_OUT, "position_limits"}  # a zero that is off turns the link
+    joints = {name for f in (*own, *against) if f.code in spoil for name in f.joint.split(", ")}
+    if not joints & set(data.robot.joint_names):
+        broken = {f.joint for f in own if f.severity == "error"}
+        broken |= {f.joint for f in own if f.code == "imu_saturated"}
+        sound = [item for item in following if item.imu.name not in broken]
+        yield from motion_findings(data, sound)
+
+
+def _with_imus(finding: Finding, data: LogData, following: Sequence[Following]) -> Finding:
+    """Add to a sign that is wrong whether the IMUs blame the position."""
+    if finding.code != "sign_mismatch":
+        return finding
+    joint = data.robot.joint_names.index(finding.joint)
+    told = [f for f in following if f.imu.after_joint >= joint]
+    if not told:
+        return finding
+    blamed = "position" if any(f.fit.left > FOLLOWS for f in told) else "torque"
+    return replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
+
+
+def _one_cause(findings: list[Finding], rules: Rules) -> list[Finding]:
+    """Leave out what another finding of the same joint already explains."""
+    codes: dict[str, set[str]] = {}
+    for finding in findings:
+        for name in finding.joint.split(", "):
+            codes.setdefault(name, set()).add(finding.code)
+    return [
+        finding
+        for finding in findings
+        if not any(
+            finding.code in follow_up and codes[finding.joint] & causes
+            for causes, follow_up in rules
+            if finding.joint in codes
+        )
+    ]
+
+
+def _unique(findings: Sequence[Finding]) -> list[Finding]:
+    return list({(f.code, f.joint, f.channel): f for f in reversed(findings)}.values())[::-1]

@@ -1,0 +1,219 @@
+"""The checks of `seqid inspect` on a log that is read to be worked on, and what is left of it.
+
+A log that is held is checked as a whole. One that is passed over is looked through for damaged
+positions block by block; torque and motion are compared with each other in some pieces of it, so
+that memory does not grow with the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.checks import check
+from seqid_cli.inspect.material import log_data
+from seqid_cli.inspect.positions import Break, breaks_of
+from seqid_cli.inspect.report import Finding
+from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
+from seqid_cli.logs.long import READERS, Block, Bridge
+from seqid_cli.logs.raw import RawLog, Stream, TimeSource
+from seqid_cli.logs.read import read_both
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+PIECES, PIECE_S = 8, 20.0  # of a log that is passed over, in which torque is compared with motion
+OVERLAP_S = 1.0  # of blocks, so that a freeze over their border is seen
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A log without its damaged samples, and what was found."""
+
+    recording: Recording
+    findings: tuple[Finding, ...]
+
+
+def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> Screened:
+    """Check a log that is held.
+
+    Parameters
+    ----------
+    recording, raw
+        The log as `read_both` gives it.
+    robot : Robot
+    imus : bool
+        Whether its IMUs are used, and hence checked.
+
+    Returns
+    -------
+    Screened
+    """
+    checked = check(log_data(recording, raw, robot, modelled=True), imus=imus, quality=False)
+    return Screened(checked.data.recording, _located(checked.findings, recording.path))
+
+
+def read_screened(
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", imus: bool = True
+) -> Screened:
+    """Read and check a log; see `read_recording` and `screened`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, lacks a channel or is too short.
+    """
+    recording, raw = read_both(path, robot, time_source=time_source)
+    return screened(recording, raw, robot, imus=imus)
+
+
+@dataclass(frozen=True)
+class ScreenedLong:
+    """A log to be passed over without its damaged samples, and what was found."""
+
+    log: SurveyedLog
+    findings: tuple[Finding, ...]
+
+
+def screened_long(log: SurveyedLog, robot: Robot) -> ScreenedLong:
+    """Check a log that is passed over; see `screened`."""
+    first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
+    look = _Look(log, robot)
+    for block in log.blocks():
+        look.push(block)
+    look.close()
+    sound = replace(log, bridges=tuple(_bridges(look.breaks, log)))
+    findings = [each.finding for each in look.breaks]
+    warnings = log.warnings
+    for piece in look.pieces():
+        for bridge in sound.bridges:
+            bridge.laid(piece)
+        data = log_data(*_held(piece, log, first, warnings), robot, modelled=True)
+        findings += check(data, imus=False, quality=False).findings
+        warnings = ()  # they are the log's, and said once
+    unique = {(f.code, f.joint, f.channel): f for f in reversed(findings)}
+    return ScreenedLong(sound, _located([*unique.values()][::-1], log.path))
+
+
+@dataclass
+class _Look:
+    """Takes the blocks of a log: finds breaks, and keeps some pieces."""
+
+    log: SurveyedLog
+    robot: Robot
+    breaks: list[Break] = field(default_factory=list)
+    _kept: dict[int, list[Block]] = field(default_factory=dict)
+    _tail: Block | None = None
+
+    def push(self, block: Block) -> None:
+        """Take the next block."""
+        self._keep(block)
+        overlap = max(16, int(OVERLAP_S * self.log.rate_hz))
+        wide = block.q if self._tail is None else np.concatenate([self._tail.q, block.q])
+        start = block.start + len(block.q) - len(wide)
+        t = np.asarray((start + np.arange(len(wide))) * self.log.step_s, dtype=np.float64)
+        known = {each.finding.joint for each in self.breaks}
+        for each in breaks_of(self.robot, t, wide):
+            again = replace(each, rows=each.rows + start)
+            if not len(each.rows) and each.finding.joint in known:
+                continue
+            self.breaks.append(again)
+        keep = min(overlap, len(wide))
+        tail = wide[len(wide) - keep :].copy()
+        self._tail = Block(start + len(wide) - keep, tail, tail, np.ones(keep, np.bool_))
+
+    def close(self) -> None:
+        """Forget what was kept for the next block."""
+        self._tail = None
+
+    def _keep(self, block: Block) -> None:
+        for number, (low, high) in enumerate(self._ranges()):
+            a, b = max(low, block.start), min(high, block.start + len(block.q))
+            if a < b:
+                part = slice(a - block.start, b - block.start)
+                own = Block(a, block.q[part].copy(), block.tau[part].copy(), block.valid[part])
+                self._kept.setdefault(number, []).append(own)
+
+    def _ranges(self) -> list[tuple[int, int]]:
+        size = min(self.log.samples, max(64, int(PIECE_S * self.log.rate_hz)))
+        starts = np.linspace(0, self.log.samples - size, PIECES).astype(int)
+        return [(int(start), int(start) + size) for start in starts]
+
+    def pieces(self) -> Iterator[Block]:
+        """Yield what was kept."""
+        for parts in self._kept.values():
+            arrays = [np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "tau", "valid")]
+            yield Block(parts[0].start, *arrays)
+
+
+def _bridges(breaks: Sequence[Break], log: SurveyedLog) -> Iterator[Bridge]:
+    """Bridge the samples that are damaged, runs of them together."""
+    most = max(GAP_INTERVALS, GAP_LEAST_S * log.rate_hz)
+    values = {j: np.unique(np.concatenate(rows)) for j, rows in _rows_of(breaks).items()}
+    around = _values_around(values, log)
+    for joint, rows in values.items():
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+            start, stop = int(run[0]), int(run[-1]) + 1
+            after = around.get((joint, stop), around.get((joint, start - 1), 0.0))
+            before = around.get((joint, start - 1), after)
+            yield Bridge(joint, start, stop, before, after, stop - start < most)
+
+
+def _rows_of(breaks: Sequence[Break]) -> dict[int, list[NDArray[np.intp]]]:
+    found: dict[int, list[NDArray[np.intp]]] = {}
+    for each in breaks:
+        if len(each.rows):
+            found.setdefault(each.joint, []).append(each.rows)
+    return found
+
+
+def _values_around(
+    rows: dict[int, NDArray[np.intp]], log: SurveyedLog
+) -> dict[tuple[int, int], float]:
+    """Positions by joint and sample at the neighbours of damaged samples."""
+    found: dict[tuple[int, int], float] = {}
+    if not rows:
+        return found
+    for block in log.blocks():
+        for joint, damaged in rows.items():
+            near = np.concatenate([damaged - 1, damaged + 1])
+            near = near[(near >= block.start) & (near < block.start + len(block.q))]
+            for k in near:
+                found[joint, int(k)] = float(block.q[k - block.start, joint])
+    return found
+
+
+def _held(
+    piece: Block, log: SurveyedLog, first: RawLog, warnings: tuple[str, ...]
+) -> tuple[Recording, RawLog]:
+    """Make a recording of a piece, and what would have been logged of it."""
+    rows = piece.start + np.arange(len(piece.q))
+    stamps = log.start_ns + np.rint(rows * log.step_s * 1e9).astype(np.int64)
+    recording = Recording(
+        path=log.path,
+        sha256="",
+        format=log.format,
+        t=(rows - rows[0]) * log.step_s,
+        q=piece.q,
+        valid=piece.valid,
+        health=Health(log.rate_hz, log.jitter, warnings=warnings),
+        tau=piece.tau,
+        start=float(stamps[0]) * 1e-9,
+        partial=log.partial,
+    )
+    logged = first.joints.channels
+    factor = [joint.torque_per_ampere or np.nan for joint in log.robot.joints]
+    currents = "current" in logged and (first.prefer_current or "torque" not in logged)
+    effort = {"current": piece.tau / np.array(factor)} if currents else {"torque": piece.tau}
+    joints = Stream("joints", stamps, {"position": piece.q, **effort})
+    return recording, RawLog(joints, prefer_current=first.prefer_current)
+
+
+def _located(findings: Sequence[Finding], path: object) -> tuple[Finding, ...]:
+    return tuple(replace(finding, log=str(path)) for finding in findings)

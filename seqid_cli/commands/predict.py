@@ -28,7 +28,7 @@ from seqid_cli.commands.options import (
 from seqid_cli.commands.render import Screen, number, percent, screen_of
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.commands.show_motion import announced, show_motion
-from seqid_cli.commands.stages import tell_output
+from seqid_cli.commands.stages import tell_output, tell_remedies
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.document import now, present, robot_id, tool
 from seqid_cli.params.io import file_sha256, write_json_atomic
@@ -125,6 +125,8 @@ def run(
         job.screen.note(f"written: {torques}")
     tell_output(job, "")
     poor = any(not verdict.good for verdict in file.verdicts)
+    if poor:
+        tell_remedies(job.screen, account.findings)
     return exit_code(untrusted=strict and poor, partial=account.incomplete)
 
 
@@ -137,6 +139,8 @@ def _predict(
     unexplained: bool,
 ) -> PredictionFile:
     from seqid_cli.commands.prediction_errors import ErrorSums
+    from seqid_cli.identify.judge import as_a_whole
+    from seqid_cli.identify.log_verdicts import verdicts_of_logs
     from seqid_cli.identify.predict import predict
     from seqid_cli.identify.prediction import lacking
     from seqid_cli.model.effects.fitted import effect_notes
@@ -174,11 +178,16 @@ def _predict(
         stages=used,
         joints=joints,
         logs=logs,
-        verdicts=[
-            _verdict(name, error, lacks.get(name, ()))
-            for name, error in joints.items()
-            if error.samples
-        ],
+        verdicts=as_a_whole(
+            [
+                *(
+                    _verdict(name, error, lacks.get(name, ()))
+                    for name, error in joints.items()
+                    if error.samples
+                ),
+                *verdicts_of_logs(account.findings),
+            ]
+        ),
         notes=[*told, *_notes(joints), *account.notes()],
     )
 
@@ -255,6 +264,9 @@ def _show(screen: Screen, file: PredictionFile) -> None:
     ]
     columns = ("joint", "RMSE N m", "relative", "largest N m", "slides in", "all N m", "verdict")
     screen.table(columns, rows)
+    for name in dict.fromkeys(verdict.joint for verdict in file.verdicts):
+        if name not in file.joints:
+            screen.result(f"{name or 'prediction'}: {verdict_text(file.verdicts, name)}")
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     for note in notes:
         screen.note(f"note: {note}")

@@ -31,6 +31,7 @@ from seqid_cli.params.schema import (
 from seqid_cli.robot.base import free_basis, standard_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
@@ -190,7 +191,7 @@ def _gravity_of_trials(
             factor = float(own @ measured) / float(measured @ measured)
             reason = (
                 f"gravity in the friction trials (Eq. 12-15) is not that of the parameters: "
-                f"{100 * off:.0f} % are left, the ratio is {factor:.2g}. Check unit and sign of "
+                f"{percent(off, 0)} are left, the ratio is {factor:.2g}. Check unit and sign of "
                 "the torque, the direction of gravity and the order of the joints"
             )
             yield Verdict(joint=names[j], good=False, reason=reason)
@@ -207,7 +208,7 @@ def _gravity_again(stage: RigidStage, gravity: RigidStage, robot: Robot) -> Iter
         off = float(np.sqrt(np.mean((after[:, j] - before[:, j]) ** 2))) / float(sizes[j])
         if off > DISAGREE:
             reason = (
-                f"gravity in these logs differs from the gravity stage's by {100 * off:.0f} % of "
+                f"gravity in these logs differs from the gravity stage's by {percent(off, 0)} of "
                 "it. Check that the logs are of one robot, in one unit and with the joints in order"
             )
             yield Verdict(joint=name, good=False, reason=reason)

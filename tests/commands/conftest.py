@@ -1,8 +1,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 
@@ -11,6 +11,8 @@ import pytest
 
 from seqid_cli.__main__ import main
 from seqid_cli.discover.gather import Gathered
+from seqid_cli.inspect.report import Finding
+from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
@@ -78,32 +80,32 @@ class Reader:
     partial: str = ""
     time_source: str = ""
 
-    def read_recordings(
-        self, paths: Iterable[Path], robot: Robot, *, time_source: str
-    ) -> Iterator[Recording]:
-        """Yield one recording per path."""
+    findings: tuple[Finding, ...] = ()
+
+    def read_screened(self, path: Path, robot: Robot, *, time_source: str, imus: bool) -> Screened:
+        """Return one recording, whatever the path."""
+        del imus
         self.time_source = time_source
-        for path in paths:
-            yield Recording(
-                path=Path(path),
-                sha256=Path(path).name.ljust(64, "0"),
-                format="parquet",
-                t=np.arange(SAMPLES) * 0.01,
-                q=np.zeros((SAMPLES, robot.n)),
-                valid=np.ones(SAMPLES, dtype=bool),
-                health=Health(rate_hz=100.0, jitter=0.0, warnings=self.warnings),
-                tau=np.ones((SAMPLES, robot.n)),
-                partial=self.partial,
-            )
+        recording = Recording(
+            path=Path(path),
+            sha256=Path(path).name.ljust(64, "0"),
+            format="parquet",
+            t=np.arange(SAMPLES) * 0.01,
+            q=np.zeros((SAMPLES, robot.n)),
+            valid=np.ones(SAMPLES, dtype=bool),
+            health=Health(rate_hz=100.0, jitter=0.0, warnings=self.warnings),
+            tau=np.ones((SAMPLES, robot.n)),
+            partial=self.partial,
+        )
+        located = (replace(finding, log=str(path)) for finding in self.findings)
+        return Screened(recording, tuple(located))
 
 
 @pytest.fixture
 def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
-    """Replace the log reader."""
+    """Replace the log reader and its checks."""
     fake = Reader()
-    module = ModuleType("seqid_cli.logs.read")
-    module.read_recordings = fake.read_recordings  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "seqid_cli.logs.read", module)
+    monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", fake.read_screened)
     return fake
 
 
@@ -125,7 +127,7 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], 
     An exception as the result is raised. Returns the list that the calls' arguments end up in.
     """
 
-    def replace(module_name: str, function: str, result: object) -> list[object]:
+    def replaced(module_name: str, function: str, result: object) -> list[object]:
         calls: list[object] = []
 
         def fake(
@@ -141,4 +143,4 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], 
         monkeypatch.setitem(sys.modules, module.__name__, module)
         return calls
 
-    return replace
+    return replaced

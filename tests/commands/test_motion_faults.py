@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.logs.recording import Recording
+from seqid_cli.inspect.screening import Screened
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -132,10 +132,10 @@ class Bench:
         )
         recording = replace(found.recording, path=Path("a.parquet"))
 
-        def read(paths: Iterable[Path], robot: Robot, *, time_source: str) -> Iterator[Recording]:
-            yield recording
+        def read(path: Path, robot: Robot, **options: object) -> Screened:
+            return Screened(recording, ())
 
-        self.monkeypatch.setattr("seqid_cli.logs.read.read_recordings", read)
+        self.monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", read)
 
 
 @pytest.fixture

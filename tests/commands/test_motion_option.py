@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import pytest
 from seqid_cli.commands.render import Screen
 from seqid_cli.commands.show_motion import announced, motion_line, show_motion
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
@@ -98,14 +99,14 @@ def bench(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Bench:
     logs = [replace(s.recording, path=Path(f"{name}.parquet")) for name in "ab"]
     made = Bench(lambda *a: (lambda d: (d.code, d.out, d.err))(rig.run(*a)), logs)
 
-    def read(paths: Iterable[Path], robot: Robot, *, time_source: str) -> Iterator[Recording]:
+    def read(path: Path, robot: Robot, **options: object) -> Screened:
         by_name = {str(log.path): log for log in made.recordings}
-        yield from (by_name[Path(path).name] for path in paths)
+        return Screened(by_name[Path(path).name], ())
 
     def held(*given: object, **options: object) -> None:
         """No log is long."""
 
-    monkeypatch.setattr("seqid_cli.logs.read.read_recordings", read)
+    monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", read)
     monkeypatch.setattr("seqid_cli.identify.predict.open_if_long", held)
     return made
 

@@ -1,0 +1,304 @@
+"""Planted faults against stages: does the stage that reads a faulty log say so?
+
+Every fault is planted into the logs (or the robot file) of arms whose sound logs are good in every
+stage; each stage then runs as a user would run it. A cell says what the stage says: `poor` (a
+verdict of a joint or of the stage, with the reason), `refused` (it does not run, exit code 2), or
+`good`, which only a fault may be that this stage cannot see for a physical reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli import api
+from seqid_cli.errors import SeqidError
+from seqid_cli.params.schema import Verdict
+from tests.inspect.faults import write_columns
+from tests.inspect.planting import Columns
+from tests.study.planted_arms import ARMS, Bench
+
+Array = NDArray[np.float64]
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "method.md"
+STAGES = ("friction", "gravity", "imu-calib", "inertia", "simultaneous", "predict")
+FOLDERS = {
+    "friction": ("friction",),
+    "gravity": ("gravity", "friction"),  # the first that is there
+    "imu-calib": ("imu",),
+    "inertia": ("inertia",),
+    "simultaneous": ("inertia",),
+    "predict": ("validation",),
+}
+SEED = 11
+DEGREES = 180.0 / np.pi
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A change of every log, or of one log of the stage alone (`single`), or of the robot file."""
+
+    name: str
+    plant: Callable[[Columns, Bench, np.random.Generator], None] | None = None
+    robot: Callable[[str, Bench], str] | None = None
+    single: bool = False
+    needs: str = ""  # without which no stage can see it: "weight", "velocity"
+
+
+def _sign(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
+    columns[f"{bench.joint}.current"] *= -1.0
+
+
+def _swapped(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
+    if bench.other:
+        for kind in ("position", "current"):
+            a, b = f"{bench.joint}.{kind}", f"{bench.other}.{kind}"
+            columns[a], columns[b] = columns[b], columns[a]
+
+
+def _amperes(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
+    for name in [name for name in columns if name.endswith(".current")]:
+        columns[name.removesuffix("current") + "torque"] = columns.pop(name)
+
+
+def _degrees(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
+    columns[f"{bench.joint}.position"] *= DEGREES
+
+
+def _busy(columns: Columns, bench: Bench, rng: np.random.Generator) -> tuple[str, int]:
+    """A joint that moves in this log, and a sample at which it does."""
+    names = [name for name in columns if name.endswith(".position")]
+    name = max(names, key=lambda each: float(np.ptp(columns[each])))
+    moving = np.flatnonzero(np.abs(np.gradient(columns[name], columns["t"])) > 0.05)
+    inner = moving[(moving > 400) & (moving < len(columns["t"]) - 400)]
+    return name, int(rng.choice(inner))
+
+
+def _spike(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
+    name, at = _busy(columns, bench, rng)
+    columns[name][at] += 0.3
+
+
+def _hole(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
+    name, at = _busy(columns, bench, rng)
+    rate = 1.0 / float(np.median(np.diff(columns["t"])))
+    columns[name][at : at + int(0.15 * rate)] = np.nan
+
+
+def _lost(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
+    """Rows are lost every second, and what is left is stamped evenly, as by a counter."""
+    t = columns["t"]
+    step = float(np.median(np.diff(t)))
+    velocity = {
+        name.removesuffix("position") + "velocity": np.gradient(columns[name], t)
+        for name in columns
+        if name.endswith(".position")
+    }
+    columns.update({name: np.convolve(v, np.ones(5) / 5, "same") for name, v in velocity.items()})
+    every, lost = max(int(1.0 / step), 40), max(int(0.03 / step), 2)
+    kept = np.arange(len(t)) % every >= lost
+    for name in columns:
+        columns[name] = columns[name][kept]
+    columns["t"] = t[0] + step * np.arange(int(kept.sum()))
+
+
+def _scaled_key(key: str, factor: float, text: str, bench: Bench) -> str:
+    lines = []
+    for line in text.splitlines():
+        name, _, value = line.partition(" = ")
+        lines.append(f"{key} = {float(value) * factor!r}" if name == key else line)
+    return "\n".join(lines) + "\n"
+
+
+def _gravity(text: str, bench: Bench) -> str:
+    turned = f"gravity = [{bench.other_gravity}]"
+    return (
+        "\n".join(turned if line.startswith("gravity = ") else line for line in text.splitlines())
+        + "\n"
+    )
+
+
+FAULTS = (
+    Fault("none"),
+    Fault("wrong sign of a current", _sign),
+    Fault("two joints swapped", _swapped),
+    Fault("amperes as torque", _amperes),
+    Fault("degrees", _degrees),
+    Fault("one spike", _spike, single=True),
+    Fault("a hole of NaN", _hole, single=True),
+    Fault("lost samples", _lost, single=True),
+    Fault("gear ratio a third", robot=partial(_scaled_key, "gear_ratio", 1 / 3), needs="weight"),
+    Fault("wrong direction of gravity", robot=_gravity, needs="gravity"),
+    Fault(
+        "torque constant by ten",
+        robot=partial(_scaled_key, "torque_constant", 10.0),
+        needs="weight",
+    ),
+)
+
+
+@dataclass
+class Cell:
+    """What a stage said: refused, poor or good, and why."""
+
+    answer: str
+    reasons: list[str] = field(default_factory=list)
+
+
+def _answer(run: Callable[[], Sequence[Verdict]]) -> Cell:
+    try:
+        verdicts = run()
+    except SeqidError as error:
+        return Cell("refused", [str(error)])
+    poor = [f"{v.joint}: {v.reason}" for v in verdicts if not v.good]
+    return Cell("poor" if poor else "good", poor)
+
+
+def stage_verdicts(
+    stage: str, logs: Sequence[Path], robot: Path, before: Path | None, out: Path
+) -> Sequence[Verdict]:
+    """Run a stage on logs; returns its verdicts."""
+    paths = list(logs)
+    if stage == "predict":
+        assert before is not None
+        return api.predict(paths, robot, before).verdicts
+    if stage == "friction":
+        return api.friction(paths, robot, output=out, **ORDERS).stages.friction.verdicts
+    if stage == "simultaneous":
+        found = api.simultaneous(paths, robot, output=out).stages
+        return [*found.friction.verdicts, *found.inertia.verdicts]
+    assert before is not None
+    if stage == "gravity":
+        return api.gravity(paths, robot, before, output=out).stages.gravity.verdicts
+    if stage == "imu-calib":
+        return api.imu_calib(paths, robot, parameters=before, output=out).stages.imu.verdicts
+    return api.inertia(paths, robot, before, output=out).stages.inertia.verdicts
+
+
+ORDERS: Mapping[str, int] = {"position_order": 6, "velocity_order": 6}  # of all, for speed
+BEFORE = {
+    "gravity": "friction",
+    "imu-calib": "gravity",
+    "inertia": "gravity",
+    "predict": "inertia",
+}
+
+
+def answers(bench: Bench, fault: Fault, clean: Path, folder: Path) -> dict[str, Cell]:
+    """Run all stages of a bench with a fault.
+
+    Earlier stages are those of the faulty logs where the fault is in all of them, as on a real
+    robot; where such a stage refuses, or the fault is in one log alone, those of the sound ones.
+    """
+    robot, found = folder / "robot.toml", {}
+    for name in ("*.urdf",):
+        for path in bench.folder.glob(name):
+            shutil.copy(path, folder)
+    text = bench.toml
+    robot.write_text(fault.robot(text, bench) if fault.robot else text)
+    for stage in STAGES:
+        logs = _logs(bench, stage)
+        if not logs:
+            continue
+        own = list(_planted(bench, fault, logs, folder / stage))
+        before = folder / f"{BEFORE.get(stage, '-')}.json"
+        if fault.single or not before.exists():
+            before = clean / before.name
+        out = folder / f"{stage}.json"
+        found[stage] = _answer(partial(stage_verdicts, stage, own, robot, before, out))
+    return found
+
+
+def _logs(bench: Bench, stage: str) -> list[Path]:
+    for name in FOLDERS[stage]:
+        logs = sorted((bench.folder / name).glob("*"))
+        if logs:
+            return logs
+    return []
+
+
+def _planted(bench: Bench, fault: Fault, logs: Sequence[Path], folder: Path) -> Iterator[Path]:
+    """Write the logs of a stage with the fault in all of them, or in the one in the middle."""
+    folder.mkdir()
+    for number, path in enumerate(logs):
+        hit = fault.plant is not None and (not fault.single or number == len(logs) // 2)
+        if not hit or fault.plant is None:
+            yield path
+            continue
+        columns = bench.columns(path)
+        fault.plant(columns, bench, np.random.default_rng(SEED))
+        yield folder / f"{path.stem}.parquet"
+        write_columns(folder / f"{path.stem}.parquet", columns)
+
+
+def bench_answers(bench: Bench, faults: Sequence[Fault] = FAULTS) -> dict[str, dict[str, Cell]]:
+    """Answers by fault and stage, the sound logs first."""
+    found = {}
+    with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
+        warnings.simplefilter("ignore", api.SeqidWarning)
+        clean = Path(name) / "clean"
+        for number, fault in enumerate(faults):
+            folder = clean if number == 0 else Path(name) / str(number)
+            folder.mkdir()
+            found[fault.name] = answers(bench, fault, clean, folder)
+    return found
+
+
+def excused(fault: Fault, stage: str, bench: Bench) -> str:
+    """Why a stage cannot see a fault on this arm; empty where it must."""
+    if fault.name == "two joints swapped" and not bench.other:
+        return "one joint"
+    if fault.needs == "weight" and not bench.weighed:
+        return "no masses"
+    if fault.needs == "gravity" and not bench.weighed and not bench.tilted:
+        return "no masses"
+    if fault.name == "two joints swapped" and not bench.weighed and stage == "friction":
+        return "no masses"
+    if fault.robot is not None and stage == "imu-calib" and fault.needs == "weight":
+        return "reads no torque"
+    return ""
+
+
+def study(chosen: argparse.Namespace) -> str:
+    """Table over faults, stages and arms."""
+    benches = [make() for make in (ARMS[:1] if chosen.quick else ARMS)]
+    told = [bench_answers(bench) for bench in benches]
+    return tabulated(benches, told)
+
+
+def tabulated(benches: Sequence[Bench], told: Sequence[Mapping[str, Mapping[str, Cell]]]) -> str:
+    """Markdown: per cell how many arms said so, of how many."""
+    lines = ["| fault | " + " | ".join(STAGES) + " |", "|---" * (len(STAGES) + 1) + "|"]
+    for fault in FAULTS:
+        row = [fault.name]
+        for stage in STAGES:
+            row.append(_cell(fault, stage, benches, told))
+        lines.append("| " + " | ".join(row) + " |")
+    return "\n".join(lines)
+
+
+def _cell(
+    fault: Fault,
+    stage: str,
+    benches: Sequence[Bench],
+    told: Sequence[Mapping[str, Mapping[str, Cell]]],
+) -> str:
+    counts: dict[str, list[str]] = {}
+    for bench, answers_ in zip(benches, told, strict=True):
+        cell = answers_.get(fault.name, {}).get(stage)
+        if cell is None:
+            continue
+        why = excused(fault, stage, bench) if cell.answer == "good" and fault.name != "none" else ""
+        counts.setdefault(f"not seen ({why})" if why else cell.answer, []).append(bench.name)
+    if not counts:
+        return "-"
+    return ", ".join(f"{answer} {len(names)}" for answer, names in sorted(counts.items()))

@@ -137,12 +137,8 @@ def _driving(joint: FrictionJoint) -> tuple[float, float, float] | None:
     if joint.parameters:  # a law over speed, of one level alone
         speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, SPEEDS)
     q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, GRID), speeds))
-    columns = 0.5 * (surface.columns(q, v) - surface.columns(q, -v))
-    entries = surface.positive.ravel()
-    if surface.directional:
-        entries = np.concatenate([entries, surface.negative.ravel()])
-    value = columns @ entries
-    error = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", columns, surface.covariance, columns), 0.0))
+    value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
+    error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
     usual = float(np.sqrt(np.mean(value**2)))
     drives = (value < -CLEAR_SIGMA * error) & (value < -DRIVING_SHARE * usual)
     if np.mean(drives) <= DRIVING_CELLS:

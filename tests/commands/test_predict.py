@@ -201,6 +201,7 @@ def test_a_joint_without_friction_is_poor_and_says_why(
     assert [(v["joint"], v["good"]) for v in document["verdicts"]] == [
         ("shoulder", True),
         ("elbow", False),
+        ("", False),  # as a whole
     ]
     assert document["verdicts"][1]["reason"] == "the file holds no friction of this joint"
 

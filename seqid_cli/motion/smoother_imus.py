@@ -181,13 +181,10 @@ def moved(x: Mounted, change: Array) -> Mounted:
         axes=x.place.axes + by_channel[:count],
         gyro=None if gyro is None else gyro + by_channel[count:],
     )
-    return replace(
-        x,
-        place=place,
-        bias=x.bias + bias,
-        delay=x.delay + float(late[0]),
-        away=x.away + change,
-    )
+    away, turns = x.away + change, slice(channels + 3, channels + 6)
+    before, after = Rotation.from_rotvec(x.away[turns]), Rotation.from_rotvec(turn)
+    away[turns] = (before * after).as_rotvec()
+    return replace(x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away)
 
 
 def handed_on(x: Mounted, covariance: Array) -> Mounted:

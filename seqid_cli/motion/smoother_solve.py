@@ -127,7 +127,7 @@ def settled(coarse: Chunk, c: Array, jerk: Jerk) -> Solution:
     solution = None
     for constants in rounds if coarse.imus else ("none",):
         linear = linearised(coarse, c, gains=constants == "all")
-        solution = _renewed(coarse, c, jerk, linear, constants)
+        solution = renewed(coarse, c, jerk, linear, constants)
         jerk = _probed_jerk(solution, rng)
         coarse, c = solution.chunk.gathered(), solution.c
     assert solution is not None
@@ -144,7 +144,7 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk) -> Solution:
     """Motion on fine knots about `c` (K, n), with the IMUs' clocks, other constants as they are."""
     rng = np.random.default_rng(0)
     linear = linearised(fine, c)
-    first = _renewed(fine, c, jerk, linear, "clock")
+    first = renewed(fine, c, jerk, linear, "clock")
     fine, c, jerk = first.chunk.gathered(), first.c, _probed_jerk(first, rng)
     for constants in FINE_ROUNDS:
         told = tuple(predicted(fine, c, x) for x in fine.imus)
@@ -153,14 +153,14 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk) -> Solution:
         if any(np.any(np.abs(f - 1.0) > NOISE_TOLERANCE) for f in factors):
             pairs = zip(fine.imus, factors, strict=True)
             fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
-        first = _renewed(fine, c, jerk, linear, constants, told)
+        first = renewed(fine, c, jerk, linear, constants, told)
         fine, c = first.chunk.gathered() if constants != "none" else first.chunk, first.c
         if constants != FINE_ROUNDS[-1]:
             jerk = _probed_jerk(first, rng)
     return first
 
 
-def _renewed(
+def renewed(
     chunk: Chunk,
     c: Array,
     jerk: Jerk,

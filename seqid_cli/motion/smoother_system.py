@@ -89,14 +89,27 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     count = np.add.reduceat(seen, starts)
     mean = np.add.reduceat(seen * np.arange(m), starts) / np.maximum(count, 1.0)
     amid = np.where(count > 0, mean.astype(int), np.minimum(starts + size // 2, m - 1))
-    first, last = np.maximum(starts - 1, 0), np.minimum(starts + size, m - 1)
     q, dq, ddq = mean_motion(chunk, c[:, :head], x.fraction, amid)
-    before, after = (mean_motion(chunk, c[:, :head], x.fraction, at) for at in (first, last))
-    rate = (after - before) / ((last - first) * chunk.spacing)
+    rate = _rate(chunk, c[:, :head], x.fraction)
     chain = chunk.robot.chain
     state = chain_state(chain, chunk.robot.gravity, q, dq, ddq)
     rows = imu_rows(chain, state, dq, x.place)
     return Cells(rows.by_motion, rows.by_constants(np.moveaxis(rate, 2, 0), gains=gains))
+
+
+def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
+    """Time derivatives (3, n, C) of q, dq, ddq in every cell.
+
+    Those of the spline where a cell is one interval; of a longer cell the change from the interval
+    before to the one behind, which the noise of a first motion disturbs less.
+    """
+    m, starts = chunk.intervals, chunk.cells
+    if chunk.cell == 1:
+        jerk = jerk_of(c, chunk.spacing).T[None]
+        return np.concatenate([mean_motion(chunk, c, fraction)[1:], jerk])
+    first, last = np.maximum(starts - 1, 0), np.minimum(starts + chunk.cell, m - 1)
+    before, after = (mean_motion(chunk, c, fraction, at) for at in (first, last))
+    return np.asarray((after - before) / ((last - first) * chunk.spacing))
 
 
 def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> tuple[Cells, ...]:

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 INSIDE = 1.96  # standard errors: the 95 % interval
 GROUPS = ("friction", "gravity", "inertia", "imu")
-HEADER = ["seeds", "values", "rms z", "inside 95 %", "interval", "largest |z|", "mean z"]
+HEADER = ["seeds", "values", "rms z", "inside 95 %", "interval", "largest z", "mean z"]
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,8 @@ MotionSource = Annotated[
     typer.Option(
         "--motion",
         help="Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
-        " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects: and where encoders"
-        " are much the worse), else encoder.",
+        " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects: and"
+        " where encoders are much the worse), else encoder.",
     ),
 ]
 

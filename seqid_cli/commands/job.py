@@ -149,6 +149,7 @@ class Account:
         self._logs: list[tuple[str, str, int]] = []
         self.partial: list[str] = []
         self.left_out = list(job.missing)
+        self._mended: list[str] = []
         self.before: Callable[[Recording], None] | None = None
 
     def __iter__(self) -> Iterator[Recording]:
@@ -221,6 +222,7 @@ class Account:
         for warning in note.warnings:
             screen.warn(f"{path}: {warning}")
         self._found(note)
+        self._mended += [f"{path}: {text}" for text in note.mended]
         if note.partial:
             self.partial.append(f"{path}: {note.partial}")
             screen.warn(f"{path}: only partly read: {note.partial}")
@@ -252,8 +254,8 @@ class Account:
         return self.partial + self.left_out
 
     def notes(self) -> list[str]:
-        """Return what the result must say of logs that were left out."""
-        return [f"left out: {text}" for text in self.left_out]
+        """Return what the result must say of logs that were left out or put right."""
+        return [*(f"left out: {text}" for text in self.left_out), *self._mended]
 
 
 def exit_code(*, untrusted: bool, partial: Sequence[str]) -> int:

@@ -95,6 +95,14 @@ CODES: Mapping[str, Code] = {
         "An interval of more than 5 median ones and more than 20 ms.",
         "Look for lost packets or a full disk; the rest of the log is used.",
     ),
+    "samples_lost": Code(
+        "warning",
+        "Samples are lost that the stamps do not show.",
+        "All joints that move step by the motion of one and the same time, longer than 1.5 sample "
+        "intervals and 8 standard errors, while their velocities do not change.",
+        "Log with the controller's own clock, or give every row the stamp of its measurement. The "
+        "time base is repaired and the holes are bridged; every command says so.",
+    ),
     "stamps_backwards": Code(
         "warning",
         "Time steps back.",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.logs.clocks import tidy
+from seqid_cli.logs.lost_samples import mended, with_losses
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Recording
@@ -112,7 +113,7 @@ def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool)
         robot=robot,
         modelled=modelled,
         raw=raw,
-        joints=_without_absurd(tidy(raw.joints).stream),
+        joints=_on_true_time(_without_absurd(tidy(raw.joints).stream)),
         recording=recording,
         step=step,
         moving=moving_mask(recording.q, recording.rate_hz, step),
@@ -168,7 +169,14 @@ def averaged(recording: Recording, rate_hz: float) -> Recording:
         dq=None,
         tau=None if recording.tau is None else mean(recording.tau),
         temperature=None,
+        bridged=None if recording.bridged is None else mean(recording.bridged)[:, 0] > 0.0,
     )
+
+
+def _on_true_time(joints: Stream) -> Stream:
+    """With the time that lost samples took, and the holes filled, as the reader does."""
+    nothing = np.zeros(len(joints), np.bool_)
+    return with_losses(joints, mended(joints).losses, nothing)[0]
 
 
 def _without_absurd(stream: Stream) -> Stream:

@@ -3,8 +3,8 @@
 A first pass decodes the file and lays the base; every further pass yields the same samples as
 `read_recording`, from a temporary file where there is room for one (see `spool`), without ever
 holding more than some blocks. That works for logs whose stamps increase and whose rows hold every
-joint; `open_long` returns None for others, and for logs in which samples come in bursts, which have
-to be read as a whole.
+joint; `open_long` returns None for others, and for logs in which samples come in bursts, or are
+lost without the stamps showing it (`lost_samples`): these have to be read as a whole.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from seqid_cli.logs import mcap, parquet, parquet_blocks
 from seqid_cli.logs.columns import ARROW_ERRORS
 from seqid_cli.logs.long_health import LongHealth
 from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
+from seqid_cli.logs.lost_samples import suspicious
 from seqid_cli.logs.mcap_summary import read_summary
 from seqid_cli.logs.open import check_log, storage_file
 from seqid_cli.logs.raw import Array, Mask, RawLog, Stream, TimeSource
@@ -300,6 +301,8 @@ def _rows(
             raise UnevenError
         steps = np.diff(joints.stamp_ns, prepend=joints.stamp_ns[:1] if last is None else last)
         if (steps[last is None :] <= 0).any():
+            raise UnevenError
+        if suspicious(joints):  # to be put right as a whole
             raise UnevenError
         last = joints.stamp_ns[-1:]
         yield Rows(joints.stamp_ns, values.T, raw.partial, raw.warnings)

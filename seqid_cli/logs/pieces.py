@@ -87,6 +87,7 @@ def _piece(recording: Recording, part: slice, whole: Whole) -> Recording:
         gyros={k: v[part].copy() for k, v in recording.gyros.items()},
         start=recording.start + float(t[0]),
         health=replace(recording.health, gaps=(), warnings=()),
+        bridged=None if recording.bridged is None else recording.bridged[part].copy(),
         whole=whole,
     )
 

@@ -12,6 +12,7 @@ import numpy as np
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs import bags, csv_file, echo, health, mcap, parquet
 from seqid_cli.logs.clocks import Tidy, tidy
+from seqid_cli.logs.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.open import check_log, storage_file
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
 from seqid_cli.logs.recording import Health, Recording
@@ -155,6 +156,8 @@ def _assemble(
         warnings += health.current_warnings(robot, joints.channels["current"])
     joints = _with_torque(joints, robot, raw.prefer_current, where, warnings)
     clock = tidy(joints)
+    repair = mended(clock.stream)
+    clock = replace(clock, stream=repair.stream)
     base = make_base(clock.stream, rate_hz, where)
     q = resample(clock.stream, "position", base)
     valid, gaps = q.valid, set(q.gaps) | set(base.gaps)
@@ -164,8 +167,8 @@ def _assemble(
         tau, valid = torque.values, valid & torque.valid
         gaps |= set(torque.gaps)
     dq = _whole(clock.stream, "velocity", base, warnings)
-    imus = _read_imus(raw, robot, base)
-    warnings += clock.warnings
+    imus = _read_imus(raw, robot, base, repair)
+    warnings += [*clock.warnings, *repair.warnings]
     warnings += imus.warnings
     warnings += health.clock_warnings(1.0 / base.step_s, base.jitter, JITTER_LIMIT)
     warnings += health.position_warnings(robot, base.t, q.values, dq)
@@ -187,6 +190,7 @@ def _assemble(
             resampled=not base.exact,
             log_minus_header_s=raw.log_minus_header_s,
             warnings=tuple(dict.fromkeys(warnings)),
+            mended=repair.warnings,
         ),
         dq=dq,
         tau=tau,
@@ -195,7 +199,17 @@ def _assemble(
         gyros=imus.gyros,
         start=base.start_ns * 1e-9,
         partial=raw.partial,
+        bridged=_bridged(repair, base),
     )
+
+
+def _bridged(repair: Mended, base: Base) -> Mask | None:
+    """Samples (N,) of the base that lie nearest to some that were not measured."""
+    if not repair.bridged.any():
+        return None
+    seconds = (repair.stream.stamp_ns - base.start_ns) * 1e-9
+    edges = 0.5 * (seconds[1:] + seconds[:-1])
+    return np.asarray(repair.bridged[np.searchsorted(edges, base.t)])
 
 
 def _without_absurd(stream: Stream, warnings: list[str]) -> Stream:
@@ -283,12 +297,13 @@ def _temperature(stream: Stream, base: Base) -> Array | None:
     return values if np.isfinite(values).any() else None
 
 
-def _read_imus(raw: RawLog, robot: Robot, base: Base) -> _Imus:
+def _read_imus(raw: RawLog, robot: Robot, base: Base, repair: Mended) -> _Imus:
     result = _Imus({}, {}, np.ones(base.count, np.bool_), [])
     valid = result.valid
     for imu in robot.imus:
         cleaned = [
-            tidy(_without_absurd(stream, result.warnings)) for stream in raw.imus.get(imu.name, ())
+            _alike_mended(tidy(_without_absurd(stream, result.warnings)), repair)
+            for stream in raw.imus.get(imu.name, ())
         ]
         if not cleaned or not _usable(imu.name, cleaned, base, result.warnings):
             continue
@@ -309,6 +324,14 @@ def _read_imus(raw: RawLog, robot: Robot, base: Base) -> _Imus:
         if gyros:
             result.gyros[imu.name] = np.hstack(gyros)
     return result
+
+
+def _alike_mended(clock: Tidy, repair: Mended) -> Tidy:
+    """With the joints' lost samples put right where both share their stamps."""
+    if not np.array_equal(clock.stream.stamp_ns, repair.stamps):
+        return clock
+    stream, _ = with_losses(clock.stream, repair.losses, np.zeros(len(clock.stream), np.bool_))
+    return replace(clock, stream=stream)
 
 
 def _usable(name: str, cleaned: list[Tidy], base: Base, warnings: list[str]) -> bool:

@@ -25,6 +25,7 @@ class Health:
     resampled: bool = False
     log_minus_header_s: float | None = None
     warnings: tuple[str, ...] = ()
+    mended: tuple[str, ...] = ()  # what was wrong with the motion and is put right
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class Recording:
     start: float = 0.0  # s, the first sample on the log's own clock
     partial: str = ""  # what was lost, where the log was salvaged
     whole: Whole | None = None  # the log, where this is a piece of it
+    bridged: NDArray[np.bool_] | None = None  # (N,) not measured, but known from both sides
 
     @property
     def rate_hz(self) -> float:

@@ -122,6 +122,7 @@ def choose_cutoff(
     *,
     moving: NDArray[np.bool_] | None = None,
     resolution: Array | None = None,
+    highest_hz: float = HIGHEST_HZ,
 ) -> Cutoff:
     """Choose one low-pass cut-off for all joints of a log.
 
@@ -135,6 +136,8 @@ def choose_cutoff(
         Joints that move; the others say nothing about the bandwidth.
     resolution : (n,) array, optional
         Encoder step [rad] of the robot file; zero or missing where it is to be read off the data.
+    highest_hz : float
+        Highest cut-off that may be chosen.
 
     Returns
     -------
@@ -145,7 +148,7 @@ def choose_cutoff(
     if resolution is not None:
         step = np.where(resolution > 0, resolution, step)
     joints = [j for j in range(q.shape[1]) if moving is None or moving[j]]
-    highest = min(HIGHEST_HZ, rate_hz / 8)
+    highest = min(highest_hz, rate_hz / 8)
     if joints:
         bandwidth = max(_bandwidth(np.diff(q[:, j]) * rate_hz, rate_hz) for j in joints)
         highest = min(highest, max(BANDWIDTHS * bandwidth, 2 * LOWEST_HZ))

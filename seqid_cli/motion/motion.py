@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.cutoff import Cutoff, choose_cutoff
+from seqid_cli.motion.cutoff import HIGHEST_HZ, Cutoff, choose_cutoff
 from seqid_cli.motion.filtering import Lowpass, differentiate, runs, shrink
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segments import moving_mask, noise_step
@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SAMPLES_PER_CUTOFF = 10
+BRIDGED_SHARE = 0.05  # of the samples, from which on bridged ones limit the cut-off
+BRIDGED_PERIODS = 0.2  # of the cut-off, that a bridged hole may last
 NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
 
 
@@ -110,9 +112,8 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     q = lowpass(recording.q, recording.valid)
     dq, ddq = differentiate(q, rate, recording.valid)
     tau, usable = filtered_torque(recording, lowpass)
-    return Motion(
-        recording.t, q, dq, ddq, tau, moving, usable, recording.valid, rate, lowpass, cutoff
-    )
+    given = recording.t, q, dq, ddq, tau, moving, usable, recording.valid, rate, lowpass, cutoff
+    return Motion(*given, warnings=recording.health.mended)
 
 
 def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | None, Mask]:
@@ -124,6 +125,8 @@ def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | Non
         If no stretch of the log is long enough to filter.
     """
     usable = shrink(recording.valid, 2 * lowpass.settling)
+    if recording.bridged is not None:
+        usable &= ~recording.bridged
     if not usable.any():
         raise InputError(
             f"no stretch without a gap is long enough for a low-pass of {lowpass.cutoff_hz:.3g} Hz",
@@ -138,10 +141,26 @@ def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | Non
 def _cutoff(
     recording: Recording, moving: Mask, resolution: Array, options: MotionOptions
 ) -> Cutoff:
-    chosen = choose_cutoff(recording.q, recording.rate_hz, moving=moving, resolution=resolution)
+    highest = highest_bridged(recording)
+    rate = recording.rate_hz
+    chosen = choose_cutoff(
+        recording.q, rate, moving=moving, resolution=resolution, highest_hz=highest
+    )
     if options.cutoff_hz is None:
         return chosen
     return replace(chosen, hz=options.cutoff_hz, chosen=False)
+
+
+def highest_bridged(recording: Recording) -> float:
+    """Highest cut-off [Hz] that the bridged holes of a log allow.
+
+    A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 / 12:
+    13 percent at `BRIDGED_PERIODS` / h. A few holes are left out of the equations instead.
+    """
+    if recording.bridged is None or recording.bridged.mean() < BRIDGED_SHARE:
+        return HIGHEST_HZ
+    lengths = [stop - start for start, stop in runs(recording.bridged, len(recording.t))]
+    return BRIDGED_PERIODS * recording.rate_hz / (float(np.median(lengths)) + 1.0)
 
 
 def encoder_resolution(robot: Robot) -> Array:

@@ -30,6 +30,7 @@ class LogNote:
     warnings: tuple[str, ...]
     partial: str
     findings: tuple[Finding, ...] = ()
+    mended: tuple[str, ...] = ()
 
 
 @runtime_checkable
@@ -54,6 +55,7 @@ def note_of(recording: Recording | SurveyedLog) -> LogNote:
         recording.rate_hz,
         recording.health.warnings,
         recording.partial,
+        recording.health.mended,
     )
 
 

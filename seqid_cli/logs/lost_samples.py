@@ -1,0 +1,391 @@
+"""Lost samples that the stamps do not show: found by the motion of the joints, and put right.
+
+A logger that counts its rows instead of reading a clock gives rows behind a loss stamps that are
+too early: the position then steps by the motion of the lost time, while the velocity before and
+behind the step is that of the motion. With the increments d_j of the positions over one interval
+dt, and the velocities v_j there (of the velocity channel, or of the positions around it, whichever
+fits the increments better), the time L that is lost at a step is the least-squares solution of
+
+    d_j - v_j dt = v_j L,    for all joints j, each weighted by its noise.
+
+It counts where it is certain, longer than one and a half intervals, and the same for all joints
+that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by
+L; the hole is filled by the cubic through positions and velocities of both sides (which follows an
+arm over tens of milliseconds) and by straight lines through what else was logged around it.
+
+A position that is held and then catches up loses no time: there the held samples alone are filled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
+from seqid_cli.robust import gaussian_spread
+
+AROUND = 6  # increments on either side that tell the velocity at a step
+SURE = 8.0  # standard errors of the lost time, beyond which it is believed
+LEAST_INTERVALS = 1.5  # that are lost, at least
+SUDDEN = 1.2  # times the larger increment beside it, by which a step differs from their mean
+SUDDEN_NOISE = 5.0  # times what increments usually differ by from those beside them
+COUNTS = 4.0  # smallest increments, at least, that a step makes
+UNEVEN = 0.15  # of the motion of the lost time, in which joints may differ (they accelerate)
+RETURNED = 0.5  # of a step, that the increments around it may take back
+COUNTED = 0.3  # of an interval, by which stamps that count rows may differ from even ones
+MANY = 0.2  # of the increments: steps as frequent as that are noise or a slower channel
+ON_GRID = 0.12  # of an interval (median), within which losses are whole intervals
+HELD_LEAST = 2  # increments of nothing before a joint catches up
+MOST = 20_000  # increments that tell their smallest
+LONGEST_S = 1.0  # that can be lost at once: behind that, motion before says nothing
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Time `seconds` (K,) that is lost behind the samples `rows` (K,), in their order."""
+
+    rows: Rows
+    seconds: Array
+
+    def __len__(self) -> int:
+        """Count the places."""
+        return len(self.rows)
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A stream put right; `bridged` (M,) says which of its samples were not measured.
+
+    `losses` are those of the stream as it came, with its `stamps`; `held` counts positions that
+    stood for missing ones.
+    """
+
+    stream: Stream
+    bridged: Mask
+    losses: Losses
+    held: int
+    stamps: Stamps
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say; nothing where nothing was mended."""
+        parts = []
+        if len(self.losses):
+            seconds = self.losses.seconds
+            parts.append(
+                f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
+                f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "
+                "of that time and the stamps go on as if nothing was missing. The time base is "
+                "repaired and the holes are bridged; log with the controller's own clock"
+            )
+        if self.held:
+            parts.append(
+                f"{self.held} positions repeat the one before while the joint moves, and then "
+                "catch up: they are bridged; look for lost packets between drive and logger"
+            )
+        return tuple(parts)
+
+
+def mended(joints: Stream) -> Mended:
+    """Put right what the motion of the joints says of a stream.
+
+    Parameters
+    ----------
+    joints : Stream
+        In the order of time, with `position` (M, n), and `velocity` (M, n) where it was logged.
+
+    Returns
+    -------
+    Mended
+        With the stream itself where nothing is wrong.
+    """
+    nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
+    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, 0, joints.stamp_ns)
+    t, q, dq = _motion(joints)
+    if len(t) < 4 * AROUND or not np.isfinite(q).all():
+        return as_it_is
+    steps = _sudden(np.diff(q, axis=0))
+    if not 0 < len(steps) <= MANY * len(t):
+        return as_it_is
+    filled = _held(t, q, steps)
+    if filled.any():
+        q = np.column_stack([_over(t, x, own) for x, own in zip(q.T, filled.T, strict=True)])
+        steps = _sudden(np.diff(q, axis=0))
+    losses = _losses(t, q, dq, steps)
+    if not len(losses) and not filled.any():
+        return as_it_is
+    channels = {**joints.channels, "position": q}
+    missing: Mask = np.asarray(filled.any(axis=1))
+    stream, bridged = with_losses(replace(joints, channels=channels), losses, missing)
+    count = int(missing.sum())
+    return Mended(stream, bridged, losses, count, joints.stamp_ns)
+
+
+def suspicious(joints: Stream) -> bool:
+    """Whether part of a stream shows what `mended` would put right."""
+    found = mended(joints)
+    return bool(len(found.losses) or found.held)
+
+
+def _motion(joints: Stream) -> tuple[Array, Array, Array | None]:
+    """Seconds (M,), positions (M, n) and velocities (M, n) where all joints have them."""
+    stamps = joints.stamp_ns
+    t: Array = (stamps - stamps[:1]).astype(np.float64) * 1e-9
+    dq = joints.channels.get("velocity")
+    if dq is not None and not np.isfinite(dq).all():
+        dq = None
+    return t, joints.channels["position"], dq
+
+
+def _sudden(d: Array) -> Rows:
+    """Increments (of (M, n)) that differ from those on both sides by more than these are large."""
+    size = np.abs(d)
+    apart = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:]))
+    beside = np.maximum(size[:-2], size[2:])
+    # One side alone is small where the position was held before it catches up.
+    found = (apart > SUDDEN * np.minimum(size[:-2], size[2:])) & (size[1:-1] > beside)
+    if not found.any():
+        return np.zeros(0, np.intp)
+    found &= apart > np.maximum(COUNTS * _count(size), SUDDEN_NOISE * _usual(apart))
+    rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
+    return rows
+
+
+def _usual(apart: Array) -> Array:
+    """Usual size (n,) of what increments differ by."""
+    some = apart[:: max(1, len(apart) // MOST)]
+    return gaussian_spread(some)
+
+
+def _count(size: Array) -> Array:
+    """Smallest increment (n,) that joints make, nearly: a count where positions are quantised."""
+    counts = np.zeros(size.shape[1])
+    for j, own in enumerate(size.T):
+        made = own[:: max(1, len(own) // MOST)]
+        made = made[made > 0]
+        counts[j] = np.quantile(made, 0.05) if len(made) else 0.0
+    return counts
+
+
+def _slopes(t: Array, q: Array, at: Rows, side: int) -> tuple[Array, Array]:
+    """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter.
+
+    Returns
+    -------
+    tuple of two (K, n) arrays
+        Median and standard deviation [rad/s].
+    """
+    offsets = side * np.arange(1, AROUND + 1)
+    rows = np.clip(at[:, None] + offsets, 0, len(t) - 2)
+    dt = np.maximum(t[rows + 1] - t[rows], 1e-12)
+    slopes = (q[rows + 1] - q[rows]) / dt[:, :, None]
+    middle = np.median(slopes, axis=1)
+    return middle, gaussian_spread(np.moveaxis(slopes - middle[:, None], 1, 0))
+
+
+def _held(t: Array, q: Array, steps: Rows) -> Mask:
+    """Positions (M, n) that repeat the one before although the joint moves, and then catch up."""
+    held = np.zeros(q.shape, np.bool_)
+    d = np.diff(q, axis=0)
+    for i in steps:
+        for j in np.flatnonzero((d[i] != 0) & (d[i - 1] == 0)):
+            first = i
+            while first > 0 and d[first - 1, j] == 0:
+                first -= 1
+            if i - first < HELD_LEAST or first < 2 or i + 2 >= len(d):
+                continue
+            before, behind = d[max(0, first - 3) : first, j], d[i + 1 : i + 4, j]
+            usual = 0.5 * (float(before.mean()) + float(behind.mean()))
+            caught = d[i, j] / usual / (i - first + 1) if usual else 0.0
+            moves = np.all(before * usual > 0) and np.all(behind * usual > 0)
+            if moves and 0.5 < caught < 2.0:
+                held[first + 1 : i + 1, j] = True
+    share = held.mean(axis=0)
+    held[:, share > MANY] = False  # a channel that is slower than the log, not damage
+    return held
+
+
+def _over(t: Array, values: Array, missing: Mask) -> Array:
+    """Values (M,) with a cubic over each stretch of missing ones."""
+    if not missing.any():
+        return values
+    result = values.copy()
+    edges = np.flatnonzero(np.diff(missing.astype(np.int8)))
+    for a, b in zip(edges[::2], edges[1::2] + 1, strict=True):  # the last before, the first behind
+        slope = [_slope(t, values, slice(max(0, a - 3), a + 1)), _slope(t, values, slice(b, b + 4))]
+        result[a + 1 : b] = _cubic(t[a + 1 : b], t[[a, b]], values[[a, b]], np.array(slope))
+    return result
+
+
+def _slope(t: Array, values: Array, rows: slice) -> float:
+    x, y = t[rows], values[rows]
+    x = x - x.mean()
+    return float(x @ y / (x @ x)) if len(x) > 1 else 0.0
+
+
+def _end_slopes(x: Array, values: Array, rows: slice, at: float) -> Array:
+    """Slopes (n,) of parabolas through some rows, at a moment."""
+    c = np.polynomial.polynomial.polyfit(x[rows] - at, values[rows], 2)
+    return np.asarray(c[1])
+
+
+def _cubic(at: Array, t: Array, values: Array, slopes: Array) -> Array:
+    """Hermite's cubic (..., n) at moments, from two moments (2,), values and slopes (2, ...)."""
+    h = t[1] - t[0]
+    s = ((at - t[0]) / h).reshape(-1, *([1] * (values.ndim - 1)))
+    left = (1 + 2 * s) * (1 - s) ** 2 * values[0] + s * (1 - s) ** 2 * h * slopes[0]
+    right = s**2 * (3 - 2 * s) * values[1] + s**2 * (s - 1) * h * slopes[1]
+    return np.asarray(left + right)
+
+
+def _losses(t: Array, q: Array, dq: Array | None, steps: Rows) -> Losses:
+    """Time that is lost, by all joints together."""
+    steps = steps[(steps >= 2) & (steps < len(t) - 3)]
+    dt, d = np.diff(t), np.diff(q, axis=0)
+    usual = float(np.median(dt))
+    (before, one), (behind, other) = (_slopes(t, q, steps, side) for side in (-1, 1))
+    v = 0.5 * (before + behind)
+    if dq is not None:
+        logged = _logged(dq, steps)
+        v = np.where(_fits(t, d, dq), logged, v)
+    noise = np.maximum(_noise(t, d, dq), np.maximum(one, other) * usual)
+    r = d[steps] - v * dt[steps, None]
+    # Between two velocities the motion of the lost time is not certain.
+    weight = 1.0 / (noise**2 + (UNEVEN * (behind - before) * dt[steps, None]) ** 2)
+    power = np.maximum(np.sum(v**2 * weight, axis=1), 1e-300)
+    lost = np.sum(v * r * weight, axis=1) / power
+    sure = (lost > SURE / np.sqrt(power)) & _counted(dt, usual, steps)
+    sure &= _goes_on(d, v * usual, steps)
+    sure &= (lost > np.maximum(LEAST_INTERVALS * usual, 0.5 * dt[steps])) & (lost < LONGEST_S)
+    off = np.abs(r - v * lost[:, None])
+    alike = off < SURE * noise + 0.5 * np.abs(v) * lost[:, None] + np.abs(behind - before) * usual
+    sure &= alike.all(axis=1) & (_net(d, t, v, weight, steps, lost) > RETURNED * lost)
+    seconds = lost[sure]
+    whole = np.maximum(1.0, np.rint(seconds / usual))
+    if len(seconds) and np.median(np.abs(seconds / usual - whole)) < ON_GRID:
+        seconds = whole * usual
+    return Losses(steps[sure], seconds)
+
+
+def _counted(dt: Array, usual: float, steps: Rows) -> NDArray[np.bool_]:
+    """Whether stamps around a step (K,) are as even as those of a logger that counts its rows."""
+    near = dt[steps[:, None] + np.arange(-2, 3)]
+    return np.asarray((np.abs(near - usual) < COUNTED * usual).all(axis=1))
+
+
+def _goes_on(d: Array, expected: Array, steps: Rows) -> NDArray[np.bool_]:
+    """Whether joints that move by two counts do so beside a step (K,), too: else one was held."""
+    moves = np.abs(expected) > 2.0 * _count(np.abs(d))
+    beside = (d[steps - 1] != 0) & (d[steps + 1] != 0)
+    return np.asarray((beside | ~moves).all(axis=1))
+
+
+def _logged(dq: Array, at: Rows) -> Array:
+    """Velocity (K, n) of the channel at increments; a median keeps single wrong values out."""
+    rows = np.clip(at[:, None] + np.arange(-3, 1), 0, len(dq) - 1)
+    ahead = np.clip(at[:, None] + np.arange(1, 5), 0, len(dq) - 1)
+    return np.asarray(0.5 * (np.median(dq[rows], axis=1) + np.median(dq[ahead], axis=1)))
+
+
+def _fits(t: Array, d: Array, dq: Array) -> NDArray[np.bool_]:
+    """Whether the velocity channel of each joint (n,) tells increments better than neighbours."""
+    own, other = _spread(t, d, dq), _spread(t, d, None)
+    return np.asarray(own <= other)
+
+
+def _spread(t: Array, d: Array, dq: Array | None) -> Array:
+    """Standard deviation (n,) of increments about what velocities, or their neighbours, say."""
+    if dq is None:
+        apart = d[1:-1] - 0.5 * (d[:-2] + d[2:])
+    else:
+        apart = d - 0.5 * (dq[1:] + dq[:-1]) * np.diff(t)[:, None]
+    size = np.abs(d) if dq is not None else np.abs(d[1:-1])
+    spread = np.zeros(d.shape[1])
+    for j in range(d.shape[1]):
+        moves = size[:, j] > np.quantile(size[:, j], 0.5)
+        spread[j] = gaussian_spread(apart[moves, j]) if moves.any() else 0.0
+    return spread
+
+
+def _noise(t: Array, d: Array, dq: Array | None) -> Array:
+    """Noise (n,) of increments about the velocities, at least half a count."""
+    spread = _spread(t, d, None)
+    if dq is not None:
+        spread = np.minimum(spread, _spread(t, d, dq))
+    return np.maximum(spread, 0.5 * _count(np.abs(d)) + 1e-15)
+
+
+def _net(d: Array, t: Array, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
+    """Time (K,) that the increments around a step gain, with the step itself.
+
+    What is late and catches up has lost none.
+    """
+    usual = float(np.median(np.diff(t)))
+    net = np.zeros(len(steps))
+    for k, i in enumerate(steps):
+        reach = int(min(lost[k] / usual, LONGEST_S / usual)) + 3 if lost[k] > 0 else 0
+        near = np.array([x for x in range(i - reach, i + 4) if 0 <= x < len(d)], dtype=np.intp)
+        others = steps[(steps != i) & (np.abs(steps - i) <= reach)]
+        near = near[~np.isin(near, others)]
+        gained = d[near] - v[k] * np.diff(t)[near, None]
+        # The velocity changes within the reach: only what is late by most of an interval counts.
+        late = np.sum(v[k] * gained * weight[k], axis=1) / max(
+            float(np.sum(v[k] ** 2 * weight[k])), 1e-300
+        )
+        late = np.where((np.abs(late) > 0.6 * usual) | (near == i), late, 0.0)
+        net[k] = late.sum()
+    return net
+
+
+def with_losses(stream: Stream, losses: Losses, bridged: Mask) -> tuple[Stream, Mask]:
+    """Move the stamps behind losses and fill the holes.
+
+    Parameters
+    ----------
+    stream : Stream
+        Also one of another quantity with the same stamps.
+    losses : Losses
+    bridged : (M,) bool array
+        Samples that were not measured anyway.
+
+    Returns
+    -------
+    tuple of Stream and (M',) bool array
+        The stream with the samples that fill holes, and which samples were not measured.
+    """
+    if not len(losses):
+        return stream, bridged
+    shift = np.zeros(len(stream), np.int64)
+    shift[losses.rows + 1] = np.rint(losses.seconds * 1e9).astype(np.int64)
+    stamps = stream.stamp_ns + np.cumsum(shift)
+    usual = float(np.median(np.diff(stream.stamp_ns)))
+    pieces, parts = [stamps], [dict(stream.channels)]
+    for row in losses.rows:
+        width = stamps[row + 1] - stamps[row]
+        count = max(1, round(float(width) / usual)) - 1
+        at = stamps[row] + (np.arange(1, count + 1) * (width / (count + 1))).astype(np.int64)
+        pieces.append(at)
+        parts.append({n: _filled(n, own, stamps, row, at) for n, own in stream.channels.items()})
+    joined = np.concatenate(pieces)
+    order = np.argsort(joined, kind="stable")
+    channels = {n: np.concatenate([part[n] for part in parts])[order] for n in stream.channels}
+    made = np.ones(len(joined), np.bool_)
+    made[: len(stream)] = bridged
+    return replace(stream, stamp_ns=joined[order], channels=channels), made[order]
+
+
+def _filled(name: str, values: Array, stamps: Stamps, row: int, at: Stamps) -> Array:
+    """Values (K, w) of one channel in the hole behind a sample."""
+    x = (stamps - stamps[row]).astype(np.float64) * 1e-9
+    seconds = (at - stamps[row]) * 1e-9
+    reach = len(at) + 2 if name != "position" else 2 * AROUND
+    low, high = max(0, row + 1 - reach), min(len(x), row + 1 + reach)
+    if name == "position":
+        sides = (slice(low, row + 1), slice(row + 1, high))
+        ends = x[[row, row + 1]]
+        slopes = [_end_slopes(x, values, *side) for side in zip(sides, ends, strict=True)]
+        return _cubic(seconds, ends, values[[row, row + 1]], np.array(slopes))
+    line = np.polynomial.polynomial.polyfit(x[low:high], values[low:high], 1)
+    return np.asarray(line[0] + seconds[:, None] * line[1])

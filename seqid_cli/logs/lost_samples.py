@@ -38,6 +38,7 @@ COUNTED = 0.3  # of an interval, by which stamps that count rows may differ from
 MANY = 0.2  # of the increments: steps as frequent as that are noise or a slower channel
 ON_GRID = 0.12  # of an interval (median), within which losses are whole intervals
 HELD_LEAST = 2  # increments of nothing before a joint catches up
+SMALLEST = 1e-3  # of the increments, that are below a count or make one
 MOST = 20_000  # increments that tell their smallest
 LONGEST_S = 1.0  # that can be lost at once: behind that, motion before says nothing
 
@@ -113,6 +114,8 @@ def mended(joints: Stream) -> Mended:
     if filled.any():
         q = np.column_stack([_over(t, x, own) for x, own in zip(q.T, filled.T, strict=True)])
         steps = _sudden(np.diff(q, axis=0))
+        made = np.flatnonzero(filled.any(axis=1))
+        steps = steps[~(np.isin(steps, made) | np.isin(steps + 1, made))]
     losses = _losses(t, q, dq, steps)
     if not len(losses) and not filled.any():
         return as_it_is
@@ -165,7 +168,7 @@ def _count(size: Array) -> Array:
     for j, own in enumerate(size.T):
         made = own[:: max(1, len(own) // MOST)]
         made = made[made > 0]
-        counts[j] = np.quantile(made, 0.05) if len(made) else 0.0
+        counts[j] = np.quantile(made, SMALLEST) if len(made) else 0.0
     return counts
 
 

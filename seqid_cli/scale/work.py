@@ -55,7 +55,7 @@ def note_of(recording: Recording | SurveyedLog) -> LogNote:
         recording.rate_hz,
         recording.health.warnings,
         recording.partial,
-        recording.health.mended,
+        mended=recording.health.mended,
     )
 
 

@@ -314,9 +314,7 @@ def _run(  # type: ignore[no-untyped-def]
             last[i] = seen
             old = tau[i]
             tau[i] = ahead[i] + guess[i] * np.sign(wanted_v[k, i])
-            tau[i] += stiffness[i] * (wanted[k, i] - seen) + damping[i] * (
-                wanted_v[k, i] - rate[i]
-            )
+            tau[i] += stiffness[i] * (wanted[k, i] - seen) + damping[i] * (wanted_v[k, i] - rate[i])
             T[k, i] = 0.5 * ((old if k > 0 else tau[i]) + tau[i])
         friction[:] = 0.0
         h = dt / SUBSTEPS

@@ -96,9 +96,7 @@ def tables_of(results: Sequence[Result]) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def group_table(
-    results: Sequence[Result], subsets: dict[str, Callable[[Result], bool]]
-) -> str:
+def group_table(results: Sequence[Result], subsets: dict[str, Callable[[Result], bool]]) -> str:
     """One row per group of quantities and subset of the seeds."""
     rows = []
     for group in GROUPS:

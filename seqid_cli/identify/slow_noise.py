@@ -88,9 +88,7 @@ def whitener_of(rows: Rows) -> Whitener:
     def cost(logs: Array) -> float:
         return _restricted(rows, shapes, _strengths(logs, white, typical))
 
-    best = minimize(
-        cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02}
-    )
+    best = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02})
     strengths = _strengths(best.x, white, typical)
     return Whitener(tuple((at, _root(shape, strengths)) for at, *shape in shapes))
 

@@ -279,10 +279,11 @@ def _counted(dt: Array, usual: float, steps: Rows) -> NDArray[np.bool_]:
 
 
 def _goes_on(d: Array, expected: Array, steps: Rows) -> NDArray[np.bool_]:
-    """Whether joints that move by two counts do so beside a step (K,), too: else one was held."""
-    moves = np.abs(expected) > 2.0 * _count(np.abs(d))
-    beside = (d[steps - 1] != 0) & (d[steps + 1] != 0)
-    return np.asarray((beside | ~moves).all(axis=1))
+    """Whether the joint that moves by most counts does so beside a step (K,) too: not held."""
+    counts = np.abs(expected) / np.maximum(_count(np.abs(d)), 1e-15)
+    most = np.argmax(counts, axis=1)
+    moves = (d[steps - 1, most] != 0) & (d[steps + 1, most] != 0)
+    return np.asarray(moves | (counts.max(axis=1) < HELD_LEAST))
 
 
 def _logged(dq: Array, at: Rows) -> Array:

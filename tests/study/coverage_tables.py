@@ -14,6 +14,7 @@ from tests.study.tables import number, rms, table
 Array = NDArray[np.float64]
 
 INSIDE = 1.96  # standard errors: the 95 % interval
+OPEN = ("do not tell whether rotors", "neither 0 nor 1")  # notes of an undecided coupling
 GROUPS = ("friction", "gravity", "inertia", "imu")
 HEADER = ["seeds", "values", "rms z", "inside 95 %", "interval", "largest z", "mean z"]
 
@@ -139,13 +140,19 @@ def relative(rows: Sequence[Row]) -> str:
 def coupling_table(results: Sequence[Result]) -> str:
     """What was decided about the rotors' coupling against what is so."""
     found = [r for r in results if "rotor_coupling" in r]
-    decided = sorted({r["rotor_coupling"] for r in found})
+    decided = sorted({decision(r) for r in found})
     rows = []
     for truth in (False, True):
-        own = [r["rotor_coupling"] for r in found if r["traits"]["rotor_coupling"] is truth]
+        own = [decision(r) for r in found if r["traits"]["rotor_coupling"] is truth]
         counts = [str(own.count(decision)) for decision in decided]
         rows.append(["rotors coupled" if truth else "rotors not coupled", *counts])
     return table(["truth; decided:", *decided], rows)
+
+
+def decision(result: Result) -> str:
+    """What was decided about the coupling, or that the stage left it open."""
+    doubtful = any(words in note for note in result["notes"] for words in OPEN)
+    return "left open" if doubtful else str(result["rotor_coupling"])
 
 
 def problems(results: Sequence[Result]) -> str:

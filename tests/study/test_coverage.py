@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqid_cli.identify.rotor_coupling import _open
 from tests.plants.rigs import plain
 from tests.study import coverage
 from tests.study.coverage import TUNING, key_of, read, seeds_of, summary
 from tests.study.coverage_cases import Case, case_of, draw, record
 from tests.study.coverage_score import Result, compare, identify, program, row, z_of
 from tests.study.coverage_tables import coverage as coverage_of
-from tests.study.coverage_tables import independent, tables_of, wilson
+from tests.study.coverage_tables import decision, independent, tables_of, wilson
 
 
 def test_z_of_an_error_stated_as_none_is_infinite() -> None:
@@ -110,6 +111,14 @@ def test_identification_without_noise_recovers_the_truths(seed: int, tmp_path: P
         assert found["truth"] == pytest.approx(truth[found["name"]], rel=1e-12)
         scale = truth[found["name"].replace("my", "mx")]
         assert abs(found["estimate"] - found["truth"]) < 1e-2 * scale, found["name"]
+
+
+def test_a_coupling_that_the_notes_leave_open_is_no_decision() -> None:
+    note = "these logs do not tell whether rotors are coupled to the links that carry them"
+    assert decision({"rotor_coupling": "diagonal", "notes": []}) == "diagonal"
+    assert decision({"rotor_coupling": "diagonal", "notes": [note]}) == "left open"
+    assert "do not tell whether rotors" in _open(0.5, 0.5, near=True)[0]
+    assert "neither 0 nor 1" in _open(3.0, 0.5, near=False)[0]
 
 
 def made(seed: int, *, sources: str) -> Result:

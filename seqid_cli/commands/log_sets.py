@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,28 +20,40 @@ _NAMED = 3  # logs that a note names
 def held_out_logs(logs: Sequence[str], held_out: Sequence[str]) -> tuple[Path, ...]:
     """Return the held-out logs, after making sure that none of them is to be fitted.
 
+    None is opened: by its place alone a log is known until the last decision has been made.
+
     Raises
     ------
     UsageError
-        A log is in both lists, under one name or as a copy.
+        A log is in both lists.
     InputError
         A path stands for no log.
     """
-    files, fitted = expand(held_out), expand(logs)
+    files = expand(held_out)
+    fitted = {file.resolve(): file for file in expand(logs)}
     for file in files:
-        check_log(file)
-    names = {other.resolve(): other for other in fitted}
-    copies = _by_content(fitted, sizes={file.stat().st_size for file in files})
-    for file in files:
-        other = names.get(file.resolve())
-        if other is None and copies.keys():
-            other = copies.get((file.stat().st_size, log_sha256(file)))
-        if other is not None:
-            where = str(file) if file == other else f"{file} ({other})"
-            message = "is given both to fit and to hold out"
-            hint = "A held-out log must never be fitted: leave it out of one of the lists."
-            raise UsageError(message, where=where, hint=hint)
+        if file.resolve() in fitted:
+            raise _in_both(file, fitted[file.resolve()])
     return tuple(files)
+
+
+def check_unseen(held_out: Mapping[str, Path], fitted: Mapping[str, Path]) -> None:
+    """Make sure that no held-out log is a copy of one that was fitted; both by SHA-256.
+
+    Raises
+    ------
+    UsageError
+        One is.
+    """
+    for sha256, path in held_out.items():
+        if sha256 in fitted:
+            raise _in_both(path, fitted[sha256])
+
+
+def _in_both(file: Path, other: Path) -> UsageError:
+    where = str(file) if file == other else f"{file} ({other})"
+    hint = "A held-out log must never be fitted: leave it out of one of the lists."
+    return UsageError("is given both to fit and to hold out", where=where, hint=hint)
 
 
 @dataclass(frozen=True)
@@ -61,7 +73,7 @@ def find_earlier(
     folders: Sequence[Path],
     *,
     at_hand: Mapping[str, Path],
-    held_out: Mapping[str, Path],
+    held_out: Sequence[Path],
 ) -> EarlierLogs:
     """Look for the logs of earlier stages, unchanged, where the parameter file says they are.
 
@@ -72,11 +84,14 @@ def find_earlier(
         then from each of `folders`.
     folders : sequence of Path
         Folders of the parameter files.
-    at_hand, held_out : mapping of SHA-256 to Path
-        Logs that were given: to be fitted, wherever earlier stages had them from, and never to be
-        fitted.
+    at_hand : mapping of SHA-256 to Path
+        Logs that were given to be fitted, wherever earlier stages had them from.
+    held_out : sequence of Path
+        Logs never to be fitted; they are not opened.
     """
-    listed = [log for log in inputs if log.stage in FITTED_STAGES and log.sha256 not in held_out]
+    unseen = {path.resolve() for path in held_out}
+    known = [log for log in inputs if unseen & {p.resolve() for p in _places(log, folders)}]
+    listed = [log for log in inputs if log.stage in FITTED_STAGES and log not in known]
     paths: dict[str, Path] = {}
     by_stage: dict[str, list[str]] = {}
     lost: list[str] = []
@@ -87,8 +102,8 @@ def find_earlier(
         else:
             paths[log.sha256] = path
             by_stage.setdefault(log.stage, []).append(log.sha256)
-    known = [str(held_out[log.sha256]) for log in inputs if log.sha256 in held_out]
-    return EarlierLogs(paths, by_stage, (*_lost_note(lost), *_known_note(known)))
+    names = [log.path for log in known]
+    return EarlierLogs(paths, by_stage, (*_lost_note(lost), *_known_note(names)))
 
 
 def log_sha256(path: Path) -> str:
@@ -106,19 +121,20 @@ def log_sha256(path: Path) -> str:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
 
 
-def _by_content(files: Sequence[Path], *, sizes: Set[int]) -> dict[tuple[int, str], Path]:
-    """Return files by size and SHA-256; only those of one of `sizes` are read for it."""
-    likely = [(file.stat().st_size, file) for file in files if file.stat().st_size in sizes]
-    return {(size, log_sha256(file)): file for size, file in likely}
+def _places(log: InputLog, folders: Sequence[Path]) -> list[Path]:
+    """Where a log of a parameter file may be; nothing for what is no path."""
+    places = (Path(log.path), *(folder / log.path for folder in folders))
+    with contextlib.suppress(OSError, ValueError):
+        return [path for path in places if path.is_file()]
+    return []
 
 
 def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
-    for path in (Path(log.path), *(folder / log.path for folder in folders)):
-        with contextlib.suppress(SeqidError, OSError, ValueError):
-            if path.is_file():  # the name comes from a file: nothing else is opened
-                check_log(path)
-                if log_sha256(path) == log.sha256:
-                    return path
+    for path in _places(log, folders):  # the name comes from a file: nothing else is opened
+        with contextlib.suppress(SeqidError, OSError):
+            check_log(path)
+            if log_sha256(path) == log.sha256:
+                return path
     return None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,7 @@ import typer
 
 from seqid_cli.commands.earlier_logs import read_earlier
 from seqid_cli.commands.job import Account, Job, exit_code, prepare
-from seqid_cli.commands.log_sets import find_earlier, held_out_logs
+from seqid_cli.commands.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
@@ -42,6 +43,7 @@ from seqid_cli.params.schema import (
 
 if TYPE_CHECKING:
     from seqid_cli.discover import results
+    from seqid_cli.discover.gather import Gathered
     from seqid_cli.discover.options import DiscoverOptions
     from seqid_cli.logs.recording import Recording
 
@@ -61,7 +63,8 @@ Holdout = Annotated[
     typer.Option(
         "--holdout",
         metavar="LOG",
-        help="Log, folder or glob that is never fitted, only reported on; repeat it for several.",
+        help="Log, folder or glob that is opened after the last decision, and only reported on;"
+        " repeat it for several.",
     ),
 ]
 Rounds = Annotated[
@@ -87,9 +90,10 @@ def run(
     time: Clock = "header",
     strict: Strict = False,
 ) -> int:
-    """Add the effects that a model lacks, as long as held-out logs are predicted better.
+    """Add the effects that a model lacks, as long as left-out blocks are predicted better.
 
-    The held-out logs are never fitted. With --strict the exit code is 1 if nothing helped.
+    The held-out logs decide nothing: they are opened last, and confirm each effect or do not.
+    With --strict the exit code is 1 if nothing helped, or if they do not confirm all of it.
     """
     held_out = held_out_logs(logs, holdout)
     if output is not None:
@@ -123,55 +127,40 @@ def run(
     show_refinement(job.screen, file.closed_loop, file.stages.effects or [])
     show_motion(job.screen, file.closed_loop.motion)
     tell_output(job, _FOLLOWING)
-    return exit_code(untrusted=strict and not file.closed_loop.rounds, partial=partial)
+    loop = file.closed_loop
+    untrusted = strict and (loop.verdict == "poor" or not loop.rounds)
+    return exit_code(untrusted=untrusted, partial=partial)
 
 
 def _refine(
     job: Job, previous: ParameterFile, held_out: Sequence[Path], options: DiscoverOptions
 ) -> tuple[ParameterFile, list[str]]:
-    from seqid_cli.discover.gather import gather, one_each
+    from seqid_cli.discover.confirm import confirm
+    from seqid_cli.discover.gather import one_each
     from seqid_cli.discover.heldout import WholeLogs
     from seqid_cli.discover.refine import refine
     from seqid_cli.identify.motion_use import motion_uses
 
-    training, kept_out = Account(job), Account(replace(job, files=tuple(held_out)))
-    imu, source = job.stages.imu, options.motion.source
-    fitted, unseen = (
-        gather(
-            announced(account, job.screen, imu, source),
-            job.robot,
-            job.stages,
-            options=options.motion,
-            paths=paths,
-            time_source=job.time_source,
-            aside=False,
-        )
-        for account, paths in ((training, job.files), (kept_out, held_out))
-    )
-    found = find_earlier(
-        previous.inputs,
-        [path.parent for path in job.parameters],
-        at_hand=_paths(fitted.recordings),
-        held_out=_paths(unseen.recordings),
-    )
+    training = Account(job)
+    fitted = _gathered(training, job, options)
+    folders = [path.parent for path in job.parameters]
+    at_hand = _paths(fitted.recordings)
+    found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=held_out)
     earlier = read_earlier(job, found, fitted, options.motion)
     count = sum(map(len, earlier.by_stage.values()))
-    job.screen.detail(
-        f"{len(fitted.recordings)} logs to fit, {len(unseen.recordings)} held out,"
-        f" {count} of earlier stages"
+    job.screen.detail(f"{len(fitted.recordings)} logs to fit, {count} of earlier stages")
+    decided = refine(
+        fitted.recordings, job.robot, previous, earlier=earlier.by_stage, options=options
     )
+
+    # Nothing is decided any more: now the held-out logs are opened.
+    kept_out = Account(replace(job, files=tuple(held_out)))
+    unseen = _gathered(kept_out, replace(job, files=tuple(held_out)), options)
+    check_unseen(_paths(unseen.recordings), {**found.paths, **at_hand})
     whole = WholeLogs(tuple(held_out), job.robot, job.time_source) if unseen.looks else None
-    stages, loop = refine(
-        fitted.recordings,
-        unseen.recordings,
-        job.robot,
-        previous,
-        earlier=earlier.by_stage,
-        options=options,
-        whole=whole,
-    )
+    loop = confirm(decided, unseen.recordings, whole)
     given = [*one_each(fitted), *one_each(unseen)]
-    uses = motion_uses(given, job.robot, imu, options=options.motion)
+    uses = motion_uses(given, job.robot, job.stages.imu, options=options.motion)
     notes = [
         *(f"fitted: {note}" for note in fitted.notes(job.robot)),
         *(f"held out: {note}" for note in unseen.notes(job.robot)),
@@ -182,10 +171,24 @@ def _refine(
         previous,
         robot_id(job.robot),
         training.inputs("effects"),
-        stages,
-        _closed_loop(loop, kept_out.inputs(), notes, uses),
+        decided.stages,
+        closed_loop(loop, kept_out.inputs(), notes, uses),
     )
     return file, [*training.partial, *kept_out.partial, *earlier.partial]
+
+
+def _gathered(account: Account, job: Job, options: DiscoverOptions) -> Gathered:
+    from seqid_cli.discover.gather import gather
+
+    return gather(
+        announced(account, job.screen, job.stages.imu, options.motion.source),
+        job.robot,
+        job.stages,
+        options=options.motion,
+        paths=job.files,
+        time_source=job.time_source,
+        aside=False,
+    )
 
 
 def _paths(recordings: Sequence[Recording]) -> dict[str, Path]:
@@ -195,13 +198,15 @@ def _paths(recordings: Sequence[Recording]) -> dict[str, Path]:
     return {sha256: some[0].path for sha256, some in by_digest(recordings).items()}
 
 
-def _closed_loop(
+def closed_loop(
     loop: results.ClosedLoop,
     held_out: list[InputLog],
     notes: Sequence[str],
     motion: list[MotionUse],
 ) -> ClosedLoop:
+    """What a refined file says of its refinement."""
     return ClosedLoop(
+        verdict="good" if loop.confirmed else "poor",
         rounds=[_round(tried) for tried in loop.rounds if tried.accepted],
         refused=[_round(tried) for tried in loop.rounds if not tried.accepted],
         before=_rmse(loop.before),
@@ -222,11 +227,30 @@ def _round(tried: results.Round) -> RefinementRound:
         joint=tried.joint,
         accepted=tried.accepted,
         training_gain=tried.training_gain,
+        training_interval=_limits(tried.training_interval),
         held_out_gain=tried.held_out_gain,
-        interval=list(tried.interval),
+        interval=_limits(tried.interval),
+        confirmed=tried.confirmed,
         reason=tried.reason,
     )
 
 
-def _rmse(errors: Mapping[str, float]) -> dict[str, JointRmse]:
-    return {name: JointRmse(rmse=value) for name, value in errors.items()}
+def _limits(interval: tuple[float, float] | None) -> list[float]:
+    """An interval as documents have it: empty where it is not known."""
+    return [] if interval is None or not all(map(isfinite, interval)) else list(interval)
+
+
+def _rmse(errors: Mapping[str, results.LoopError]) -> dict[str, JointRmse]:
+    return {
+        name: JointRmse(
+            rmse=error.rmse,
+            rmse_inside=_known(error.rmse_inside),
+            rmse_outside=_known(error.rmse_outside),
+            share_outside=error.share_outside,
+        )
+        for name, error in errors.items()
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if isfinite(value) else None

@@ -14,8 +14,9 @@ def show_refinement(screen: Screen, loop: ClosedLoop, effects: Sequence[EffectOf
     if loop.rounds:
         added = ", ".join(effect_at(item.effect, item.joint) for item in loop.rounds)
         screen.result(f"Added: {added}.")
+        _verdict(screen, loop)
     else:
-        why = "no effect predicts the held-out logs better" if loop.refused else "nothing was found"
+        why = "no effect predicts left-out blocks better" if loop.refused else "nothing was found"
         screen.result(f"Nothing was added: {why}.")
     _rounds(screen, [*loop.rounds, *loop.refused])
     _errors(screen, loop)
@@ -24,13 +25,32 @@ def show_refinement(screen: Screen, loop: ClosedLoop, effects: Sequence[EffectOf
         screen.note(f"note: {note}")
 
 
+def _verdict(screen: Screen, loop: ClosedLoop) -> None:
+    """Say whether logs that had no say in it confirm the effects."""
+    doubtful = [item for item in loop.rounds if not item.confirmed]
+    if doubtful:
+        named = ", ".join(effect_at(item.effect, item.joint) for item in doubtful)
+        screen.warn(f"verdict poor: the held-out logs do not confirm {named}")
+    else:
+        screen.result("Verdict good: the held-out logs confirm what was added.")
+
+
 def _rounds(screen: Screen, rounds: Sequence[RefinementRound]) -> None:
-    columns = ("effect", "joint", "gain fitted", "gain held out", "95 % interval", "outcome")
+    columns = (
+        "effect",
+        "joint",
+        "gain left out",
+        "95 % interval",
+        "gain held out",
+        "95 % interval",
+        "outcome",
+    )
     rows = [
         (
             item.effect,
             item.joint or "whole arm",
             percent(item.training_gain),
+            _interval(item.training_interval),
             percent(item.held_out_gain),
             _interval(item.interval),
             _outcome(item),
@@ -41,9 +61,10 @@ def _rounds(screen: Screen, rounds: Sequence[RefinementRound]) -> None:
 
 
 def _outcome(item: RefinementRound) -> str:
-    if item.accepted:
-        return f"added: {item.reason}" if item.reason else "added"
-    return f"refused: {item.reason or 'no gain'}"
+    if not item.accepted:
+        return f"refused: {item.reason or 'no gain'}"
+    confirmed = "confirmed" if item.confirmed else "not confirmed"
+    return f"added, {confirmed}: {item.reason}" if item.reason else f"added, {confirmed}"
 
 
 def _errors(screen: Screen, loop: ClosedLoop) -> None:
@@ -54,17 +75,27 @@ def _errors(screen: Screen, loop: ClosedLoop) -> None:
         "noise floor N m",
         "variance less by",
         "95 % interval",
+        "outside",
+        "before, after there",
     )
     rows = []
     for name, error in loop.before.items():
-        before, after = error.rmse, loop.after[name].rmse if name in loop.after else None
-        gain = None if after is None or not before else 1.0 - (after / before) ** 2
+        new = loop.after.get(name)
+        gain = None if new is None or not error.rmse else 1.0 - (new.rmse / error.rmse) ** 2
         interval = _interval(loop.gain_interval.get(name, []))
         floor = number(loop.noise_floor.get(name))
-        rows.append((name, number(before), number(after), floor, percent(gain), interval))
+        after = None if new is None else new.rmse
+        there = [error.rmse_outside, None if new is None else new.rmse_outside]
+        outside = (percent(error.share_outside), ", ".join(map(number, there)))
+        rows.append(
+            (name, number(error.rmse), number(after), floor, percent(gain), interval, *outside)
+        )
     screen.table(columns, rows)
     if loop.evaluated_on:
-        screen.note(f"errors are on held-out logs: {', '.join(loop.evaluated_on)}")
+        screen.note(
+            "errors are on held-out logs where joints slide; outside: beyond the positions and"
+            f" speeds at which friction was identified: {', '.join(loop.evaluated_on)}"
+        )
 
 
 def _effects(screen: Screen, effects: Sequence[EffectOfJoint]) -> None:

@@ -1,83 +1,189 @@
-"""The state of a refinement: the model as it grows, its errors, and the accounts of an effect."""
+"""The state of a refinement: the model as it grows, those of its folds, and what was tried.
+
+Nothing here knows of held-out logs. The model of all training logs is what the next round looks at
+and what is written in the end; whether an effect is worth it is decided by models of folds, each
+fitted without some blocks of time that it then predicts (see `left_out`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import msgspec
-import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.heldout import Gain, HeldOutError, held_out_error
-from seqid_cli.discover.reidentify import Key, Material, Refitted, identity, unique
+from seqid_cli.discover.heldout import HeldOutError, gain, held_out_error
+from seqid_cli.discover.left_out import Folds, left_out_error
+from seqid_cli.discover.reidentify import Key, Material, Refitted, identity, refitted, unique
 from seqid_cli.discover.results import Round
-from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
-
-@dataclass
-class Loop:
-    """The model as it grows, its error on the held-out logs, and what was tried."""
-
-    material: Material
-    held_out: tuple[Recording, ...]
-    model: Refitted
-    error: HeldOutError
-    rounds: list[Round]
-    refused: dict[Key, float]  # until so many effects have been added
-    rng: np.random.Generator
-    broad: bool = False  # whether an effect was found beside a broad base
-
-    @property
-    def added(self) -> int:
-        """Number of effects added."""
-        return sum(r.accepted for r in self.rounds)
-
-    def judged(self, model: Refitted) -> HeldOutError:
-        """Error of a model on the held-out logs."""
-        return self._error(self.held_out, model.stages, model.effects)
-
-    def explained(self, model: Refitted) -> HeldOutError:
-        """Error of a model on all logs that it is to explain, each with the effects it had."""
-        logs = unique([log for logs in self.material.earlier.values() for log in logs])
-        fitted = {identity(log) for log in self.material.training}
-        before = [log for log in logs if identity(log) not in fitted and _drives(log)]
-        now = self._error(self.material.training, model.stages, model.effects)
-        if not before:
-            return now
-        return now.beside(self._error(before, model.stages, model.lasting))
-
-    def _error(
-        self, logs: Sequence[Recording], stages: Stages, effects: Sequence[Fitted]
-    ) -> HeldOutError:
-        whole = with_effects(Refitted(stages, tuple(effects)), self.material.robot)
-        motion = self.material.options.motion
-        return held_out_error(logs, self.material.robot, whole, options=motion, unexplained=True)
+IDLE = "no longer helps beside what was added later"
 
 
 @dataclass(frozen=True)
 class Account:
-    """A model with one effect more, when that effect came, and what the held-out logs say."""
+    """Which effects a model has, and the models of its folds, each fitted without one of them.
 
-    model: Refitted
-    late: bool
-    error: HeldOutError
-    change: Gain  # at the joints of the effect
-    whole: Gain
-    losing: tuple[int, ...]  # joints that lose more than is tolerated
+    `late` are the effects that came after the file was identified; `kept` says whether the stages
+    stayed as they were in the last fit.
+    """
+
+    models: tuple[Refitted, ...]
+    candidates: tuple[Candidate, ...]
+    late: frozenset[Key]
+    kept: bool
+
+
+@dataclass
+class Loop:
+    """The model as it grows and what was tried.
+
+    `best` is what an effect must be better than: before the first one the file as it is, or
+    identified anew without further effects, whichever predicts left-out blocks better; `base` are
+    the models that fits of folds start from. `steps` are the models of all training logs: the file,
+    then one after each effect; `without` is what the first of these is compared with.
+    """
+
+    material: Material
+    folds: Folds
+    base: tuple[Refitted, ...]
+    best: Account
+    steps: list[Refitted]
+    without: Refitted
+    rounds: list[Round] = field(default_factory=list)
+    refused: dict[Key, float] = field(default_factory=dict)  # until so many effects were added
+
+    @classmethod
+    def begin(cls, material: Material, model: Refitted) -> Loop:
+        """Start from the file, or from the file identified anew with the training logs.
+
+        What that gains is no effect's. A file that has seen these very logs must be.
+        """
+        known, late = candidates_of_model(model.effects), model.late
+        as_it_is = Account((model,), tuple(known), late, kept=True)
+        loop = cls(material, Folds.of(material.training), (model,), as_it_is, [model], model)
+        anew = loop.account(known, late, kept=False)
+        everywhere = range(material.robot.n)
+        before, after = loop.error_of(as_it_is), loop.error_of(anew)
+        if material.known or gain(before, after, everywhere).certain:
+            loop.best = anew
+            loop.without = refitted(material, model, known, late=late, kept=False)
+        return loop
 
     @property
-    def accepted(self) -> bool:
-        """Whether the held-out logs agree."""
-        return self.helps and not self.losing
+    def model(self) -> Refitted:
+        """The model of all training logs as it stands."""
+        return self.steps[-1]
 
     @property
-    def helps(self) -> bool:
-        """Whether the held-out logs agree, as far as the effect's own joints are concerned."""
-        return self.change.certain and self.whole.value > 0.0
+    def added(self) -> int:
+        """Number of effects added."""
+        return len(self.steps) - 1
+
+    def account(
+        self, candidates: Sequence[Candidate], late: frozenset[Key], *, kept: bool
+    ) -> Account:
+        """Fit the models of all folds with these effects."""
+        models = tuple(
+            refitted(
+                self._without(fold),
+                self.base[fold % len(self.base)],
+                candidates,
+                late=late,
+                kept=kept,
+            )
+            for fold in range(self.folds.count)
+        )
+        return Account(models, tuple(candidates), late, kept)
+
+    def error_of(self, account: Account) -> HeldOutError:
+        """Squared errors of the models of the folds where they have seen nothing."""
+        material = self.material
+        stages = [with_effects(model, material.robot) for model in account.models]
+        return left_out_error(
+            material.training, self.folds, material.robot, stages, options=material.options.motion
+        )
+
+    def error_everywhere(self, account: Account) -> HeldOutError:
+        """The same, beside the errors on the logs of earlier stages: they tell when effects came.
+
+        What came late is not in those.
+        """
+        material, model = self.material, account.models[0]
+        fitted = {identity(log) for log in material.training}
+        every = unique([log for own in material.earlier.values() for log in own])
+        before = [x for x in every if identity(x) not in fitted and x.tau is not None]
+        there = self.error_of(account)
+        if not before:
+            return there
+        stages = with_effects(replace(model, effects=tuple(model.lasting)), material.robot)
+        motion = material.options.motion
+        return there.beside(held_out_error(before, material.robot, stages, options=motion))
+
+    def _without(self, fold: int) -> Material:
+        """What a fold's model is fitted to; a log of which nothing is left is nowhere in it."""
+        logs = self.folds.without(self.material.training, fold)
+        gone = {identity(log) for log in logs if not log.valid.any()}
+        earlier = {
+            stage: [log for log in own if identity(log) not in gone]
+            for stage, own in self.material.earlier.items()
+        }
+        kept = tuple(log for log in logs if identity(log) not in gone)
+        return replace(self.material, training=kept, earlier=earlier)
+
+    def accept(self, told: Round, account: Account) -> None:
+        """Take effects into the model of all training logs."""
+        self.best, self.base = account, account.models
+        self.steps.append(self._whole(self.model, account))
+        self.rounds.append(told)
+
+    def _whole(self, model: Refitted, account: Account) -> Refitted:
+        return refitted(
+            self.material, model, account.candidates, late=account.late, kept=account.kept
+        )
+
+    def withdraw_idle(self) -> None:
+        """Take back effects, the last one first, that left-out blocks do not miss beside others.
+
+        Only where others touch the same joints: by itself an effect has been decided on.
+        """
+        robot = self.material.robot
+        for told in [r for r in reversed(self.rounds) if r.accepted]:
+            key = key_of_round(told, robot)
+            rest = [c for c in self.best.candidates if c.key != key]
+            if not any(joints_of(key, robot) & joints_of(c.key, robot) for c in rest):
+                continue
+            without = self.account(rest, self.best.late - {key}, kept=key in self.best.late)
+            errors = self.error_of(without), self.error_of(self.best)
+            where = joints_of(key, robot), set(range(robot.n))
+            if not any(gain(*errors, joints).certain for joints in where):
+                self._withdraw(told, key, without)
+
+    def _withdraw(self, told: Round, key: Key, without: Account) -> None:
+        """Forget an effect; the models of those that came after it are fitted anew."""
+        number = [r for r in self.rounds if r.accepted].index(told)
+        idle = replace(told, accepted=False, reason=IDLE)
+        self.rounds = [idle if r is told else r for r in self.rounds]
+        later, self.steps = self.steps[number + 2 :], self.steps[: number + 1]
+        for step in later:
+            rest = tuple(c for c in candidates_of_model(step.effects) if c.key != key)
+            own = replace(without, candidates=rest, late=step.late - {key})
+            self.steps.append(self._whole(self.model, own))
+        self.best, self.base = without, without.models
+
+
+def key_of_round(told: Round, robot: Robot) -> Key:
+    """The effect of a round, and its joint by number."""
+    return told.effect, None if told.joint is None else robot.joint_names.index(told.joint)
+
+
+def joints_of(key: Key, robot: Robot) -> set[int]:
+    """Joints that an effect is of."""
+    return set(range(robot.n)) if key[1] is None else {key[1]}
 
 
 def with_effects(model: Refitted, robot: Robot) -> Stages:
@@ -87,10 +193,6 @@ def with_effects(model: Refitted, robot: Robot) -> Stages:
         for f in model.effects
     ]
     return msgspec.structs.replace(model.stages, effects=effects)
-
-
-def _drives(log: Recording) -> bool:
-    return log.tau is not None
 
 
 def candidates_of_model(effects: Sequence[Fitted]) -> list[Candidate]:

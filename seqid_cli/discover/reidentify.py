@@ -1,10 +1,11 @@
 """The whole model anew, with effects in it, under either of two accounts of an effect.
 
-*All along*: it was there when the earlier stages were identified, and has biased them. The effects'
-torque is taken out of the recordings, and every stage runs again on them by its own recipe; effects
-and base are fitted together on the training logs, in turn with the stages. Where the logs of the
-earlier stages are not at hand, the base moves as the joint fit on the training logs says, held by
-what the file knew.
+*All along*: it was there when the earlier stages were identified, and has biased them. Effects and
+base are fitted together on the training logs, the base free where those stages have swallowed what
+looked like friction in their trials; the effects' torque is taken out of all recordings, friction
+trials as well, and every stage runs again on them by its own recipe; and so on until the effects
+settle. Where the logs of the earlier stages are not at hand, the base moves as the joint fit on the
+training logs says.
 
 *Late*: it came with the training logs. The stages stay as they are, and only the effects are
 fitted, beside a base that may move within the errors that the file gives.
@@ -44,7 +45,8 @@ Array = NDArray[np.float64]
 LOOSE = 3.0  # variance of a direction over that of its parameters, from which it may be held
 CLEAR = 2.0  # standard errors, that such a direction must move by to leave the file
 FIRM = 0.1  # standard errors of the file, by which its base may move while effects are written
-TURNS = 2  # of effects and stages
+TURNS = 6  # of effects and stages, at most
+SETTLED = 0.3  # standard errors, that coefficients still move by when they have settled
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
 
 Key = tuple[str, int | None]  # name of an effect, and its joint
@@ -126,7 +128,6 @@ def refitted(
     *,
     late: frozenset[Key],
     kept: bool,
-    broad: bool = False,
 ) -> Refitted:
     """Fit effects and model together.
 
@@ -136,20 +137,20 @@ def refitted(
     model : Refitted
         The model as it stands.
     candidates : sequence of Candidate
-        All effects that it is to have.
+        All effects that it is to have; none is a model identified anew.
     late : frozenset of Key
         Those of them that the logs of the earlier stages do not have.
     kept : bool
         Whether the stages are right as they are, and only the effects are fitted.
-    broad : bool
-        Whether the broad terms of friction are free where they are not (see `search`).
     """
-    stages = model.stages
-    for _ in range(0 if kept else TURNS):
-        search = _fitted_search(material, stages, candidates, kept=False, broad=broad)
-        found = Refitted(stages, tuple(_effects_of(material, search)), late)
-        stages = _stages(material, found, search)
+    stages, effects = model.stages, list[FittedEffect]()
+    for turn in range(0 if kept else TURNS):
+        search = _fitted_search(material, stages, candidates, kept=False)
+        before, effects = effects, _effects_of(material, search)
+        stages = _stages(material, Refitted(stages, tuple(effects), late), search)
         candidates = [t.candidate for t in search.accepted]
+        if not candidates or (turn > 0 and _settled(before, effects)):
+            break
     search = _fitted_search(material, stages, candidates, kept=True)
     # Their errors are beside a base that may move; but it is the file's that they are written to.
     effects = _effects_of(material, search)
@@ -160,18 +161,31 @@ def refitted(
     return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
 
 
+def _settled(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> bool:
+    """Whether coefficients have moved by next to nothing of their standard errors."""
+    return all(
+        np.all(
+            np.abs(new.coefficients - old.coefficients)
+            <= SETTLED * np.sqrt(np.diag(new.covariance))
+        )
+        for old, new in zip(before, after, strict=True)
+    )
+
+
 def _fitted_search(
     material: Material,
     stages: Stages,
     candidates: Sequence[Candidate],
     *,
     kept: bool,
-    broad: bool = False,
 ) -> Search:
-    """Base and effects fitted to the training logs, settings searched once more."""
+    """Base and effects fitted to the training logs, settings searched once more.
+
+    A base that is not kept is free in the broad terms of friction as well (see `search`).
+    """
     scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
     rows = rows_of(scenes)
-    search = Search.begin(Stage(rows), base_of(rows, stages), kept=kept, broad=broad)
+    search = Search.begin(Stage(rows), base_of(rows, stages), kept=kept, broad=not kept)
     for candidate in candidates:
         search.add(search.stage.try_all(search.system(), [candidate])[0])
     search.polish()

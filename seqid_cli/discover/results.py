@@ -101,28 +101,50 @@ class Diagnosis:
 class Round:
     """One round of refinement: which effect was tried and what it did to the logs.
 
-    `training_gain` and `held_out_gain` are shares of the residual's variance; the interval of the
-    latter is over blocks of time, 95 %.
+    Gains are shares of the squared error where the effect's joints slide, beside the model of the
+    round before; intervals are over blocks of time, 95 %. `training_gain` is on left-out blocks of
+    the training logs, and decided; `held_out_gain` was looked at afterwards, of effects that were
+    added, and `confirmed` says whether it is certainly more than nothing.
     """
 
     effect: str
     joint: str | None
     accepted: bool
     training_gain: float
-    held_out_gain: float
-    interval: tuple[float, float]
+    training_interval: tuple[float, float]
     reason: str = ""
+    held_out_gain: float | None = None
+    interval: tuple[float, float] | None = None
+    confirmed: bool | None = None
+
+
+@dataclass(frozen=True)
+class LoopError:
+    """RMS error of one joint where it slides [N m]: all, within and beyond identified friction.
+
+    NaN where there are no such samples; `share_outside` is the share of those beyond.
+    """
+
+    rmse: float
+    rmse_inside: float
+    rmse_outside: float
+    share_outside: float
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Before and after on logs that were never fitted, RMS per joint [N m]."""
+    """Before and after on logs that were never fitted, per joint, on the same samples."""
 
     rounds: tuple[Round, ...]
-    before: Mapping[str, float]
-    after: Mapping[str, float]
+    before: Mapping[str, LoopError]
+    after: Mapping[str, LoopError]
     noise_floor: Mapping[str, float]
     noise_floor_interval: Mapping[str, tuple[float, float]]  # 95 %
     gain_interval: Mapping[str, tuple[float, float]]  # of 1 - (after / before)^2, 95 %
     evaluated_on: tuple[str, ...]
     notes: tuple[str, ...] = ()
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the held-out logs confirm every effect that was added."""
+        return all(told.confirmed for told in self.rounds if told.accepted)

@@ -8,7 +8,7 @@ with the direction while gravity does not, so trials in both directions keep it 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,7 @@ from seqid_cli.identify.rigid_stage import (
     representative_of,
 )
 from seqid_cli.identify.slow_noise import Rows, whitener_of
-from seqid_cli.identify.trials import (
-    Trial,
-    at_positions,
-    by_joint,
-    collect_trials,
-    common,
-    pairs_of,
-)
+from seqid_cli.identify.trials import Trial, by_joint, collect_trials
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
@@ -118,57 +111,32 @@ class GravityRows:
             self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
             return
         groups = without_acceleration(self.robot, trials, surface)
-        parts = []
-        for number, group in enumerate(groups):
-            pairs, single = pairs_of(group.trials)
-            tables = [self._pair(*pair, surface) for pair in pairs]
-            tables += [self._table(trial, surface) for trial in single]
-            parts += [rows for table in tables if (rows := table.rows(number)) is not None]
+        parts = [
+            part
+            for number, group in enumerate(groups)
+            for trial in group.trials
+            if (part := self._rows(trial, surface, number)) is not None
+        ]
         if not parts:
             return
         self.used += len(parts)
         self._add_white(trials[0].joint, parts, [g.std_error for g in groups], joints)
 
-    def _table(self, trial: Trial, surface: FrictionSurface) -> _Table:
-        """Columns of one trial, where friction is known."""
+    def _rows(self, trial: Trial, surface: FrictionSurface, group: int) -> _TrialRows | None:
+        """Rows of one trial, where friction is known."""
         v = np.full(len(trial.q), trial.velocity)
         inside = ~surface.outside(trial.q, v)
+        count = int(inside.sum()) // GROUP
+        if count == 0:
+            return None
         q = trial.positions(self.robot.n)[inside]
         zero = np.zeros_like(q)
         H = base_regressor(self.robot, self.basis, q, zero, zero)[:, trial.joint, : self.size]
         F = surface.columns(trial.q[inside], v[inside])
         y = trial.tau[inside] - surface.torque(trial.q[inside], v[inside])
-        values = np.column_stack([H, F, trial.ddq[inside], trial.t[inside], y])
-        return _Table(values, trial.weight, trial.seconds, trial.log)
-
-    def _pair(self, ahead: Trial, back: Trial, surface: FrictionSurface) -> _Table:
-        """Half-sums (Eq. 15): what friction does in one direction, it undoes in the other.
-
-        Friction was fitted to both directions, so what it leaves in them is not independent.
-        """
-        inside = common(ahead, back)
-        q = ahead.q[inside]
-
-        def there(values: Array) -> Array:
-            return at_positions(q, back, values)
-
-        first = replace(
-            ahead,
-            **{name: getattr(ahead, name)[inside] for name in ("q", "dq", "ddq", "tau", "t")},
-        )
-        twin = replace(
-            first,
-            velocity=back.velocity,
-            ddq=there(back.ddq),
-            tau=there(back.tau),
-            t=there(back.t),
-        )
-        tables = [self._table(trial, surface) for trial in (first, twin)]
-        if len(tables[0].values) != len(tables[1].values):  # one of them is too slow or too fast
-            return tables[0] if len(tables[0].values) else tables[1]
-        mean = 0.5 * (tables[0].values + tables[1].values)
-        weight = 4.0 / (1.0 / ahead.weight + 1.0 / back.weight)
-        return _Table(mean, weight, ahead.seconds + back.seconds, ahead.log)
+        wide = np.column_stack([H, F, trial.ddq[inside], trial.t[inside], y])
+        means = np.stack([part.mean(axis=0) for part in np.array_split(wide, count)])
+        return _TrialRows(means, float(inside.sum()) / count, trial, group)
 
     def _add_white(
         self, j: int, parts: list[_TrialRows], errors: list[float], joints: list[Accumulator]
@@ -203,30 +171,12 @@ class GravityRows:
 
 
 @dataclass(frozen=True)
-class _Table:
-    """Columns of H, F, acceleration, time and torque (K, p + k + 3), slice by slice."""
-
-    values: Array
-    weight: float  # samples per slice
-    seconds: float
-    log: int
-
-    def rows(self, group: int) -> _TrialRows | None:
-        """Means over `GROUP` slices; None of fewer."""
-        count = len(self.values) // GROUP
-        if count == 0:
-            return None
-        means = np.stack([part.mean(axis=0) for part in np.array_split(self.values, count)])
-        return _TrialRows(means, len(self.values) / count, self, group)
-
-
-@dataclass(frozen=True)
 class _TrialRows:
-    """Rows (M, p + k + 3) of a table, means of so many slices each."""
+    """Columns of H, F, acceleration, time and torque (M, p + K + 3), means of so many slices."""
 
     values: Array
     slices: float
-    table: _Table
+    trial: Trial
     group: int
 
 
@@ -241,10 +191,10 @@ def _joined(parts: list[_TrialRows], size: int) -> Rows:
         H=values[:, :size],
         y=values[:, -1],
         t=values[:, -2],
-        weight=each([part.slices * part.table.weight for part in parts]),
-        seconds=each([part.slices * part.table.seconds for part in parts]),
+        weight=each([part.slices * part.trial.weight for part in parts]),
+        seconds=each([part.slices * part.trial.seconds for part in parts]),
         trial=np.repeat(np.arange(len(parts)), count),
-        log=np.repeat(np.array([part.table.log for part in parts]), count),
+        log=np.repeat(np.array([part.trial.log for part in parts]), count),
     )
 
 

@@ -138,4 +138,5 @@ def _predict_log(
         ddq=motion.ddq,
         motion=motion_use(recording.path, robot, motion),
         start=recording.start,
+        outside=outside,
     )

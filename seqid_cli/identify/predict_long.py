@@ -94,8 +94,9 @@ class LongPrediction:
             blocks = motion_blocks(log.blocks(), self.plan)
             cut = overlapping(blocks, max(ROWS, 2 * margin), margin)
             for number, (motion, start, stop) in enumerate(cut):
-                found, beyond = self._part(motion, start, stop, slowest)
-                outside = outside + beyond.sum(axis=0)
+                found = self._part(motion, start, stop, slowest)
+                assert found.outside is not None
+                outside = outside + found.outside.sum(axis=0)
                 slides = slides + found.sliding.sum(axis=0)
                 moving |= motion.moving.any(axis=0)
                 usable |= bool(found.used.any())
@@ -115,17 +116,15 @@ class LongPrediction:
         with local_copy(self.log.path) as file:
             yield self.log if file is self.log.path else replace(self.log, file=Path(file))
 
-    def _part(
-        self, motion: Motion, start: int, stop: int, slowest: Array
-    ) -> tuple[LogPrediction, NDArray[np.bool_]]:
-        """Predict samples [start, stop) of the motion; returns also which are outside friction."""
+    def _part(self, motion: Motion, start: int, stop: int, slowest: Array) -> LogPrediction:
+        """Predict samples [start, stop) of the motion."""
         slides = sliding(motion, slowest)
         added = self._added(motion, slowest) if self.effects else None
         allowed = self.model.predict_set(motion, slides, added)
         inner = slice(start, stop)
         own = part_of(motion, start, stop)
         assert own.tau is not None
-        found = LogPrediction(
+        return LogPrediction(
             path=self.log.path,
             sha256=self.sha256,
             samples=self.log.samples,
@@ -141,8 +140,8 @@ class LongPrediction:
             dq=own.dq,
             ddq=own.ddq,
             start=self.log.start_ns * 1e-9,
+            outside=self.model.outside(own) & slides[inner],
         )
-        return found, self.model.outside(own) & slides[inner]
 
     def _added(self, motion: Motion, slowest: Array) -> Added:
         """What effects add to samples whose margins are long enough for them."""

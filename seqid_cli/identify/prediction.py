@@ -35,6 +35,8 @@ class LogPrediction:
     (N, n) are the joint motion behind the prediction, `start` [s] is the first sample of the log
     on its own clock.
 
+    `outside` (N, n) marks sliding samples beyond the identified friction.
+
     A long log comes in several parts, one behind the other: `samples` are those of the whole log,
     `part` counts its parts from 0, and only the `last` one has `notes` and `motion`.
     """
@@ -58,6 +60,7 @@ class LogPrediction:
     start: float = 0.0
     part: int = 0
     last: bool = True
+    outside: Mask | None = None
 
     @property
     def residual(self) -> Array:

@@ -9,7 +9,7 @@ friction and gravity included; with k and its standard error s of the fit that l
 
 A k that is neither near 0 nor near 1 is a sign of something else. Where the logs do not decide, the
 data sheet's model stays (rotors act on their own joints alone), and what the other one would change
-counts as an error of the parameters: it is as likely as not, or more where the logs say so.
+counts as an error of the parameters, in the measure in which it is likely.
 """
 
 from __future__ import annotations
@@ -89,8 +89,7 @@ def decide(equations: Equations) -> Coupling:
     near = min(abs(share), abs(share - 1.0)) < CONSISTENT * error
     if near and abs(odds) > LOG_ODDS:
         return Coupling(odds > 0, True, share, error, np.zeros((kappa, 0)), _decided(odds > 0))
-    # What does not decide does not count against the other hypothesis either.
-    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(odds, -LOG_ODDS, LOG_ODDS))))
+    likely = 1.0 / (1.0 + np.exp(-np.clip(odds, -LOG_ODDS, LOG_ODDS)))
     moved = equations.solved(equations.with_coupling(1.0))[0].theta - without
     doubt = np.sqrt(likely) * moved[:, None]
     return Coupling(False, False, share, error, doubt, _open(share, error, near=near))

@@ -33,7 +33,6 @@ Array = NDArray[np.float64]
 SLICES = 64
 WINDOW_S = 0.08  # s, of motion in a ramp that is averaged
 LEAST_WINDOW = 8  # samples
-LEAST_COMMON = 4  # slices of a trial at positions of its twin, for Eq. 15
 MOST_ORDER = 12  # of the polynomial in time that a trial's positions follow
 SAME_SPEED = 0.12
 SAME_CONFIGURATION = 0.03  # rad
@@ -298,34 +297,16 @@ class HalfSums:
 def half_sums(group: list[Trial]) -> list[HalfSums]:
     """Pair forward with backward trials of one configuration, speed by speed (Eq. 15)."""
     result = []
-    for ahead, back in pairs_of(group)[0]:
-        inside = common(ahead, back)
-        half = (ahead.tau[inside] + at_positions(ahead.q[inside], back, back.tau)) / 2
-        result.append(HalfSums(ahead.q[inside], half, ahead.speed, ahead.weight))
-    return result
-
-
-def pairs_of(group: list[Trial]) -> tuple[list[tuple[Trial, Trial]], list[Trial]]:
-    """Forward and backward trials of one configuration at one speed, and those without a twin."""
-    pairs, single = [], []
     for level in speed_levels(group):
-        ahead = [t for t in level if t.velocity > 0]
-        back = [t for t in level if t.velocity < 0]
-        both = list(zip(ahead, back, strict=False))
-        kept = [pair for pair in both if common(*pair).sum() >= LEAST_COMMON]
-        pairs += kept
-        taken = {id(trial) for pair in kept for trial in pair}
-        single += [trial for trial in level if id(trial) not in taken]
-    return pairs, single
-
-
-def common(ahead: Trial, back: Trial) -> NDArray[np.bool_]:
-    """Slices (K,) of a trial at positions that its twin reached as well."""
-    inside: NDArray[np.bool_] = (ahead.q >= back.q.min()) & (ahead.q <= back.q.max())
-    return inside
-
-
-def at_positions(q: Array, trial: Trial, values: Array) -> Array:
-    """Values (K,) of a trial's slices, interpolated at positions (M,)."""
-    order = np.argsort(trial.q)
-    return np.interp(q, trial.q[order], values[order])
+        forward_trials = [t for t in level if t.velocity > 0]
+        backward = [t for t in level if t.velocity < 0]
+        for ahead, back in zip(forward_trials, backward, strict=False):
+            low = max(ahead.q.min(), back.q.min())
+            high = min(ahead.q.max(), back.q.max())
+            inside = (ahead.q >= low) & (ahead.q <= high)
+            order = np.argsort(back.q)
+            twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
+            if inside.sum() >= 4:
+                half = (ahead.tau[inside] + twin) / 2
+                result.append(HalfSums(ahead.q[inside], half, level[0].speed, ahead.weight))
+    return result

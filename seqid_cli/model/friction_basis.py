@@ -259,7 +259,7 @@ def _chebyshev(z: Array, order: int) -> Array:
 def tensor(over_position: Array, over_speed: Array) -> Array:
     """Return the products (N, a b) of functions (N, a) and (N, b), the second fastest."""
     product = over_position[:, :, None] * over_speed[:, None, :]
-    flat: Array = product.reshape(len(product), product.shape[1] * product.shape[2])
+    flat: Array = product.reshape(len(over_position), -1)
     return flat
 
 

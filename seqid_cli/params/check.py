@@ -107,6 +107,8 @@ def _closed_loop(key: str, loop: ClosedLoop, joints: Sequence[str]) -> Iterable[
         for index, tried in enumerate(rounds):
             yield from _known(f"{key}.{name}[{index}].joint", tried.joint or "", joints)
             yield from _interval(f"{key}.{name}[{index}].interval", tried.interval)
+            where = f"{key}.{name}[{index}].training_interval"
+            yield from _interval(where, tried.training_interval)
             if tried.accepted != (name == "rounds"):
                 yield f"{key}.{name}[{index}].accepted", f"contradicts its place in {name}"
     for name in ("before", "after", "noise_floor", "noise_floor_interval", "gain_interval"):

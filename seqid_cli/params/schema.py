@@ -6,6 +6,8 @@ Every number is finite: what the logs do not determine is listed by name, never 
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 
 SCHEMA = "seqid/params@1"
@@ -270,35 +272,48 @@ class EffectOfJoint(Struct, kw_only=True):
 class RefinementRound(Struct, kw_only=True):
     """One round of refinement: an effect was tried.
 
-    Gains are shares of the residual's variance that the effect took away, on the logs that were
-    fitted and on the held-out ones; `interval` is that of the latter, 95 % (empty: not known).
+    Gains are shares of the squared error that the effect took away where its joints slide:
+    `training_gain`, on left-out blocks of the logs that were fitted, decided; `held_out_gain` was
+    looked at afterwards, and `confirmed` says whether it is certainly more than nothing. Intervals
+    are 95 % (empty: not known), `interval` that of the held-out gain.
     """
 
     effect: str
     joint: str | None = None
     accepted: bool = True
+    confirmed: bool | None = None
     training_gain: float | None = None
+    training_interval: list[float] = []
     held_out_gain: float | None = None
     interval: list[float] = []
     reason: str = ""
 
 
-class JointRmse(Struct, kw_only=True):
-    """RMS error of one joint on the held-out logs, N m."""
+class JointRmse(Struct, kw_only=True, omit_defaults=True):
+    """RMS error of one joint on the held-out logs where it slides, N m.
+
+    `rmse_inside` is within the positions and speeds at which friction was identified,
+    `rmse_outside` beyond them, `share_outside` the share of the samples there.
+    """
 
     rmse: float
+    rmse_inside: float | None = None
+    rmse_outside: float | None = None
+    share_outside: float | None = None
 
 
 class ClosedLoop(Struct, kw_only=True):
     """What refinement did, measured on the held-out logs alone.
 
     `rounds` are the effects that were added, in order; `refused` those that were tried and did not
-    help. `before` is by the model as it came in, `after` by the refined one; `gain_interval` is of
-    1 - (after / before)^2, 95 %. All are over the same samples, those in which a joint slides.
-    `noise_floor` is what torque noise alone leaves there, N m, estimated by itself, with its 95 %
-    interval. `held_out` identifies the logs that `evaluated_on` names.
+    help. The `verdict` is poor if a round is not confirmed. `before` is by the model as it came in,
+    `after` by the refined one; `gain_interval` is of 1 - (after / before)^2, 95 %. All are over the
+    same samples, those in which a joint slides. `noise_floor` is what torque noise alone leaves
+    there, N m, estimated by itself, with its 95 % interval. `held_out` identifies the logs that
+    `evaluated_on` names.
     """
 
+    verdict: Literal["good", "poor"] = "good"
     rounds: list[RefinementRound]
     refused: list[RefinementRound] = []
     before: dict[str, JointRmse] = {}

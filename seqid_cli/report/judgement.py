@@ -315,7 +315,7 @@ def _supporting_diagnosis(file: DiagnosisFile, path: str) -> Iterator[str]:
 def _closed_loop(collection: Collection) -> Iterator[str]:
     for model in collection.models:
         loop = model.file.closed_loop
-        if loop is None or not loop.rounds:
+        if loop is None or not loop.rounds or loop.verdict == "poor":
             continue
         added = listed([effect_at(item.effect, item.joint) for item in loop.rounds])
         best = max(

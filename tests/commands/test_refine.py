@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import jsonschema
 import pytest
@@ -16,9 +16,10 @@ import pytest
 from seqid_cli.commands.log_sets import find_earlier, held_out_logs
 from seqid_cli.discover.heldout import WholeLogs
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import ClosedLoop, Round
+from seqid_cli.discover.results import ClosedLoop, LoopError, Round
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.generate import json_schema
@@ -36,15 +37,22 @@ from tests.commands.conftest import Reader, Rig
 from tests.params.documents import friction_file, inertia_file
 
 BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
+
+
+def error(rmse: float) -> LoopError:
+    return LoopError(rmse, 0.9 * rmse, 2.0 * rmse, 0.1)
+
+
+ADDED = Round("stribeck", "elbow", True, 0.62, (0.55, 0.64), "", 0.6, (0.5, 0.63), True)
 LOOP = ClosedLoop(
     rounds=(
-        Round("stribeck", "elbow", True, 0.62, 0.6, (0.55, 0.64)),
-        Round("payload", None, False, 0.01, -0.002, (-0.01, 0.004), "the interval holds zero"),
+        ADDED,
+        Round("payload", None, False, 0.01, (-0.01, 0.03), "the interval holds zero"),
     ),
-    before={"shoulder": 0.2, "elbow": 0.4},
-    after={"shoulder": 0.2, "elbow": 0.2},
+    before={"shoulder": error(0.2), "elbow": error(0.4)},
+    after={"shoulder": error(0.2), "elbow": error(0.2)},
     noise_floor={"shoulder": 0.15, "elbow": 0.18},
-    noise_floor_interval={"shoulder": (0.12, 0.19), "elbow": (0.14, 0.3)},
+    noise_floor_interval={"shoulder": (0.14, 0.16), "elbow": (0.17, 0.19)},
     gain_interval={"shoulder": (-0.01, 0.01), "elbow": (0.7, 0.8)},
     evaluated_on=("b.parquet",),
     notes=("a remark",),
@@ -81,23 +89,26 @@ class Library:
     def refine(
         self,
         training: Sequence[Recording],
-        held_out: Sequence[Recording],
         robot: Robot,
         file: ParameterFile,
         *,
         earlier: Mapping[str, Sequence[Recording]],
         options: DiscoverOptions,
-        whole: WholeLogs | None,
-    ) -> tuple[Stages, ClosedLoop]:
-        assert whole is None
+    ) -> SimpleNamespace:
         self.training = [str(log.path) for log in training]
-        self.held_out = [str(log.path) for log in held_out]
         self.earlier = {stage: [str(log.path) for log in logs] for stage, logs in earlier.items()}
         self.shared = sum(
             log is other for logs in earlier.values() for log in logs for other in training
         )
         self.options = options
-        return replace_effects(file.stages, self.effects), self.loop
+        return SimpleNamespace(stages=replace_effects(file.stages, self.effects))
+
+    def confirm(
+        self, found: object, held_out: Sequence[Recording], whole: WholeLogs | None
+    ) -> ClosedLoop:
+        assert whole is None
+        self.held_out = [str(log.path) for log in held_out]
+        return self.loop
 
 
 def replace_effects(stages: Stages, effects: list[EffectOfJoint] | None) -> Stages:
@@ -116,14 +127,18 @@ def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.Monke
     module = ModuleType("seqid_cli.discover.refine")
     module.refine = fake.refine  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
+    other = ModuleType("seqid_cli.discover.confirm")
+    other.confirm = fake.confirm  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, other.__name__, other)
     # Recordings carry the digest of the file, as those of the real reader do.
-    read = reader.read_recordings
+    read = reader.read_screened
 
-    def digested(paths: Sequence[Path], robot: Robot, *, time_source: str) -> object:
-        for recording in read(paths, robot, time_source=time_source):
-            yield replace(recording, sha256=sha256(recording.path.read_bytes()))
+    def digested(path: Path, robot: Robot, *, time_source: str, imus: bool) -> Screened:
+        found = read(path, robot, time_source=time_source, imus=imus)
+        digest = sha256(path.read_bytes())
+        return replace(found, recording=replace(found.recording, sha256=digest))
 
-    monkeypatch.setattr(sys.modules["seqid_cli.logs.read"], "read_recordings", digested)
+    monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", digested)
     for number, name in enumerate(("a.parquet", "b.parquet", "c.parquet", "d.parquet")):
         (rig.folder / name).write_bytes(content(number))
     rig.params("p.json", inertia_file())
@@ -152,10 +167,21 @@ def test_the_document(rig: Rig, library: Library) -> None:
     assert [(item["effect"], item["joint"]) for item in loop["rounds"]] == [("stribeck", "elbow")]
     assert [(item["effect"], item["joint"]) for item in loop["refused"]] == [("payload", None)]
     assert loop["refused"][0]["reason"] == "the interval holds zero"
-    assert loop["before"] == {"shoulder": {"rmse": 0.2}, "elbow": {"rmse": 0.4}}
-    assert loop["after"]["elbow"] == {"rmse": 0.2}
+    assert loop["verdict"] == "good"
+    (told,) = loop["rounds"]
+    assert (told["confirmed"], told["interval"]) == (True, [0.5, 0.63])
+    assert loop["refused"][0]["confirmed"] is None
+    assert {name: item["rmse"] for name, item in loop["before"].items()} == {
+        "shoulder": 0.2,
+        "elbow": 0.4,
+    }
+    assert loop["after"]["elbow"] == {
+        "rmse": 0.2,
+        "rmse_inside": pytest.approx(0.18),
+        "rmse_outside": 0.4,
+        "share_outside": 0.1,
+    }
     assert loop["noise_floor"]["elbow"] == 0.18
-    assert loop["noise_floor_interval"]["elbow"] == [0.14, 0.3]
     assert loop["gain_interval"]["elbow"] == [0.7, 0.8]
     assert loop["evaluated_on"] == ["b.parquet"]
     assert [(log["path"], log["sha256"]) for log in loop["held_out"]] == [
@@ -184,16 +210,19 @@ def test_what_the_user_sees(rig: Rig, library: Library) -> None:
     done = rig.run(*BASE, "-o", "out.json")
     lines = done.out.splitlines()
     assert lines[0] == "Added: stribeck at elbow."
-    assert " ".join(lines[2].split()) == "stribeck elbow 62.0 % 60.0 % 55.0 % to 64.0 % added"
-    assert lines[3].endswith("refused: the interval holds zero")
-    assert "whole arm" in lines[3]
+    assert lines[1] == "Verdict good: the held-out logs confirm what was added."
+    assert " ".join(lines[3].split()) == (
+        "stribeck elbow 62.0 % 55.0 % to 64.0 % 60.0 % 50.0 % to 63.0 % added, confirmed"
+    )
+    assert lines[4].endswith("refused: the interval holds zero")
+    assert "whole arm" in lines[4]
     (elbow,) = (" ".join(line.split()) for line in lines if line.startswith("elbow"))
-    assert elbow == "elbow 0.4 0.2 0.18 75.0 % 70.0 % to 80.0 %"
+    assert elbow == "elbow 0.4 0.2 0.18 75.0 % 70.0 % to 80.0 % 10.0 % 0.8, 0.4"
     assert "stribeck_torque" in done.out
     (speed,) = (line.split() for line in lines if "stribeck_speed" in line)
     assert speed[-3:] == ["0.05", "-", "rad/s"]
     assert "note: a remark" in done.err
-    assert "errors are on held-out logs: b.parquet" in done.err
+    assert "friction was identified: b.parquet" in done.err
     assert "next: seqid predict LOG... -r robot.toml -p out.json -o prediction.json" in done.err
 
 
@@ -201,7 +230,7 @@ def test_nothing_added_is_a_result(rig: Rig, library: Library) -> None:
     library.loop, library.effects = NOTHING, None
     done = rig.run(*BASE, "-o", "out.json")
     assert done.code == 0
-    assert done.out.startswith("Nothing was added: no effect predicts the held-out logs better.\n")
+    assert done.out.startswith("Nothing was added: no effect predicts left-out blocks better.\n")
     file = read_parameters(rig.folder / "out.json")
     assert file.stages.effects == []
     assert file.closed_loop is not None
@@ -209,6 +238,20 @@ def test_nothing_added_is_a_result(rig: Rig, library: Library) -> None:
     assert rig.run(*BASE, "--strict").code == 1
     library.loop = replace(NOTHING, rounds=())
     assert rig.run(*BASE).out.startswith("Nothing was added: nothing was found.\n")
+
+
+def test_what_held_out_logs_do_not_confirm_is_poor(rig: Rig, library: Library) -> None:
+    doubtful = replace(ADDED, held_out_gain=0.02, interval=(-0.3, 0.34), confirmed=False)
+    library.loop = replace(LOOP, rounds=(doubtful,))
+    done = rig.run(*BASE, "-o", "out.json")
+    assert done.code == 0
+    assert "verdict poor: the held-out logs do not confirm stribeck at elbow" in done.err
+    assert "added, not confirmed" in done.out
+    file = read_parameters(rig.folder / "out.json")
+    assert file.closed_loop is not None
+    assert file.closed_loop.verdict == "poor"
+    assert file.stages.effects == [EFFECT]
+    assert rig.run(*BASE, "--strict").code == 1
 
 
 def test_exit_codes(rig: Rig, reader: Reader, library: Library) -> None:
@@ -229,9 +272,7 @@ def test_exit_codes(rig: Rig, reader: Reader, library: Library) -> None:
         ([*BASE, "--holdout", "no.parquet"], "no.parquet: does not exist"),
         ([*BASE, "--holdout", "a.parquet"], "a.parquet: is given both to fit and to hold out"),
         ([*BASE, "--holdout", "./a.parquet"], "a.parquet: is given both to fit and to hold out"),
-        ([*BASE, "--holdout", "copy.parquet"], "copy.parquet (a.parquet): is given both"),
         ([*BASE, "--holdout", "*.parquet"], "a.parquet: is given both to fit and to hold out"),
-        ([*BASE, "--holdout", "robot.toml"], "robot.toml: is neither Parquet nor MCAP"),
         ([*BASE, "--rounds", "0"], "0 is not in the range 1<=x<=100"),
         ([*BASE, "-o", "b.parquet"], "b.parquet: is an input of this command"),
         ([*BASE[:-1], "swapped.json"], "swapped.json: is about robot 'arm' with joints elbow,"),
@@ -239,7 +280,6 @@ def test_exit_codes(rig: Rig, reader: Reader, library: Library) -> None:
     ],
 )
 def test_what_cannot_run(rig: Rig, library: Library, arguments: list[str], message: str) -> None:
-    (rig.folder / "copy.parquet").write_bytes(content(0))
     rig.params("f.json", friction_file())
     swapped = inertia_file()
     swapped.robot.joints = swapped.robot.joints[::-1]
@@ -249,6 +289,14 @@ def test_what_cannot_run(rig: Rig, library: Library, arguments: list[str], messa
     assert message in done.err
     assert "  hint: " in done.err
     assert library.training == []
+
+
+def test_a_copy_of_what_was_fitted_is_refused_when_it_is_opened(rig: Rig, library: Library) -> None:
+    (rig.folder / "copy.parquet").write_bytes(content(0))
+    done = rig.run(*BASE, "--holdout", "copy.parquet", "-o", "out.json")
+    assert done.code == 2
+    assert "copy.parquet (a.parquet): is given both" in done.err
+    assert not (rig.folder / "out.json").exists()
 
 
 def earlier_file(rig: Rig, paths: Mapping[str, tuple[str, bytes]]) -> None:
@@ -308,7 +356,7 @@ def test_a_held_out_log_is_never_fitted_as_an_earlier_one(rig: Rig, library: Lib
 @pytest.mark.parametrize("path", ["", ".", "/dev/zero", "robot.toml", "a\0b", "x" * 5000, ".."])
 def test_paths_of_a_parameter_file_are_not_trusted(tmp_path: Path, path: str) -> None:
     log = InputLog(path=path, sha256="0" * 64, samples=1, stage="friction")
-    found = find_earlier([log], [tmp_path], at_hand={}, held_out={})
+    found = find_earlier([log], [tmp_path], at_hand={}, held_out=[])
     assert found.paths == {}
     assert len(found.notes) == 1
 
@@ -319,7 +367,7 @@ def test_a_note_names_three_logs_and_counts_the_rest(tmp_path: Path) -> None:
         for k in range(5)
         for stage in ("friction", "gravity")
     ]
-    (note,) = find_earlier(logs, [tmp_path], at_hand={}, held_out={}).notes
+    (note,) = find_earlier(logs, [tmp_path], at_hand={}, held_out=[]).notes
     assert "0.parquet, 1.parquet, 2.parquet and 2 more;" in note
 
 
@@ -334,6 +382,5 @@ def test_two_lists_of_logs_are_kept_apart(tmp_path: Path, monkeypatch: pytest.Mo
     Path("link.parquet").symlink_to("a.parquet")
     with pytest.raises(UsageError, match="both to fit and to hold out"):
         held_out_logs(["a.parquet"], ["link.parquet"])
-    Path("empty.parquet").touch()
-    with pytest.raises(InputError, match="is empty"):
-        held_out_logs(["a.parquet"], ["empty.parquet"])
+    with pytest.raises(InputError, match="does not exist"):
+        held_out_logs(["a.parquet"], ["none.parquet"])

@@ -10,6 +10,7 @@ import pytest
 
 from seqid_cli.discover import gather as gathering
 from seqid_cli.discover import heldout
+from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.gather import Gathered, gather
 from seqid_cli.discover.heldout import WholeLogs, held_out_error
 from seqid_cli.discover.options import DiscoverOptions
@@ -72,15 +73,10 @@ def refined(folder: Path) -> tuple[Stages, ClosedLoop]:
     assert len(fitted.recordings) == 2
     assert held.looks
     whole = WholeLogs((folder / "held.parquet",), training.robot)
-    return refine(
-        fitted.recordings,
-        held.recordings,
-        training.robot,
-        file_of(training),
-        earlier={},
-        options=OPTIONS,
-        whole=whole,
+    found = refine(
+        fitted.recordings, training.robot, file_of(training), earlier={}, options=OPTIONS
     )
+    return found.stages, confirm(found, held.recordings, whole)
 
 
 def test_the_effect_is_added(folder: Path) -> None:
@@ -89,21 +85,21 @@ def test_the_effect_is_added(folder: Path) -> None:
     assert (told.effect, told.joint) == ("stribeck", "elbow")
     assert stages.effects is not None
     assert [x.effect for x in stages.effects] == ["stribeck"]
-    assert loop.after["elbow"] < 0.5 * loop.before["elbow"]
+    assert loop.after["elbow"].rmse < 0.5 * loop.before["elbow"].rmse
 
 
 def test_errors_are_of_the_whole_log(folder: Path) -> None:
     stages, loop = refined(folder)
     training, _ = cases()
     log = read_recording(folder / "held.parquet", training.robot)
-    robot = training.robot
-    motion = on_the_same_samples(OPTIONS, file_of(training).stages, robot).motion
-    before = held_out_error([log], robot, file_of(training).stages, options=motion)
-    after = held_out_error([log], robot, stages, options=motion, unexplained=True)
-    np.testing.assert_allclose(list(loop.before.values()), before.rmse(), rtol=1e-8)
-    np.testing.assert_allclose(list(loop.after.values()), after.rmse(), rtol=1e-8)
+    robot, file = training.robot, file_of(training)
+    motion = on_the_same_samples(OPTIONS, file.stages, robot).motion
+    before = held_out_error([log], robot, file.stages, options=motion)
+    after = held_out_error([log], robot, stages, options=motion)
+    for told, error in ((loop.before, before), (loop.after, after)):
+        np.testing.assert_allclose([x.rmse for x in told.values()], error.rmse(), rtol=1e-8)
     assert loop.evaluated_on == (str(folder / "held.parquet"),)
-    assert any("errors before and after are of the whole logs" in note for note in loop.notes)
+    assert any("errors are of the whole held-out logs" in note for note in loop.notes)
 
 
 def test_parts_add_up_to_the_blocks_of_the_whole(folder: Path) -> None:

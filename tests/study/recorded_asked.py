@@ -81,7 +81,7 @@ class Proved:
 
     def _judged(self, asked: str, there: Sequence[Finding], joint: int, limit: float) -> Answer:
         name = self.robot.joint_names[joint]
-        before, after = self.loop.before[name], self.loop.after[name]
+        before, after = self.loop.before[name].rmse, self.loop.after[name].rmse
         met = bool(there) and after < before and not after > limit
         told = _told(there)
         return Answer(self.name, asked, told, met, before, after, limit, self.seconds)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refine import refine
 from seqid_cli.discover.results import ClosedLoop, Diagnosis, Round
@@ -129,7 +130,7 @@ def _one(path: Path, robot: Robot) -> Recording:
 
 
 def closed(case: Case, folder: Path, most: int = MOST) -> Closed:
-    """Fit the training logs, refine with them, judge by the held-out ones."""
+    """Fit the training logs, refine with them, look at the held-out ones."""
     robot = load_robot(folder / "robot.toml")
     train = list(read_recordings([folder / name for name in case.train], robot))
     rest = list(read_recordings([folder / name for name in case.held_out], robot))
@@ -138,7 +139,8 @@ def closed(case: Case, folder: Path, most: int = MOST) -> Closed:
     named = diagnosed(train, robot, most)
     middle = time.process_time()
     options = DiscoverOptions(max_effects=most)
-    stages, loop = refine(train, rest, robot, file, earlier={"friction": train}, options=options)
+    decided = refine(train, robot, file, earlier={"friction": train}, options=options)
+    stages, loop = decided.stages, confirm(decided, rest)
     took = time.process_time() - middle
     return Closed(case, robot, named, stages, loop, took, middle - start)
 
@@ -162,8 +164,8 @@ def rendered(found: Closed) -> str:
         [
             str(k + 1),
             "; ".join(_named(e) for e in entries if e.joint == joint) or "-",
-            number(loop.before[joint], 3),
-            number(loop.after[joint], 3),
+            number(loop.before[joint].rmse, 3),
+            number(loop.after[joint].rmse, 3),
             _gain(loop, joint),
             number(loop.noise_floor[joint], 3),
         ]
@@ -176,7 +178,7 @@ def rendered(found: Closed) -> str:
         lines.append(f"Of the whole arm: {'; '.join(whole)}.")
     refused = [_tried(r) for r in loop.rounds if not r.accepted]
     if refused:
-        lines.append(f"Refused by the held-out logs: {', '.join(refused)}.")
+        lines.append(f"Refused: {', '.join(refused)}.")
     lines.append(f"CPU time of refine {found.seconds:.0f} s.")
     return "\n".join(lines)
 
@@ -191,7 +193,7 @@ def _named(entry: EffectOfJoint) -> str:
 
 def _gain(loop: ClosedLoop, joint: str) -> str:
     low, high = loop.gain_interval[joint]
-    gain = 1.0 - (loop.after[joint] / max(loop.before[joint], 1e-300)) ** 2
+    gain = 1.0 - (loop.after[joint].rmse / max(loop.before[joint].rmse, 1e-300)) ** 2
     return f"{100 * gain:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 

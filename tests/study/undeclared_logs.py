@@ -72,7 +72,7 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
         if _kept(drill, sensors.keep):
             seed = SEED_STRIDE * condition.seed + number
             what = f"{_plant_label(condition)}|{drill.name}"
-            recording = _stored(
+            recording = stored(
                 cache, what, plant, drill.reference, seed, every=sensors.every, start=drill.start
             )
             found[drill.held_out].append(recording)
@@ -95,7 +95,7 @@ def _plant_label(condition: Condition) -> str:
     return repr((plant, sensors.noise, sensors.coloured, sensors.step))
 
 
-def _stored(
+def stored(
     cache: Path,
     what: str,
     plant: Plant,
@@ -184,7 +184,7 @@ def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recor
     for number, trial in enumerate(sequential_trials(usual, condition.rig)):
         what = f"{_plant_label(condition)}|{trial.stage}/{trial.name}"
         seed = TRIAL_SEED + number
-        recording = _stored(
+        recording = stored(
             cache, what, plant, trial.reference, seed, every=TRIAL_EVERY, start=round(start, 3)
         )
         found.setdefault(trial.stage, []).append(recording)

@@ -33,7 +33,7 @@ from seqid_cli.params.schema import InputLog, ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.undeclared import CATALOGUE
 from tests.study.tables import number, table
-from tests.study.undeclared_cases import Condition, built
+from tests.study.undeclared_cases import Condition, Truth, built
 from tests.study.undeclared_logs import earlier_logs, errors, logs_of, stages_of
 from tests.study.undeclared_run import (
     Choice,
@@ -80,9 +80,11 @@ def standard(
     earlier: Mapping[str, list[Recording]],
 ) -> tuple[Stages, ClosedLoop]:
     """Refine with the options that a user has who sets none."""
+    from seqid_cli.discover.confirm import confirm
     from seqid_cli.discover.refine import refine
 
-    return refine(training, held_out, robot, file, earlier=earlier, options=DiscoverOptions())
+    found = refine(training, robot, file, earlier=earlier, options=DiscoverOptions())
+    return found.stages, confirm(found, held_out)
 
 
 def file_of(robot: Robot, stages: Stages, logs: Mapping[str, Sequence[Recording]]) -> ParameterFile:
@@ -140,11 +142,20 @@ def _told(
 ) -> tuple[float, ...]:
     """Error of the model that is told its effects, under the better account of when they came."""
     truths = built(condition)[1]
+    models = [told_model(material, stages, truths, late=late) for late in (False, True)]
+    found = [errors(held_out, material.robot, m).band for m in models if m is not None]
+    return _plain(min(found, key=lambda band: float(np.sum(band**2)))) if found else ()
+
+
+def told_model(
+    material: Material, stages: Stages, truths: Sequence[Truth], *, late: bool
+) -> Stages | None:
+    """The model that is told its effects and their joints; None where they cannot be told."""
     if not truths or any(t.kind not in EFFECTS for t in truths):
-        return ()
+        return None
     scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
     rows = rows_of(scenes)
-    search = Search.begin(Stage(rows), base_of(rows, stages), kept=False)
+    search = Search.begin(Stage(rows), base_of(rows, stages), kept=late, broad=not late)
     for truth in truths:
         ranked = search.ranked([EFFECTS[str(truth.kind)]], search.system())
         names = material.robot.joint_names
@@ -154,16 +165,13 @@ def _told(
             if (None if t.candidate.joint is None else names[t.candidate.joint]) in truth.joints
         ]
         if not here:
-            return ()
+            return None
         search.add(here[0])
     candidates = [t.candidate for t in search.accepted]
-    found = []
-    for late in (False, True):
-        came = frozenset(c.key for c in candidates) if late else frozenset()
-        start = Refitted(stages, (), came)
-        model = refitted(material, start, candidates, late=came, kept=late)
-        found.append(errors(held_out, material.robot, with_effects(model, material.robot)).band)
-    return _plain(min(found, key=lambda band: float(np.sum(band**2))))
+    came = frozenset(c.key for c in candidates) if late else frozenset()
+    start = Refitted(stages, (), came)
+    model = refitted(material, start, candidates, late=came, kept=late)
+    return with_effects(model, material.robot)
 
 
 def _without_effects(condition: Condition, cache: Path) -> tuple[float, ...]:

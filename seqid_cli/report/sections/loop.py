@@ -47,14 +47,16 @@ def closed_loop(collection: Collection) -> Section:
     loop = model.file.closed_loop
     assert loop is not None
     lead = (
-        "Both errors are measured on logs that neither model was fitted to. The noise floor is "
-        "what a perfect model would leave. The gain is the part of the error's variance that the "
-        "refined model takes away; its 95 % interval comes from the same logs."
+        "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
+        "logs were opened after the last decision: both errors are measured there, where joints "
+        "slide, on the same samples. The noise floor is what a perfect model would leave. The gain "
+        "is the part of the error's variance that the refined model takes away, with its 95 % "
+        "interval."
     )
     group = Group(
         "loop-errors",
         _headline(loop),
-        badge="",
+        badge="poor" if loop.verdict == "poor" else "",
         figures=[figure] if (figure := _figure(collection, loop)) else [],
         tables=[table for table in (_errors(collection, loop), _rounds(loop)) if table.rows],
         notes=[*_where(loop), *loop.notes],
@@ -66,9 +68,10 @@ def closed_loop(collection: Collection) -> Section:
 def _headline(loop: ClosedLoop) -> str:
     if not loop.rounds:
         if loop.refused:
-            return "Nothing was added: no effect predicts the held-out logs better"
+            return "Nothing was added: no effect predicts left-out blocks better"
         return "Nothing was added: nothing was found"
-    return f"Added: {listed([effect_at(item.effect, item.joint) for item in loop.rounds])}"
+    said = f"Added: {listed([effect_at(item.effect, item.joint) for item in loop.rounds])}"
+    return said if loop.verdict == "good" else f"{said}; not confirmed by the held-out logs"
 
 
 def _where(loop: ClosedLoop) -> list[str]:
@@ -115,6 +118,8 @@ def _errors(collection: Collection, loop: ClosedLoop) -> Table:
         Column("unit"),
         Column("gain", numeric=True),
         Column("95 % interval", numeric=True),
+        Column("outside", numeric=True),
+        Column("before, after there", numeric=True),
     )
     rows = []
     for name, error in loop.before.items():
@@ -130,16 +135,24 @@ def _errors(collection: Collection, loop: ClosedLoop) -> Table:
                 unit_text(collection.units(name)[0]),
                 percent(gain),
                 _interval(limits) if after != error.rmse else DASH,
+                percent(error.share_outside),
+                _outside(loop, name),
             )
         )
     return Table("RMS error on the held-out logs", columns, rows)
+
+
+def _outside(loop: ClosedLoop, name: str) -> str:
+    """Errors before and after beyond the positions and speeds of the friction trials."""
+    there = [errors[name].rmse_outside for errors in (loop.before, loop.after) if name in errors]
+    return ", ".join(map(number, there)) if all(x is not None for x in there) else DASH
 
 
 def _rounds(loop: ClosedLoop) -> Table:
     columns = (
         Column("effect"),
         Column("joint"),
-        Column("gain on fitted logs", numeric=True),
+        Column("gain on left-out blocks", numeric=True),
         Column("on held-out logs", numeric=True),
         Column("95 % interval", numeric=True),
         Column("outcome"),
@@ -149,7 +162,8 @@ def _rounds(loop: ClosedLoop) -> Table:
 
 
 def _round(item: RefinementRound) -> tuple[str, ...]:
-    outcome = "added" if item.accepted else "refused"
+    outcome = "added, not confirmed" if item.accepted else "refused"
+    outcome = "added, confirmed" if item.confirmed else outcome
     return (
         effect_words(item.effect),
         item.joint or "whole arm",

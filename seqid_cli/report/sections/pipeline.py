@@ -95,7 +95,9 @@ def _refine_steps(collection: Collection) -> Iterator[Step]:
             log for log in model.file.inputs if log.stage not in _COMMANDS or log.stage == "effects"
         ]
         text = listed([effect_at(item.effect, item.joint) for item in effects]) or "nothing added"
-        yield Step("refine", _logs_text(logs), file_name(model.path), "good", text)
+        loop = model.file.closed_loop
+        state = "poor" if loop is not None and loop.verdict == "poor" else "good"
+        yield Step("refine", _logs_text(logs), file_name(model.path), state, text)
 
 
 def _first_file(collection: Collection, stage: str) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from tests.study import (
+    closed_loop,
     coverage,
     formats,
     fused_motion,
@@ -40,10 +41,12 @@ STUDIES: Mapping[str, Study] = {
     ),
     "fused_motion": lambda chosen: fused_motion.study(quick=chosen.quick, tell=sys.stderr.write),
     "undeclared": undeclared.study,
+    "closed_loop": closed_loop.study,
     "coverage": coverage.study,
     "recorded_effects": lambda chosen: "" if chosen.quick else recorded_effects.study(),
 }
 LONG = (
+    "closed_loop",
     "fused_motion",
     "table_two",
     "motion_sources",
@@ -57,6 +60,7 @@ DOCUMENTS: Mapping[str, Path] = {  # the others: README
     "motion_sources": motion_sources.DOCUMENT,
     "fused_motion": fused_motion.DOCUMENT,
     "undeclared": undeclared.DOCUMENT,
+    "closed_loop": closed_loop.DOCUMENT,
     "coverage": coverage.DOCUMENT,
     "recorded_effects": recorded_effects.DOCUMENT,
     "imu_mounting": imu_mounting.DOCUMENT,

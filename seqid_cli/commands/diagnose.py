@@ -91,11 +91,11 @@ def run(
     from seqid_cli.discover.gather import gather, one_each
     from seqid_cli.discover.options import DiscoverOptions
     from seqid_cli.identify.motion_use import motion_uses
+    from seqid_cli.identify.one_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.motion.options import MotionOptions
 
     options = DiscoverOptions(
-        InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=source_for_effects(motion))
+        InertiaOptions(inherited(job.stages, cutoff), source=source_for_effects(motion))
     )
     account = Account(job)
     gathered = gather(

@@ -75,10 +75,17 @@ def run(
 
     from seqid_cli.identify.consistency import made_consistent
     from seqid_cli.identify.inertia import identify_inertia
+    from seqid_cli.identify.one_cutoff import identification_options
     from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.motion.options import MotionOptions
 
-    options = InertiaOptions(motion=MotionOptions(cutoff_hz=cutoff), source=motion)
+    filtering = identification_options(
+        job.files,
+        job.robot,
+        cutoff_hz=cutoff,
+        smoothed=motion != "encoder" and job.stages.imu is not None and bool(job.stages.imu.imus),
+        time_source=job.time_source,
+    )
+    options = InertiaOptions(motion=filtering, source=motion)
 
     def identify(recordings: Iterable[Recording]) -> Stages:
         logs = announced(recordings, job.screen, job.stages.imu, motion)

@@ -55,7 +55,7 @@ Cutoff = Annotated[
         "--cutoff",
         metavar="HZ",
         callback=_positive,
-        help="Low-pass cut-off frequency; chosen from each log when left out.",
+        help="Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
     ),
 ]
 Clock = Annotated[

@@ -111,10 +111,10 @@ def run(
         hint = "Run seqid friction first."
         raise ConfigError("holds no stage at all", where=str(parameters[0]), hint=hint)
 
+    from seqid_cli.identify.one_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.motion.options import MotionOptions
 
-    options = InertiaOptions(motion=MotionOptions(cutoff_hz=cutoff), source=motion)
+    options = InertiaOptions(motion=inherited(job.stages, cutoff), source=motion)
     account = Account(job)
     file = _predict(job, account, torques, options, unexplained=with_unexplained)
     if output is not None:
@@ -178,6 +178,7 @@ def _predict(
         stages=used,
         joints=joints,
         logs=logs,
+        cutoff_origin=options.motion.origin or "chosen per log",
         verdicts=as_a_whole(
             [
                 *(
@@ -271,5 +272,7 @@ def _show(screen: Screen, file: PredictionFile) -> None:
     for note in notes:
         screen.note(f"note: {note}")
     show_motion(screen, [log.motion for log in file.logs if log.motion is not None])
+    used = sorted({number(log.cutoff_hz) for log in file.logs})
+    screen.note(f"cut-off: {', '.join(used)} Hz, {file.cutoff_origin} (--cutoff overrides)")
     for log in file.logs:
         screen.detail(f"{log.path}: cut-off {number(log.cutoff_hz)} Hz")

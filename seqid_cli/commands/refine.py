@@ -110,11 +110,11 @@ def run(
     assert job.previous is not None
 
     from seqid_cli.discover.options import DiscoverOptions
+    from seqid_cli.identify.one_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.motion.options import MotionOptions
 
     options = DiscoverOptions(
-        InertiaOptions(MotionOptions(cutoff_hz=cutoff), source=source_for_effects(motion)),
+        InertiaOptions(inherited(job.previous.stages, cutoff), source=source_for_effects(motion)),
         max_effects=rounds,
         with_unexplained=with_unexplained,
     )

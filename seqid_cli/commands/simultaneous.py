@@ -70,10 +70,16 @@ def run(
     )
 
     from seqid_cli.identify.consistency import made_consistent
+    from seqid_cli.identify.one_cutoff import identification_options
     from seqid_cli.identify.simultaneous import identify_simultaneous
-    from seqid_cli.motion.options import MotionOptions
 
-    options = MotionOptions(cutoff_hz=cutoff)
+    options = identification_options(
+        job.files,
+        job.robot,
+        cutoff_hz=cutoff,
+        smoothed=motion != "encoder" and job.stages.imu is not None and bool(job.stages.imu.imus),
+        time_source=job.time_source,
+    )
 
     def identify(recordings: Iterable[Recording]) -> Stages:
         imu = job.stages.imu

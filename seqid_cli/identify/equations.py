@@ -52,7 +52,7 @@ def cutoff_note(cutoffs: Sequence[float], options: MotionOptions) -> str:
     low, high = min(cutoffs), max(cutoffs)
     span = f"{low:.3g} Hz" if high - low < 0.005 * high else f"{low:.3g} to {high:.3g} Hz"
     if options.cutoff_hz is not None:
-        return f"low-pass {span}, as given"
+        return f"low-pass {span}, {options.origin or 'as given'} (--cutoff overrides)"
     return (
         f"low-pass {span}, chosen per log from the encoder's step, the rate and the motion's "
         "bandwidth (--cutoff overrides)"

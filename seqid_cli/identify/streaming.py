@@ -31,7 +31,7 @@ from seqid_cli.logs.raw import TimeSource
 from seqid_cli.model.torque import sliding
 from seqid_cli.motion.blocks import Plan, joined_motions, make_plan, motion_blocks, part_of
 from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.motion import Motion, encoder_resolution
+from seqid_cli.motion.motion import Motion, encoder_resolution, require_rate
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.survey import SurveyedLog, open_surveyed
 from seqid_cli.params.schema import Stages
@@ -185,6 +185,7 @@ def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tup
     resolution = encoder_resolution(robot)
     cutoff = log.survey.cutoff(resolution)
     if options.cutoff_hz is not None:
+        require_rate(log.path, log.rate_hz, options)
         cutoff = replace(cutoff, hz=options.cutoff_hz, chosen=False)
     return cutoff, log.survey.noise_step(resolution)
 

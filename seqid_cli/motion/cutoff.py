@@ -116,6 +116,41 @@ def _step(position: Array) -> float:
     return smallest if quantised else 0.0
 
 
+@dataclass(frozen=True)
+class Score:
+    """J of the module's text for each of some cut-offs, summed over joints.
+
+    `bandwidth_hz` is that of the motion; cut-offs above the Nyquist rate score like the last below.
+    """
+
+    values: Array
+    bandwidth_hz: float
+
+
+def score(q: Array, rate_hz: float, resolution: Array, cutoffs: Array) -> Score:
+    """Score cut-offs by the positions of joints that move.
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Encoder positions [rad].
+    rate_hz : float
+        Samples per second.
+    resolution : (n,) array
+        Encoder step [rad] of the robot file; zero where it is to be read off the data.
+    cutoffs : (C,) array
+        [Hz].
+    """
+    step = np.where(resolution > 0, resolution, encoder_step(q))
+    below = np.minimum(cutoffs, rate_hz / 2)
+    values, bandwidth = np.zeros(len(cutoffs)), 0.0
+    for position, own in zip(q.T, step, strict=True):
+        signal, noise, _ = _powers(position, rate_hz, float(own), below)
+        values += np.log(signal) - KAPPA * noise / signal
+        bandwidth = max(bandwidth, _bandwidth(np.diff(position) * rate_hz, rate_hz))
+    return Score(values, bandwidth)
+
+
 def choose_cutoff(
     q: Array,
     rate_hz: float,
@@ -159,7 +194,7 @@ def choose_cutoff(
         signal, noise, density[j] = _powers(q[:, j], rate_hz, step[j], candidates)
         score += np.log(signal) - KAPPA * noise / signal
         bias = np.maximum(bias, noise / signal)
-    best = _first_maximum(score) if joints else len(candidates) // 2
+    best = first_maximum(score) if joints else len(candidates) // 2
     return Cutoff(float(candidates[best]), step, float(bias[best]), True, density)
 
 
@@ -204,7 +239,7 @@ def choose_smoothed_cutoff(
         signal = np.maximum(_power_below(ddq[:, j], rate_hz, candidates) - error[:, j], 1e-12)
         score += np.log(signal) - KAPPA * error[:, j] / signal
         bias = np.maximum(bias, error[:, j] / signal)
-    best = _first_maximum(score)
+    best = first_maximum(score)
     best = int(np.flatnonzero(score >= score[best] - WORTH * len(joints))[0])
     return replace(encoder, hz=float(candidates[best]), bias=float(bias[best]))
 
@@ -217,7 +252,7 @@ def _power_below(values: Array, rate_hz: float, cutoffs: Array) -> Array:
     return np.asarray(np.interp(cutoffs, frequency, total))
 
 
-def _first_maximum(score: Array) -> int:
+def first_maximum(score: Array) -> int:
     """Index of the best value before the first clear fall.
 
     A slow joint's quantisation is tones, not white noise; above the motion's bandwidth they would

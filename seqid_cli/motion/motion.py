@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SAMPLES_PER_CUTOFF = 10
+LEAST_SAMPLES_PER_PERIOD = 4.0  # of the cut-off, in a log that is used with a model
 BRIDGED_SHARE = 0.05  # of the samples, from which on bridged ones limit the cut-off
 BRIDGED_PERIODS = 0.2  # of the cut-off, that a bridged hole may last
 NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
@@ -148,7 +150,29 @@ def _cutoff(
     )
     if options.cutoff_hz is None:
         return chosen
+    require_rate(recording.path, recording.rate_hz, options)
     return replace(chosen, hz=options.cutoff_hz, chosen=False)
+
+
+def require_rate(path: Path, rate_hz: float, options: MotionOptions) -> None:
+    """Refuse a log that is too slow for the cut-off of the model that it is to be used with.
+
+    Raises
+    ------
+    InputError
+        If it has fewer than `LEAST_SAMPLES_PER_PERIOD` samples per period of the cut-off, and that
+        is not what the user asked for.
+    """
+    highest = rate_hz / LEAST_SAMPLES_PER_PERIOD
+    hz = 0.0 if options.origin in ("", "as given") else options.cutoff_hz or 0.0
+    if hz <= highest:
+        return
+    raise InputError(
+        f"{rate_hz:.4g} samples per second are too few for the cut-off of {hz:.3g} "
+        f"Hz, {options.origin}; the highest that this log allows is {highest:.3g} Hz",
+        hint=f"identify and use the model with --cutoff {highest:.3g}, or leave this log out",
+        where=str(path),
+    )
 
 
 def highest_bridged(recording: Recording) -> float:

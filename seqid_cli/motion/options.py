@@ -12,10 +12,12 @@ SOURCES = ("auto", "needed", "encoder", "imu", "fused")
 class MotionOptions:
     """How logs are filtered.
 
-    `cutoff_hz` overrides the low-pass cut-off that is otherwise chosen from each log. After the
+    `cutoff_hz` is the low-pass cut-off of all logs, and `origin` says where it came from; None has
+    each log choose its own. After the
     low-pass `samples_per_cutoff` samples at least stay per period of the cut-off; infinite keeps
     all.
     """
 
     cutoff_hz: float | None = None
     samples_per_cutoff: float = 10.0
+    origin: str = ""

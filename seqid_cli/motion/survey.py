@@ -21,7 +21,7 @@ from seqid_cli.logs.long import LongLog, open_long
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion import cutoff as whole
-from seqid_cli.motion.cutoff import Cutoff, differentiated_error
+from seqid_cli.motion.cutoff import Cutoff, Score, differentiated_error
 from seqid_cli.motion.segments import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
@@ -217,8 +217,24 @@ class Survey:
             floors[j] = floor
             score += np.log(signal) - whole.KAPPA * noise / signal
             bias = np.maximum(bias, noise / signal)
-        best = whole._first_maximum(score) if len(joints) else len(candidates) // 2
+        best = whole.first_maximum(score) if len(joints) else len(candidates) // 2
         return Cutoff(float(candidates[best]), step, float(bias[best]), True, floors)
+
+    def score(self, resolution: Array, cutoffs: Array) -> Score | None:
+        """As `cutoff.score` of the joints that move; None where none does."""
+        step = self.encoder_step()
+        step = np.where(resolution > 0, resolution, step)
+        joints = np.flatnonzero(self.moving(self.noise_step(resolution)))
+        if not len(joints):
+            return None
+        frequency, density = self._velocity.density(self.rate_hz)
+        density *= self.rate_hz**2
+        bandwidth = max(self._bandwidth(frequency, density[j]) for j in joints)
+        values = np.zeros(len(cutoffs))
+        below = np.minimum(cutoffs, self.rate_hz / 2)
+        for _, signal, noise, _ in self._powers(joints, step, below):
+            values += np.log(signal) - whole.KAPPA * noise / signal
+        return Score(values, bandwidth)
 
     def _bandwidth(self, frequency: Array, density: Array) -> float:
         floor = float(np.median(density[frequency > 0.25 * self.rate_hz]))

@@ -57,5 +57,6 @@ class PredictionFile(Struct, kw_only=True):
     stages: list[str]  # names of the stages that took part
     joints: dict[str, JointError]
     logs: list[LogPredictionError]
+    cutoff_origin: str = ""  # where the cut-off of the logs came from
     verdicts: list[Verdict] = []
     notes: list[str] = []

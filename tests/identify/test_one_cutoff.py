@@ -75,7 +75,7 @@ def test_later_commands_take_the_files_cutoff(
         file = msgspec.json.decode(text, type=PredictionFile)
         assert [log.cutoff_hz for log in file.logs] == [hz, hz]
         assert file.cutoff_origin == ("as given" if given else "of the inertia stage")
-        assert "cut-off: " in capsys.readouterr().out
+        assert "cut-off: " in capsys.readouterr().err
 
 
 def test_a_log_too_slow_for_the_models_cutoff_says_what_it_allows(tmp_path: Path) -> None:

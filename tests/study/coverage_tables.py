@@ -129,12 +129,13 @@ def parameter_table(results: Sequence[Result]) -> str:
 
 
 def relative(rows: Sequence[Row]) -> str:
-    """Median error as a share of the truth; of mountings, deg."""
+    """Median error as a share of the median truth; of mountings, deg."""
     off = np.abs([x["estimate"] - x["truth"] for x in rows])
     truth = np.abs([x["truth"] for x in rows])
     if not truth.any():
         return f"{number(float(np.median(off)))} deg"
-    return f"{number(100 * float(np.median(off / truth)))} %"
+    share = 100 * float(np.median(off) / np.median(truth))
+    return f"{number(share)} %" if share < 100 else "> 100 %"
 
 
 def coupling_table(results: Sequence[Result]) -> str:

@@ -45,7 +45,7 @@ class Bench:
     other: str
     weighed: bool
     other_gravity: str  # a wrong direction, as the robot file has it
-    tilted: bool  # whether gravity changes with the posture across joints
+    loaded: bool = True  # whether gravity loads any joint
     keep: object = None
 
     @property
@@ -70,10 +70,10 @@ class Bench:
         return columns
 
 
-def sample(rig: str, joint: str, other: str, *, weighed: bool, tilted: bool) -> Bench:
+def sample(rig: str, joint: str, other: str, *, weighed: bool, loaded: bool = True) -> Bench:
     """One of the sample rigs."""
     gravity = "0.0, 0.0, 9.81" if weighed else "9.81, 0.0, 0.0"
-    return Bench(rig, SAMPLES / rig, joint, other, weighed, gravity, tilted)
+    return Bench(rig, SAMPLES / rig, joint, other, weighed, gravity, loaded)
 
 
 def drawn(seed: int) -> Bench:
@@ -124,19 +124,18 @@ def _trials(plant: Plant, seed: int) -> list[Trial]:
     low, high = plant.position_limits.T
     postures = [rng.uniform(0.5 * low, 0.5 * high) for _ in range(4)]
     return [
-        *friction_trials(plant, postures[:1], rate_hz=RATE_HZ, speeds=6, lowest=0.15),
-        *gravity_trials(plant, postures[:3], rate_hz=RATE_HZ, speeds=(0.4,)),
-        *imu_trials(plant, postures, rate_hz=RATE_HZ, turns=2),
-        *inertia_trials(plant, postures, rng, seconds=5.0, rate_hz=RATE_HZ),
-        *validation_trials(plant, rng, runs=1, seconds=10.0, points=5, rate_hz=RATE_HZ),
+        *friction_trials(plant, postures[:1], rate_hz=RATE_HZ, speeds=5, lowest=0.2),
+        *gravity_trials(plant, postures[:2], rate_hz=RATE_HZ, speeds=(0.5,)),
+        *imu_trials(plant, postures, rate_hz=RATE_HZ, turns=1),
+        *inertia_trials(plant, postures, rng, seconds=4.0, rate_hz=RATE_HZ),
+        *validation_trials(plant, rng, runs=1, seconds=8.0, points=3, rate_hz=RATE_HZ),
     ]
 
 
 ARMS: tuple[Callable[[], Bench], ...] = (
-    partial(sample, "one_joint", "joint_1", "", weighed=False, tilted=False),
-    partial(sample, "two_joint", "joint_2", "joint_1", weighed=False, tilted=False),
-    partial(sample, "six_joint", "elbow", "wrist_1", weighed=True, tilted=True),
+    partial(sample, "one_joint", "joint_1", "", weighed=False),
+    partial(sample, "two_joint", "joint_2", "joint_1", weighed=False, loaded=False),
+    partial(sample, "six_joint", "elbow", "wrist_1", weighed=True),
     partial(drawn, 4),
     partial(drawn, 12),
-    partial(drawn, 17),
 )

@@ -16,6 +16,7 @@ from tests.study import (
     imu_mounting,
     motion_sources,
     one_joint,
+    planted,
     recorded,
     recorded_effects,
     six_joint,
@@ -43,6 +44,7 @@ STUDIES: Mapping[str, Study] = {
     "undeclared": undeclared.study,
     "closed_loop": closed_loop.study,
     "coverage": coverage.study,
+    "planted": planted.study,
     "recorded_effects": lambda chosen: "" if chosen.quick else recorded_effects.study(),
 }
 LONG = (
@@ -52,6 +54,7 @@ LONG = (
     "motion_sources",
     "undeclared",
     "coverage",
+    "planted",
     "recorded_effects",
     "imu_mounting",
 )  # only where asked for by name
@@ -62,6 +65,7 @@ DOCUMENTS: Mapping[str, Path] = {  # the others: README
     "undeclared": undeclared.DOCUMENT,
     "closed_loop": closed_loop.DOCUMENT,
     "coverage": coverage.DOCUMENT,
+    "planted": planted.DOCUMENT,
     "recorded_effects": recorded_effects.DOCUMENT,
     "imu_mounting": imu_mounting.DOCUMENT,
 }

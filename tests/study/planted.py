@@ -30,7 +30,7 @@ from tests.study.planted_arms import ARMS, Bench
 
 Array = NDArray[np.float64]
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "method.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "planted_faults.md"
 STAGES = ("friction", "gravity", "imu-calib", "inertia", "simultaneous", "predict")
 FOLDERS = {
     "friction": ("friction",),

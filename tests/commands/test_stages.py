@@ -9,6 +9,7 @@ import jsonschema
 import pytest
 
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.inspect.report import found
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
@@ -144,6 +145,27 @@ def test_a_poor_verdict(
     assert done.code == code
     assert done.out.splitlines()[2].endswith("poor: only 1 speed, 3 are needed")
     assert (rig.folder / "out.json").exists()
+    assert "next:" not in done.err
+    assert "do: look at the reasons above" in done.err
+
+
+@pytest.mark.parametrize(("strict", "code"), [([], 0), (["--strict"], 1)])
+def test_an_error_in_a_log_makes_its_joint_poor(
+    rig: Rig, reader: Reader, identified: Replace, strict: list[str], code: int
+) -> None:
+    identified("friction", "identify_friction", friction_stage())
+    reader.findings = (found("sign_mismatch", "it would gain", joint="elbow", channel="torque"),)
+    done = rig.run("friction", *COMMON, *strict)
+    assert done.code == code
+    assert "a.parquet: [sign_mismatch] elbow torque: it would gain" in done.err
+    assert "next:" not in done.err
+    assert f"do: {reader.findings[0].remedy}" in done.err
+    stage = read_parameters(rig.folder / "out.json").stages.friction
+    assert stage is not None
+    poor = {v.joint: v.reason for v in stage.verdicts if not v.good}
+    assert poor.keys() == {"elbow", ""}
+    assert "a.parquet and 1 more log: torque it would gain" in poor["elbow"]
+    assert poor[""].endswith("not good: elbow")
 
 
 def test_a_partly_read_log(rig: Rig, reader: Reader, identified: Replace) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shutil
 import tempfile
 import warnings
@@ -323,13 +324,25 @@ def _cell(
     benches: Sequence[Bench],
     told: Sequence[Mapping[str, Mapping[str, Cell]]],
 ) -> str:
-    counts: dict[str, list[str]] = {}
-    for bench, answers_ in zip(benches, told, strict=True):
-        cell = answers_.get(fault.name, {}).get(stage)
+    counts: dict[str, int] = {}
+    for bench, answered in zip(benches, told, strict=True):
+        cell = answered.get(fault.name, {}).get(stage)
         if cell is None:
             continue
-        why = excused(fault, stage, bench) if cell.answer == "good" and fault.name != "none" else ""
-        counts.setdefault(f"not seen ({why})" if why else cell.answer, []).append(bench.name)
-    if not counts:
-        return "-"
-    return ", ".join(f"{answer} {len(names)}" for answer, names in sorted(counts.items()))
+        answer = cell.answer
+        if fault.name != "none" and answer != "refused":
+            answer = "poor" if new_reasons(cell, answered["none"].get(stage)) else "good"
+            why = excused(fault, stage, bench)
+            answer = f"not seen ({why})" if answer == "good" and why else answer
+        counts[answer] = counts.get(answer, 0) + 1
+    return ", ".join(f"{answer} {count}" for answer, count in sorted(counts.items())) or "-"
+
+
+def new_reasons(cell: Cell, sound: Cell | None) -> list[str]:
+    """Reasons that the sound logs do not give as well, whatever the numbers in them."""
+    known = {_words(reason) for reason in sound.reasons} if sound else set()
+    return [reason for reason in cell.reasons if _words(reason) not in known]
+
+
+def _words(reason: str) -> str:
+    return re.sub(r"[-+0-9.e]+", "", reason)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli import api
-from tests.study.planted import FAULTS, Cell, answers, excused, tabulated
+from tests.study.planted import FAULTS, Cell, answers, excused, new_reasons, tabulated
 from tests.study.planted_arms import ARMS
 
 BENCH = ARMS[0]()
@@ -60,6 +60,14 @@ def answers_of_spike(logs: list[Path], folder: Path) -> list[Path]:
     from tests.study.planted import _planted
 
     return list(_planted(BENCH, BY_NAME["one spike"], logs, folder / "logs"))
+
+
+def test_what_sound_logs_give_as_well_does_not_count() -> None:
+    sound = Cell("poor", ["joint_1: speeds left out are missed by 16 %", ": not good: joint_1"])
+    again = Cell("poor", ["joint_1: speeds left out are missed by 17 %", ": not good: joint_1"])
+    assert new_reasons(again, sound) == []
+    told = [{"none": {"friction": sound}, "degrees": {"friction": again}}]
+    assert "| degrees | good 1 | - |" in tabulated([BENCH], told)
 
 
 def test_the_table_counts_arms_by_answer() -> None:

@@ -125,7 +125,7 @@ def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[in
 
 def _law(gravity: Array, q: Array) -> Array:
     """Gravity's columns (M, b) and smooth functions of the joint's own position q (M,)."""
-    low, span = float(q.min()), float(np.ptp(q))
+    low, span = float(q.min()), float(np.ptp(q)) or 1.0
     smooth = chebvander(2 * (q - low) / span - 1, SMOOTH_TERMS - 1)
     return np.hstack([gravity, smooth])
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.logs.echo import REMEDY, WARNING, echoes
+from seqid_cli.logs.echo import REMEDY, WARNING, _law, echoes
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.file import load_robot
 from tests.discover.drawn_logs import wander
@@ -123,3 +123,7 @@ def test_reader_warns(tmp_path: Path) -> None:
     drive = write_parquet(tmp_path / "drive.parquet", t, ["pivot"], q, torque=good)
     assert read_recording(echo, robot).health.warnings == (f"pivot: {WARNING}; {REMEDY}",)
     assert read_recording(drive, robot).health.warnings == ()
+
+
+def test_columns_of_a_joint_on_one_count_are_finite() -> None:
+    assert np.isfinite(_law(np.ones((20, 2)), np.full(20, 0.4))).all()

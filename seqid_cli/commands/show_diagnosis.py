@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from seqid_cli.commands.chart import text_chart
-from seqid_cli.commands.render import Screen, number, percent
+from seqid_cli.commands.render import Screen, limits, number, percent
 from seqid_cli.params.diagnosis_schema import (
-    MORE_THAN_NOISE,
     DiagnosisFile,
     EventEntry,
     FindingEntry,
@@ -15,6 +14,7 @@ from seqid_cli.params.diagnosis_schema import (
     ResidualEntry,
     UnexplainedPart,
 )
+from seqid_cli.params.diagnosis_words import nothing_found
 
 _EVENTS_SHOWN = 10
 
@@ -34,10 +34,7 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile) -> None:
 def verdict_sentence(file: DiagnosisFile) -> str:
     """Return the verdict in one sentence."""
     if file.verdict == "nothing_missing":
-        loud = ", ".join(name for name, joint in file.joints.items() if _is_loud(joint))
-        if loud:
-            return f"Nothing is missing, though more is left than the noise floor at {loud}."
-        return "Nothing is missing: what these logs leave of the torque is noise."
+        return nothing_found(file)
     rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
     if file.verdict == "unexplained":
         where = f" ({rest})" if rest else ""
@@ -136,12 +133,21 @@ def _quantities(names: Sequence[str]) -> str:
 
 
 def _joints(screen: Screen, joints: Mapping[str, ResidualEntry]) -> None:
-    columns = ("joint", "RMSE N m", "noise floor N m", "ratio", "with findings N m", "white")
+    columns = (
+        "joint",
+        "RMSE N m",
+        "noise floor N m",
+        "95 % interval",
+        "ratio",
+        "with findings N m",
+        "white",
+    )
     rows = [
         (
             name,
             number(joint.rmse),
             number(joint.noise_floor),
+            limits(joint.noise_floor_interval),
             _ratio(joint),
             number(joint.rmse_explained),
             "yes" if joint.white else "no",
@@ -149,12 +155,6 @@ def _joints(screen: Screen, joints: Mapping[str, ResidualEntry]) -> None:
         for name, joint in joints.items()
     ]
     screen.table(columns, rows)
-
-
-def _is_loud(joint: ResidualEntry) -> bool:
-    return bool(
-        joint.rmse and joint.noise_floor and joint.rmse > MORE_THAN_NOISE * joint.noise_floor
-    )
 
 
 def _ratio(joint: ResidualEntry) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from seqid_cli.commands.render import Screen, number, percent
+from seqid_cli.commands.render import Screen, limits, number, percent
 from seqid_cli.commands.show_diagnosis import effect_at, setting_units
 from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, RefinementRound
 
@@ -73,6 +73,7 @@ def _errors(screen: Screen, loop: ClosedLoop) -> None:
         "before N m",
         "after N m",
         "noise floor N m",
+        "its 95 % interval",
         "variance less by",
         "95 % interval",
         "outside",
@@ -83,12 +84,15 @@ def _errors(screen: Screen, loop: ClosedLoop) -> None:
         new = loop.after.get(name)
         gain = None if new is None or not error.rmse else 1.0 - (new.rmse / error.rmse) ** 2
         interval = _interval(loop.gain_interval.get(name, []))
-        floor = number(loop.noise_floor.get(name))
+        floor = (
+            number(loop.noise_floor.get(name)),
+            limits(loop.noise_floor_interval.get(name, ())),
+        )
         after = None if new is None else new.rmse
         there = [error.rmse_outside, None if new is None else new.rmse_outside]
         outside = (percent(error.share_outside), ", ".join(map(number, there)))
         rows.append(
-            (name, number(error.rmse), number(after), floor, percent(gain), interval, *outside)
+            (name, number(error.rmse), number(after), *floor, percent(gain), interval, *outside)
         )
     screen.table(columns, rows)
     if loop.evaluated_on:

@@ -25,6 +25,7 @@ from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, looks_like, louder_joints
 from seqid_cli.discover.notes import (
     file_notes,
+    free_base_notes,
     loud_notes,
     offset_notes,
     outside_notes,
@@ -145,6 +146,7 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
             *loud_notes(loud, robot),
             *file_notes(found, robot, ordinary, named),
             *outside_notes(found, robot, ordinary),
+            *free_base_notes(found, robot),
         ),
     )
 

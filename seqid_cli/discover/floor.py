@@ -10,10 +10,11 @@ rests
     All joints stand for several lengths of the filter: the spectrum of the raw torque there, white
     noise and 1/f^a.
 spectrum
-    What the raw torque shows above the cut-off while the joint slides, as white noise and 1/f
-    noise that goes on below; of the logs, the least and those that agree with it. What the torque
-    really does there counts as noise. How much 1/f noise white noise hides stays open, and widens
-    the interval.
+    What the raw torque shows above the cut-off while the joint slides, and what is left of it at
+    the top of the band, where there is no motion, as white noise and 1/f noise that goes on below.
+    Control and steps of the motion show there as well, and only add to it: of all that the logs
+    show the least counts, with what agrees with it. 1/f noise that this does not show stays open,
+    and widens the interval, up to what all of it would be as noise.
 
 The estimate is one of its own: what a model leaves of the torque does not bound it.
 """
@@ -29,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend
 
-from seqid_cli.discover.noise import median_spectrum, nearest, stretches
+from seqid_cli.discover.noise import median_spectrum, nearest, power_gain, stretches
 from seqid_cli.discover.noise_level import Level, Spectrum, level_of, passed
 from seqid_cli.discover.periods import repeats_of
 from seqid_cli.discover.rows import Rows
@@ -55,6 +56,9 @@ BELOW = 4.0  # times the lowest frequency seen at rest, to which 1/f is continue
 ABOVE = 1.5  # cut-offs, from which the torque is taken for noise
 UP_TO = 10.0  # cut-offs: what lies further off tells little of the band
 NYQUIST_SHARE = 0.9
+BAND = (0.45, 0.95)  # cut-offs, between which what is left of the torque is taken for noise
+BAND_STRETCH = 4.0  # periods of the cut-off per spectrum of it
+FEWEST_STRETCHES = 2
 HANN = 1.5  # bins of a tapered spectrum that count as one
 MEDIAN = 2.08  # variance of a median of periodograms over that of their mean
 AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
@@ -107,30 +111,31 @@ def noise_floor(
         An estimate of its own: the RMS of `residual` does not bound it.
     """
     wanted = range(len(scenes)) if judged is None else sorted(judged)
-    rested, moving = _at_rest(recordings, scenes), _in_motion(recordings, scenes)
+    rested, moving = _at_rest(recordings, scenes), _in_motion(recordings, scenes, residual)
     repeats, rng = _repeats(scenes, residual), np.random.default_rng(SEED)
     ways, found = [], []
     for j in range(rows.n):
-        way, level = _level(j, repeats, rested[j], moving[j])
+        way, levels = _levels(j, repeats, rested[j], moving[j])
         moves = [(scenes[k].motion, scenes[k].slides[:, j]) for k in wanted]
         slid = [(motion, float(m.sum()) / motion.rate_hz) for motion, m in moves if m.any()]
         ways.append(way)
-        found.append(level.rms(slid, rng))
+        each = np.array([level.rms(slid, rng) for level in levels])
+        found.append((each[0, 0], each[0, 1], each[:, 2].max()))
     floor, low, high = np.array(found).T
     return NoiseFloor(floor, low, high, tuple(ways))
 
 
-def _level(
+def _levels(
     joint: int, repeats: Repeats, rested: Sequence[Spectrum], moving: Sequence[Spectrum]
-) -> tuple[Way, Level]:
-    """Noise of one joint by the best way that there is."""
-    at_rest, in_motion = _at_rest_level(rested), _in_motion_level(moving)
+) -> tuple[Way, Sequence[Level]]:
+    """Noise of one joint by the best way that there is; further levels bound it from above."""
+    at_rest, in_motion = _at_rest_level(rested), _in_motion_levels(moving)
     if repeats.periods[joint] >= FEWEST_REPEATED:
-        known = [level.white for level in (at_rest, in_motion) if level]
-        return "repeats", repeats.level(joint, min(known, default=np.inf))
+        known = [level.white for level in (at_rest, *in_motion) if level]
+        return "repeats", [repeats.level(joint, min(known, default=np.inf))]
     if at_rest is not None:
-        return "rests", at_rest
-    return "spectrum", in_motion or Level.known(0.0)
+        return "rests", [at_rest]
+    return "spectrum", in_motion or [Level.known(0.0)]
 
 
 def _at_rest_level(spectra: Sequence[Spectrum]) -> Level | None:
@@ -140,8 +145,25 @@ def _at_rest_level(spectra: Sequence[Spectrum]) -> Level | None:
     return level_of(reduce(Spectrum.beside, spectra), EXPONENTS, below)
 
 
-def _in_motion_level(spectra: Sequence[Spectrum]) -> Level | None:
-    return level_of(_agreeing(spectra), FLICKER, 0.0) if spectra else None
+def _in_motion_levels(spectra: Sequence[Spectrum]) -> list[Level]:
+    """The least that the logs show; and what all that falls with frequency makes as 1/f noise."""
+    if not spectra:
+        return []
+    falling = reduce(Spectrum.beside, [one for one in spectra if not _rises(one, spectra)])
+    return [level_of(one, FLICKER, 0.0) for one in (_agreeing(spectra), falling)]
+
+
+def _rises(one: Spectrum, spectra: Sequence[Spectrum]) -> bool:
+    """Whether another one is below it at lower frequencies, as no noise would be."""
+    return any(
+        other.frequency[-1] <= one.frequency[0] and not _agrees(one, other) for other in spectra
+    )
+
+
+def _agrees(one: Spectrum, other: Spectrum) -> bool:
+    """Whether the first is not above the other beyond what chance makes."""
+    error = float(np.sqrt(one.mean[1] + other.mean[1]))
+    return one.mean[0] - other.mean[0] <= AGREE * other.mean[0] * error
 
 
 def _agreeing(spectra: Sequence[Spectrum]) -> Spectrum:
@@ -149,13 +171,8 @@ def _agreeing(spectra: Sequence[Spectrum]) -> Spectrum:
 
     What a log shows beside noise only adds to it; the least alone would be the luckiest.
     """
-    ordered = sorted(spectra, key=lambda one: one.mean[0])
-    least, variance = ordered[0].mean
-    kept = [
-        one
-        for one in ordered
-        if one.mean[0] - least <= AGREE * least * np.sqrt(variance + one.mean[1])
-    ]
+    least = min(spectra, key=lambda one: one.mean[0])
+    kept = [one for one in spectra if _agrees(one, least)]
     return reduce(Spectrum.beside, kept)
 
 
@@ -245,15 +262,45 @@ def _quantised(recording: Recording, joint: int) -> float:
     return float(encoder_step(recording.tau[:, [joint]])[0] ** 2 / 12.0 / recording.rate_hz)
 
 
-def _in_motion(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[list[Spectrum]]:
-    """Spectra of the raw torque above the cut-off, by joint, of the logs that show any."""
-    pairs = list(zip(recordings, scenes, strict=True))
-    each = [[_slid(*pair, j) for pair in pairs] for j in range(scenes[0].robot.n)]
+def _in_motion(
+    recordings: Sequence[Recording], scenes: Sequence[Scene], residual: Sequence[Array]
+) -> list[list[Spectrum]]:
+    """Spectra above the cut-off and just below it, by joint, of the logs that show any."""
+    logs = list(zip(recordings, scenes, residual, strict=True))
+    each = [
+        [found(*log, j) for log in logs for found in (_slid, _top_of_band)]
+        for j in range(scenes[0].robot.n)
+    ]
     return [[one for one in own if one is not None] for own in each]
 
 
-def _slid(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
-    """Where the joint slides, away from reversals; if it never does for long, of all the log."""
+def _top_of_band(
+    recording: Recording, scene: Scene, residual: Array, joint: int
+) -> Spectrum | None:
+    """What is left of the torque at the top of the band, the low-pass undone: there is no motion.
+
+    Steps of the torque, which reach above the cut-off, the model has below it.
+    """
+    motion = scene.motion
+    rate, cutoff = motion.rate_hz, motion.lowpass.cutoff_hz
+    length = min(round(BAND_STRETCH * rate / cutoff), motion.samples)
+    starts = stretches(scene.slides[:, joint] & (residual[:, joint] != 0.0), length)
+    frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
+    kept = (frequency > BAND[0] * cutoff) & (frequency < BAND[1] * cutoff)
+    if len(starts) < FEWEST_STRETCHES or not kept.any() or not motion.lowpass.active:
+        return None
+    density = median_spectrum(residual[:, joint], starts, length, rate)[kept]
+    density = density / power_gain(motion.lowpass, frequency[kept], 2)
+    averaged = np.full(int(kept.sum()), len(starts) / (HANN * MEDIAN))
+    return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))
+
+
+def _slid(recording: Recording, scene: Scene, residual: Array, joint: int) -> Spectrum | None:
+    """The raw torque above the cut-off where the joint slides, away from reversals.
+
+    If it never does for long, of all the log.
+    """
+    del residual
     assert recording.tau is not None
     rate, cutoff = recording.rate_hz, scene.motion.lowpass.cutoff_hz
     length = min(round(STRETCH * rate / cutoff), len(recording.t))

@@ -55,6 +55,25 @@ def file_notes(
     return tuple(notes)
 
 
+def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
+    """Joints without a finding that a model fitted to these logs predicts worse than the file's."""
+    search = found.search
+    touched = {j for tried in search.accepted for j in tried.columns}
+    worse = [
+        f"{name} ({free:.3g} against {start:.3g} N m)"
+        for j, (name, free, start) in enumerate(
+            zip(robot.joint_names, search.rms(), found.start, strict=True)
+        )
+        if free > start and j not in touched
+    ]
+    if not worse:
+        return ()
+    return (
+        "these logs are too short for a free base: fitted to them, the model predicts what was "
+        f"left out of the fit worse than the file does, with nothing found, at {', '.join(worse)}",
+    )
+
+
 def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:
     """Joints that the logs take beyond their identified friction, where more than noise is left.
 

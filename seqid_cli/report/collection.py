@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, ResidualEntry
 from seqid_cli.params.document import join, present
 from seqid_cli.params.prediction_schema import PredictionFile
 from seqid_cli.params.read_any import Source
@@ -87,13 +87,18 @@ class Collection:
                 return unit, "m" if unit == "N" else "rad"
         return "N m", "rad"
 
-    def noise_floor(self, prediction: Prediction, joint: str) -> float | None:
-        """Return a joint's noise floor from a diagnosis of the prediction's own logs, N m or N."""
+    def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
+        """Return what a diagnosis of the prediction's own logs says of a joint's residual."""
         logs = {log.sha256 for log in prediction.file.logs}
         for item in self.diagnoses:
             if {log.sha256 for log in item.file.inputs} == logs and joint in item.file.joints:
-                return item.file.joints[joint].noise_floor
+                return item.file.joints[joint]
         return None
+
+    def noise_floor(self, prediction: Prediction, joint: str) -> float | None:
+        """Return a joint's noise floor from a diagnosis of the prediction's own logs, N m or N."""
+        entry = self.residual(prediction, joint)
+        return None if entry is None else entry.noise_floor
 
     def trained_on(self, prediction: Prediction) -> frozenset[str]:
         """Return the hashes of the logs that the model of a prediction was identified from.

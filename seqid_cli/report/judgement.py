@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.diagnosis_words import beyond_noise, nothing_found
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.report.collection import Collection, Diagnosed, Model, Prediction
 from seqid_cli.report.words import (
@@ -245,6 +246,8 @@ def _missing_stages(collection: Collection) -> Iterator[Point]:
 def _diagnosis_points(collection: Collection) -> Iterator[Point]:
     for item in collection.diagnoses:
         yield from _found(item, collection)
+        if item.file.verdict == "nothing_missing" and _leaves_more(item.file):
+            yield Point("open", nothing_found(item.file), item.path)
         for part in item.file.unexplained:
             on = listed([name.replace("_", " ") for name in part.depends_on])
             text = (
@@ -307,9 +310,13 @@ def _supporting_stages(model: Model) -> Iterator[str]:
 
 
 def _supporting_diagnosis(file: DiagnosisFile, path: str) -> Iterator[str]:
-    if file.verdict == "nothing_missing":
+    if file.verdict == "nothing_missing" and not _leaves_more(file):
         logs = plural(len(file.inputs), "log")
         yield f"What {logs} leave of the torque is noise: nothing is missing ({short_path(path)})."
+
+
+def _leaves_more(file: DiagnosisFile) -> bool:
+    return any(map(beyond_noise, file.joints.values()))
 
 
 def _closed_loop(collection: Collection) -> Iterator[str]:

@@ -71,6 +71,7 @@ JOINTS = {
     "shoulder": JointResidual(0.3, 0.1, (0.08, 0.13), False, 0.12, 400),
     "elbow": JointResidual(float("nan"), float("nan"), (0.0, 0.0), True, float("nan"), 0),
 }
+QUIET = JointResidual(0.12, 0.1, (0.08, 0.13), True, 0.12, 400)
 FOUND = Diagnosis(
     verdict="effect_found",
     findings=(STRIBECK, PAYLOAD),
@@ -80,7 +81,7 @@ FOUND = Diagnosis(
     hidden=(Hidden("base_tilt", None, 0.02), Hidden("spring", "elbow", 0.001)),
     notes=("a remark",),
 )
-NOTHING = Diagnosis("nothing_missing", (), (), JOINTS)
+NOTHING = Diagnosis("nothing_missing", (), (), {"shoulder": QUIET, "elbow": JOINTS["elbow"]})
 OPEN = Diagnosis("unexplained", (), (CURVE, Unexplained("elbow", (), 0.3)), JOINTS)
 
 
@@ -177,7 +178,7 @@ def test_what_the_user_sees(rig: Rig, library: Library) -> None:
     assert "unexplained torque of shoulder N m" in done.out
     assert "position rad" in done.out
     joint = lines[next(k for k, line in enumerate(lines) if "noise floor" in line) + 1].split()
-    assert joint == ["shoulder", "0.3", "0.1", "3", "0.12", "no"]
+    assert joint == ["shoulder", "0.3", "0.1", "0.08", "to", "0.13", "3", "0.12", "no"]
     assert "note: stribeck at elbow: a remark on it" in done.err
     assert "note: a remark" in done.err
     assert "next: seqid refine LOG... --holdout LOG... -r robot.toml -p p.json -o" in done.err
@@ -198,6 +199,17 @@ def test_long_lists_are_for_those_who_ask(rig: Rig, library: Library) -> None:
     ("found", "sentence", "following"),
     [
         (NOTHING, "Nothing is missing: what these logs leave of the torque is noise.", None),
+        (
+            replace(NOTHING, joints=JOINTS),
+            "No effect was found, but not all that is left is noise"
+            " (shoulder: 3 times the noise floor, noise makes up to 1.3, not white).",
+            None,
+        ),
+        (
+            replace(NOTHING, joints={"elbow": replace(QUIET, white=False)}),
+            "No effect was found, but not all that is left is noise (elbow: not white).",
+            None,
+        ),
         (
             OPEN,
             "Something is missing that no known effect explains (shoulder: position,"

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.floor import NoiseFloor, noise_floor, rms
 from seqid_cli.discover.noise_level import Spectrum, level_of
+from seqid_cli.motion.filtering import Lowpass
 from tests.discover.drawn_logs import (
     RATE_HZ,
     low_passed,
@@ -94,9 +95,12 @@ def test_the_residual_does_not_bound_the_floor() -> None:
     log = recording(q, tau)
     found, rows = scenes([log])
     left = low_passed(tau, found[0])
-    small = [1e-3 * left]
+    slow = Lowpass(1.5, found[0].motion.rate_hz)
+    small = [left - slow(left)]
     floor = noise_floor([log], found, rows, small)
     truth = np.array([rms(rows.of(j, [left[:, j]])) for j in range(2)])
+    result = np.array([rms(rows.of(j, [small[0][:, j]])) for j in range(2)])
+    assert np.all(result < 0.95 * truth)
     np.testing.assert_allclose(floor.rms, truth, rtol=0.2)
     assert np.all(floor.low < truth)
     assert np.all(floor.high > truth)

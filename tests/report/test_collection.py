@@ -253,6 +253,15 @@ def test_a_clean_diagnosis_speaks_for_the_model() -> None:
     assert any("nothing is missing" in line for line in verdict.support)
 
 
+@pytest.mark.parametrize(("rmse", "white"), [(0.2, True), (0.12, False)])
+def test_words_do_not_call_noise_what_is_more(rmse: float, white: bool) -> None:
+    diagnosis = clean_diagnosis()
+    diagnosis.joints["elbow"].rmse, diagnosis.joints["elbow"].white = rmse, white
+    verdict = judge(collect([*good_documents(), source("diagnosis.json", diagnosis)]))
+    assert not any("nothing is missing" in line for line in verdict.support)
+    assert any("not all that is left is noise" in point.text for point in verdict.points)
+
+
 @pytest.mark.parametrize(("floor", "fires"), [(0.01, True), (0.09, False)])
 def test_an_error_far_above_the_noise_of_its_own_logs_is_open(floor: float, fires: bool) -> None:
     diagnosis = clean_diagnosis()

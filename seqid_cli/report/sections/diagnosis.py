@@ -11,6 +11,7 @@ from seqid_cli.params.diagnosis_schema import (
     FindingEntry,
     UnexplainedPart,
 )
+from seqid_cli.params.diagnosis_words import beyond_noise
 from seqid_cli.report.collection import Collection, Diagnosed
 from seqid_cli.report.diagnosis_figures import against_floor, timeline, unexplained_curve
 from seqid_cli.report.judgement import known_effects
@@ -21,6 +22,7 @@ from seqid_cli.report.words import (
     effect_at,
     effect_words,
     interval,
+    limits,
     listed,
     number,
     percent,
@@ -84,6 +86,8 @@ def diagnosis(collection: Collection) -> Section:
 def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
     file = item.file
     badge, text = _VERDICTS[file.verdict]
+    if file.verdict == "nothing_missing" and any(map(beyond_noise, file.joints.values())):
+        badge, text = "open", "no effect was found, but more than noise is left"
     known = known_effects(collection)
     if file.findings and all((f.effect, f.joint) in known for f in file.findings):
         badge, text = "good", "found, and in the refined model"
@@ -173,6 +177,7 @@ def _joints(file: DiagnosisFile, collection: Collection) -> Table:
         Column("joint"),
         Column("RMS residual", numeric=True),
         Column("noise floor", numeric=True),
+        Column("95 % interval", numeric=True),
         Column("with findings", numeric=True),
         Column("unit"),
         Column("only noise left"),
@@ -183,6 +188,7 @@ def _joints(file: DiagnosisFile, collection: Collection) -> Table:
             name,
             number(entry.rmse),
             number(entry.noise_floor),
+            limits(entry.noise_floor_interval),
             number(entry.rmse_explained) if file.findings else number(None),
             unit_text(collection.units(name)[0]),
             "yes" if entry.white else "no",

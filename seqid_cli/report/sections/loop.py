@@ -13,6 +13,7 @@ from seqid_cli.report.words import (
     command,
     effect_at,
     effect_words,
+    limits,
     listed,
     number,
     percent,
@@ -49,8 +50,8 @@ def closed_loop(collection: Collection) -> Section:
     lead = (
         "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
         "logs were opened after the last decision: both errors are measured there, where joints "
-        "slide, on the same samples. The noise floor is what a perfect model would leave. The gain "
-        "is the part of the error's variance that the refined model takes away, with its 95 % "
+        "slide, on the same samples. The noise floor estimates what torque noise alone leaves there. "
+        "The gain is the part of the error's variance that the refined model takes away, with its 95 % "
         "interval."
     )
     group = Group(
@@ -115,6 +116,7 @@ def _errors(collection: Collection, loop: ClosedLoop) -> Table:
         Column("before", numeric=True),
         Column("after", numeric=True),
         Column("noise floor", numeric=True),
+        Column("its 95 % interval", numeric=True),
         Column("unit"),
         Column("gain", numeric=True),
         Column("95 % interval", numeric=True),
@@ -125,16 +127,17 @@ def _errors(collection: Collection, loop: ClosedLoop) -> Table:
     for name, error in loop.before.items():
         after = loop.after[name].rmse if name in loop.after else None
         gain = 1.0 - (after / error.rmse) ** 2 if after is not None and error.rmse else None
-        limits = loop.gain_interval.get(name, [])
+        gained = loop.gain_interval.get(name, [])
         rows.append(
             (
                 name,
                 number(error.rmse),
                 number(after),
                 number(loop.noise_floor.get(name)),
+                limits(loop.noise_floor_interval.get(name, ())),
                 unit_text(collection.units(name)[0]),
                 percent(gain),
-                _interval(limits) if after != error.rmse else DASH,
+                _interval(gained) if after != error.rmse else DASH,
                 percent(error.share_outside),
                 _outside(loop, name),
             )

@@ -9,7 +9,7 @@ from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.report.torque_figures import Event, Place, over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
 from seqid_cli.report.views import Absent, Column, Figure, Group, Section, Table
-from seqid_cli.report.words import command, number, percent, plural, short_path, unit_text
+from seqid_cli.report.words import command, limits, number, percent, plural, short_path, unit_text
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
 _BUDGET = 60_000  # points of all time series together
@@ -153,9 +153,10 @@ def _facts(collection: Collection, name: str, place: Place) -> list[tuple[str, s
                 ("largest error", f"{number(error.max_abs)} {unit}"),
                 ("slides in", f"{percent(error.share_sliding)} of the samples"),
             ]
-        floor = collection.noise_floor(item, name)
-        if floor is not None:
-            facts.append(("noise floor", f"{number(floor)} {unit}"))
+        entry = collection.residual(item, name)
+        if entry is not None and entry.noise_floor is not None:
+            facts.append(("noise floor", f"{number(entry.noise_floor)} {unit}"))
+            facts.append(("its 95 % interval", f"{limits(entry.noise_floor_interval)} {unit}"))
     return facts
 
 

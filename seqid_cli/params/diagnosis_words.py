@@ -1,0 +1,28 @@
+"""Whether a diagnosis may say that nothing but noise is left, in words."""
+
+from __future__ import annotations
+
+from seqid_cli.params.diagnosis_schema import MORE_THAN_NOISE, DiagnosisFile, ResidualEntry
+
+
+def nothing_found(file: DiagnosisFile) -> str:
+    """Return what a diagnosis without findings says of its logs, in one sentence."""
+    rest = {name: text for name, joint in file.joints.items() if (text := beyond_noise(joint))}
+    if not rest:
+        return "Nothing is missing: what these logs leave of the torque is noise."
+    each = "; ".join(f"{name}: {text}" for name, text in rest.items())
+    return f"No effect was found, but not all that is left is noise ({each})."
+
+
+def beyond_noise(joint: ResidualEntry) -> str:
+    """Return why what is left at a joint is more than noise; nothing where it may be noise."""
+    reasons = []
+    if joint.rmse and joint.noise_floor:
+        limits = joint.noise_floor_interval
+        most = limits[1] if limits else MORE_THAN_NOISE * joint.noise_floor
+        if joint.rmse > most:
+            times, allowed = joint.rmse / joint.noise_floor, most / joint.noise_floor
+            reasons.append(f"{times:.3g} times the noise floor, noise makes up to {allowed:.3g}")
+    if not joint.white and joint.rmse is not None:
+        reasons.append("not white")
+    return ", ".join(reasons)

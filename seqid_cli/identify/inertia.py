@@ -11,7 +11,9 @@ the rotor is there too is asked of the data (see `rotor_coupling`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import operator
+from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +23,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.errors import InputError, QualityError, UsageError
+from seqid_cli.identify.cutoff_check import NEIGHBOURS, cutoff_check, with_cutoff_check
 from seqid_cli.identify.equations import blocks, cutoff_note, filtered_regressor, torque_motion
 from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.grouped_blocks import GroupedBlocks
@@ -37,6 +40,7 @@ from seqid_cli.identify.rigid_stage import (
 )
 from seqid_cli.identify.rotor_coupling import Coupling, decide
 from seqid_cli.identify.streaming import open_if_long, pass_over, streams
+from seqid_cli.identify.tree import or_none
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
@@ -100,12 +104,17 @@ def identify_inertia(
     by_encoder = replace(options, source="encoder")
     others = InertiaEquations(robot, basis, stages, by_encoder) if compare else None
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
-    whole = reduced(logs, InertiaRowsOf(equations, others), _both)
-    if whole is None or not any(joint.samples for joint in whole[0].joints):
+    whole = reduced(logs, InertiaRowsOf(equations, others), _all)
+    if whole is None or not any(joint.samples for joint in whole.own.joints):
         raise QualityError("no joint with known friction moves in these logs")
-    stage = equations.with_rows(whole[0]).stage()
-    if others and whole[1] and any(use.source != "encoder" for use in stage.motion_use):
-        stage = _compared(stage, others.with_rows(whole[1]).stage())
+    near = {
+        factor: equations.with_rows(rows)
+        for factor, rows in zip(NEIGHBOURS, whole.near, strict=True)
+        if rows is not None
+    }
+    stage = equations.with_rows(whole.own).stage(near)
+    if others and whole.encoder and any(use.source != "encoder" for use in stage.motion_use):
+        stage = _compared(stage, others.with_rows(whole.encoder).stage({}))
     return stage
 
 
@@ -149,7 +158,13 @@ class InertiaRows:
         )
 
 
-Pair = tuple[InertiaRows, InertiaRows | None]
+@dataclass(frozen=True)
+class AllRows:
+    """Rows as they are used, at neighbouring cut-offs, and by the encoders alone."""
+
+    own: InertiaRows
+    near: tuple[InertiaRows | None, ...]
+    encoder: InertiaRows | None
 
 
 @dataclass(frozen=True)
@@ -168,16 +183,32 @@ class InertiaRowsOf:
             return None
         return open_if_long(path, robot, time_source=time_source)
 
-    def __call__(self, recording: Recording | SurveyedLog, number: int) -> Pair:
+    def __call__(self, recording: Recording | SurveyedLog, number: int) -> AllRows:
         """Reduce them."""
         del number
         own = self.equations.rows_of(recording)
-        return own, self.others.rows_of(recording) if self.others else None
+        near: tuple[InertiaRows | None, ...] = (None,) * len(NEIGHBOURS)
+        if isinstance(recording, Recording):
+            near = tuple(self._near(recording, own.cutoffs[0] * factor) for factor in NEIGHBOURS)
+        return AllRows(own, near, self.others.rows_of(recording) if self.others else None)
+
+    def _near(self, recording: Recording, cutoff_hz: float) -> InertiaRows | None:
+        """Rows at another cut-off; None where the log is too short or too slow for it."""
+        with contextlib.suppress(InputError):
+            return self.equations.at_cutoff(cutoff_hz).rows_of(recording)
+        return None
 
 
-def _both(first: Pair, second: Pair) -> Pair:
-    others = first[1] + second[1] if first[1] and second[1] else None
-    return first[0] + second[0], others
+def _all(first: AllRows, second: AllRows) -> AllRows:
+    near = zip(first.near, second.near, strict=True)
+    return AllRows(
+        first.own + second.own,
+        tuple(_both(*pair) for pair in near),
+        _both(first.encoder, second.encoder),
+    )
+
+
+_both = or_none(operator.add)
 
 
 class InertiaEquations:
@@ -209,6 +240,13 @@ class InertiaEquations:
         fresh.add(recording)
         sums = fresh.joints, fresh.torque_squares, fresh._cross
         return InertiaRows(*sums, fresh.cutoffs, fresh.uses, fresh.counts)
+
+    def at_cutoff(self, cutoff_hz: float) -> InertiaEquations:
+        """The same equations, to take rows that are filtered at another cut-off."""
+        other = copy(self)
+        motion = replace(self.options.motion, cutoff_hz=cutoff_hz)
+        other.options = replace(self.options, motion=motion)
+        return other
 
     def with_rows(self, rows: InertiaRows) -> InertiaEquations:
         """The same equations with rows."""
@@ -280,13 +318,24 @@ class InertiaEquations:
         """So many blocks of about so many rows of one log follow; 0 when they have come."""
         self._grouped.expect(count, rows)
 
-    def stage(self) -> RigidStage:
-        """Solve, decide on the rotor coupling, and describe the result."""
-        coupling = decide(self) if self.rotors.any() else Coupling.none(self.basis.size)
+    def stage(self, near: Mapping[float, InertiaEquations]) -> RigidStage:
+        """Solve, decide on the rotor coupling, and describe the result.
+
+        `near` holds the rows at multiples of the cut-off, to see what depends on it.
+        """
+        nothing = Coupling.none(self.basis.size)
+        coupling = decide([self, *near.values()]) if self.rotors.any() else nothing
         fixed = self.with_coupling(float(coupling.used))
         solution, posterior = self.solved(fixed)
         posterior = posterior.with_doubt(coupling.doubt)
-        return self._describe(solution, posterior, fixed, coupling)
+        there = {
+            factor: other.solved(other.with_coupling(float(coupling.used)))
+            for factor, other in near.items()
+        }
+        check = cutoff_check((solution, posterior), there, self.surfaces)
+        posterior = posterior.with_doubt(check.doubt)
+        stage = self._describe(solution, posterior, fixed, coupling)
+        return with_cutoff_check(stage, check, self.basis)
 
     def with_coupling(self, share: float) -> list[Accumulator]:
         """The rows of all joints with the share of gyroscopic coupling held at a value."""

@@ -195,6 +195,7 @@ class Solution:
     sigma: Array  # residual RMS per joint
     bread: Array  # inverse of the weighted normal matrix
     left_open: Array
+    moves: Array  # (G, p) by which the estimate moves without one block of time
 
 
 def solve(
@@ -242,12 +243,13 @@ def solve(
         sigma = np.maximum(left, 1e-12)
     rank = basis.shape[1]
     bread = basis @ basis.T
-    covariance = _jackknife(joints, used, scale, theta, factor, bread)
+    moves = _jackknife(joints, used, scale, theta, factor, bread)
+    covariance = spread_of(moves)
     covariance += _prior_part(factor, [totals[k] / scale[k] for k in used], bread)
     # A direction in which the blocks happen to agree is not known better than white noise allows.
     covariance += WHITE_FLOOR * bread
     determined = _determined(factor, basis)
-    return Solution(theta, covariance, determined, rank, condition, sigma, bread, left_open)
+    return Solution(theta, covariance, determined, rank, condition, sigma, bread, left_open, moves)
 
 
 def _residual_rms(R: Array, samples: int, theta: Array) -> float:
@@ -303,7 +305,7 @@ def _jackknife(
     factor: Array,
     bread: Array,
 ) -> Array:
-    """Covariance from leaving out one block of time at a time.
+    """Moves (G, p) of the estimate when one block of time is left out.
 
     With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
     (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the sandwich it
@@ -314,9 +316,13 @@ def _jackknife(
     A, s = np.zeros((count, *bread.shape)), np.zeros((count, len(theta)))
     for k in used:
         _add_blocks(A, s, joints[k].blocks, np.append(-theta, 1.0), sigma[k])
-    moves = _downdated(normal, A, bread, s)
-    share = max(count - 1, 1) / max(count, 1)
-    covariance: Array = moves.T @ moves * share
+    return _downdated(normal, A, bread, s)
+
+
+def spread_of(moves: Array) -> Array:
+    """Covariance (p, p) by the jackknife's moves (G, p)."""
+    count = len(moves)
+    covariance: Array = moves.T @ moves * (max(count - 1, 1) / max(count, 1))
     return covariance
 
 

@@ -7,13 +7,15 @@ friction and gravity included; with k and its standard error s of the fit that l
 
     log odds = (k^2 - (k - 1)^2) / (2 s^2).
 
-A k that is neither near 0 nor near 1 is a sign of something else. Where the logs do not decide, the
-data sheet's model stays (rotors act on their own joints alone), and what the other one would change
-counts as an error of the parameters, in the measure in which it is likely.
+It must decide alike at neighbouring cut-offs. A k that is neither near 0 nor near 1 is a sign of
+something else. Where the logs do not decide, the data sheet's model stays (rotors act on their own
+joints alone), and what the other one would change counts as an error of the parameters: it is as
+likely as not, or more where the logs say so.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -66,33 +68,63 @@ class Equations(Protocol):
         ...
 
 
-def decide(equations: Equations) -> Coupling:
+@dataclass(frozen=True)
+class _Share:
+    """The share of the coupling when it is left free, and its standard error."""
+
+    value: float
+    error: float
+
+    @property
+    def odds(self) -> float:
+        """Logarithm of the odds of 1 against 0."""
+        return (self.value**2 - (self.value - 1.0) ** 2) / (2.0 * self.error**2)
+
+    @property
+    def near(self) -> bool:
+        """Whether it agrees with 0 or with 1."""
+        return min(abs(self.value), abs(self.value - 1.0)) < CONSISTENT * self.error
+
+
+def decide(equations: Sequence[Equations]) -> Coupling:
     """Compare the two hypotheses by what the logs say.
 
     Parameters
     ----------
-    equations : Equations
-        With the rows of all logs.
+    equations : sequence of Equations
+        With the rows of all logs; the first as they are used, the others at other cut-offs.
 
     Returns
     -------
     Coupling
-        Not used where the logs do not decide.
+        Not used where the logs do not decide, or not alike at all cut-offs.
     """
+    own = equations[0]
+    kappa = own.basis.size
+    found = [_free(each) for each in equations]
+    first = found[0]
+    if first is None:
+        return Coupling.none(kappa)
+    sure = [share is not None and share.near and abs(share.odds) > LOG_ODDS for share in found]
+    sides = {share.odds > 0 for share in found if share is not None}
+    value, error = first.value, first.error
+    if all(sure) and len(sides) == 1:
+        used = sides.pop()
+        return Coupling(used, True, value, error, np.zeros((kappa, 0)), _decided(used))
+    # What does not decide does not count against the other hypothesis either.
+    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -LOG_ODDS, LOG_ODDS))))
+    without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
+    doubt = np.sqrt(likely) * (coupled - without)[:, None]
+    return Coupling(False, False, value, error, doubt, _open(value, error, near=first.near))
+
+
+def _free(equations: Equations) -> _Share | None:
+    """The share that rows of one cut-off show; None where both models are the same."""
     kappa = equations.basis.size
-    without = equations.solved(equations.with_coupling(0.0))[0].theta
     free, posterior = equations.solved(equations.joints)
     if not free.determined[kappa]:
-        return Coupling.none(kappa)
-    share, error = float(free.theta[kappa]), float(np.sqrt(posterior.covariance[kappa, kappa]))
-    odds = (share**2 - (share - 1.0) ** 2) / (2.0 * error**2)
-    near = min(abs(share), abs(share - 1.0)) < CONSISTENT * error
-    if near and abs(odds) > LOG_ODDS:
-        return Coupling(odds > 0, True, share, error, np.zeros((kappa, 0)), _decided(odds > 0))
-    likely = 1.0 / (1.0 + np.exp(-np.clip(odds, -LOG_ODDS, LOG_ODDS)))
-    moved = equations.solved(equations.with_coupling(1.0))[0].theta - without
-    doubt = np.sqrt(likely) * moved[:, None]
-    return Coupling(False, False, share, error, doubt, _open(share, error, near=near))
+        return None
+    return _Share(float(free.theta[kappa]), float(np.sqrt(posterior.covariance[kappa, kappa])))
 
 
 def _decided(used: bool) -> tuple[str, ...]:

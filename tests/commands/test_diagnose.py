@@ -125,7 +125,7 @@ def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
     assert count == 2
     assert robot.joint_names == ("shoulder", "elbow")
     assert stages.inertia is not None
-    assert given == DiscoverOptions(InertiaOptions(MotionOptions(12.0), "imu"))
+    assert given == DiscoverOptions(InertiaOptions(MotionOptions(12.0, origin="as given"), "imu"))
     assert reader.time_source == "log"
 
 

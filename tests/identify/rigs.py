@@ -115,5 +115,5 @@ class Rig:
 
 def rmse(predictions: list[LogPrediction]) -> Array:
     """RMS torque error (n,) N m over the used samples of all logs."""
-    errors = np.vstack([(p.tau - p.predicted)[p.used] for p in predictions])
+    errors = np.vstack([p.beyond[p.used] for p in predictions])
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))

@@ -223,14 +223,14 @@ def sequential(logs: Mapping[str, Sequence[Recording]], robot: Robot) -> Stages:
 
 
 def errors(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Errors:
-    """Error of the predicted torque, all logs together; above the low-pass it stays as it is."""
+    """Distance of the torque to what is predicted, all logs; above the low-pass it stays."""
     band, raw, samples = np.zeros(robot.n), np.zeros(robot.n), 0
     found = predict(recordings, robot, stages, options=InertiaOptions())
     for recording, p in zip(recordings, found, strict=True):
         assert recording.tau is not None
         finer = np.column_stack([np.interp(p.t, recording.t, tau) for tau in recording.tau.T])
-        band += np.sum((p.tau - p.predicted)[p.used] ** 2, axis=0)
-        raw += np.sum((finer - p.predicted)[p.used] ** 2, axis=0)
+        band += np.sum(p.beyond[p.used] ** 2, axis=0)
+        raw += np.sum((finer - p.tau + p.beyond)[p.used] ** 2, axis=0)
         samples += int(p.used.sum())
     return Errors(np.sqrt(band / samples), np.sqrt(raw / samples))
 

@@ -30,7 +30,6 @@ from seqid_cli.robot.base import Basis
 
 Array = NDArray[np.float64]
 
-NEIGHBOURS = (0.7, 1.4)  # times the cut-off
 CLEAR = 4.0  # standard errors of a difference between two cut-offs, from which it is said
 MATTERS = 3.0  # stated standard errors, by which a parameter must differ to make the verdict poor
 FLAT = 1e-9  # of a covariance's largest eigenvalue, below which a direction is not known

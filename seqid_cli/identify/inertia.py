@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError, QualityError, UsageError
-from seqid_cli.identify.cutoff_check import NEIGHBOURS, cutoff_check, with_cutoff_check
+from seqid_cli.identify.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.equations import blocks, cutoff_note, filtered_regressor, torque_motion
 from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.grouped_blocks import GroupedBlocks
@@ -109,7 +109,7 @@ def identify_inertia(
         raise QualityError("no joint with known friction moves in these logs")
     near = {
         factor: equations.with_rows(rows)
-        for factor, rows in zip(NEIGHBOURS, whole.near, strict=True)
+        for factor, rows in zip(options.neighbours, whole.near, strict=True)
         if rows is not None
     }
     stage = equations.with_rows(whole.own).stage(near)
@@ -187,9 +187,10 @@ class InertiaRowsOf:
         """Reduce them."""
         del number
         own = self.equations.rows_of(recording)
-        near: tuple[InertiaRows | None, ...] = (None,) * len(NEIGHBOURS)
+        factors = self.equations.options.neighbours
+        near: tuple[InertiaRows | None, ...] = (None,) * len(factors)
         if isinstance(recording, Recording):
-            near = tuple(self._near(recording, own.cutoffs[0] * factor) for factor in NEIGHBOURS)
+            near = tuple(self._near(recording, own.cutoffs[0] * factor) for factor in factors)
         return AllRows(own, near, self.others.rows_of(recording) if self.others else None)
 
     def _near(self, recording: Recording, cutoff_hz: float) -> InertiaRows | None:

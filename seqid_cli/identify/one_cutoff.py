@@ -22,6 +22,7 @@ from seqid_cli.identify.streaming import open_if_long
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.stored import local_copy
 from seqid_cli.motion.cutoff import BANDWIDTHS, HIGHEST_HZ, LOWEST_HZ, Score, first_maximum, score
 from seqid_cli.motion.motion import encoder_resolution, highest_bridged
 from seqid_cli.motion.options import MotionOptions
@@ -112,9 +113,11 @@ def identification_options(
         return MotionOptions()
     found: list[LogScore] = []
     for path in paths:
-        with contextlib.suppress(SeqidError):  # told when the log is read to be identified from
-            log = open_if_long(path, robot, time_source=time_source)
-            own = score_of(log or read_recording(path, robot, time_source=time_source), robot)
+        # Errors are told when the log is read to be identified from.
+        with contextlib.suppress(SeqidError), local_copy(path) as copy:
+            file = Path(copy)
+            log = open_if_long(file, robot, time_source=time_source)
+            own = score_of(log or read_recording(file, robot, time_source=time_source), robot)
             found += [own] if own is not None else []
     hz = chosen_together(found)
     return MotionOptions(hz, origin=f"chosen from all {len(paths)} logs together" if hz else "")

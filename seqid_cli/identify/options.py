@@ -28,8 +28,12 @@ class InertiaOptions:
     `slides_from` are the speeds [rad/s; m/s where prismatic], one per joint, from which a joint
     certainly slides in a prediction. None: what the model's own friction says. Errors of two models
     are compared on the same samples only where both have the same.
+
+    `neighbours` are multiples of the cut-off at which the inertia stage looks at its parameters
+    again (see `cutoff_check`); a log that is passed over is not looked at again.
     """
 
     motion: MotionOptions = field(default_factory=MotionOptions)
     source: str = "auto"
     slides_from: tuple[float, ...] | None = None
+    neighbours: tuple[float, ...] = (0.7, 1.4)

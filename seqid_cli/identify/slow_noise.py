@@ -18,6 +18,7 @@ parameters take away is allowed for. Rows divided by V's root are generalised le
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 LONGER = 4.0  # log lengths, whose inverse is the lowest frequency of slow noise
+STIFFNESS = (1e-9, 1e-7, 1e-5)  # of V's mean variance, added until it can be factored
 LEAST = 1e-6  # of a strength, against that of white noise: none
 
 
@@ -133,10 +135,12 @@ def _root(shape: Sequence[Array], strengths: Array) -> Array:
     white, common, slow = shape
     V = strengths[1] * common + strengths[2] * slow
     V[np.diag_indices_from(V)] += strengths[0] * white
-    # What is common to rows at the same time leaves V as good as singular without white noise.
-    V[np.diag_indices_from(V)] += 1e-9 * float(np.trace(V)) / len(V)
-    root: Array = np.asarray(cholesky(V, lower=True, check_finite=False))
-    return root
+    mean = float(np.trace(V)) / len(V)
+    for share in STIFFNESS:  # rows at nearly the same time leave V as good as singular
+        with contextlib.suppress(np.linalg.LinAlgError):
+            own = V + share * mean * np.eye(len(V))
+            return np.asarray(cholesky(own, lower=True, check_finite=False))
+    return np.asarray(np.diag(np.sqrt(np.diag(V))))
 
 
 def _restricted(rows: Rows, shapes: Sequence[_Shape], strengths: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -46,6 +47,7 @@ OPEN_S = 0.25  # over which the share left open is averaged
 RELATIVE = (0.1, 30.0)  # limits of a jerk's size over the usual one
 FELT = 0.01  # of a variance, that the constants may add unnoticed
 SHRINK = 0.02  # of the jerks' correlations
+STIFFNESS = (0.0, 1e-14, 1e-12, 1e-10)  # of the largest information, added until it can be factored
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def encoder_motion(chunk: Chunk, size: Array) -> tuple[Array, Jerk]:
     jerk = Jerk(size, np.eye(len(size)), np.ones((chunk.intervals, len(size))))
     for _ in range(ENCODER_ROUNDS):
         band = encoder_information(chunk, c, jerk.size * jerk.relative)
-        factor = cholesky_banded(band.by_joint(), lower=True, check_finite=False)
+        factor = _factor(band.by_joint())
         signs = rng.choice([-1.0, 1.0], jerk.relative.shape)
         probe = _jerk_probe(chunk, jerk, signs)
         right = np.column_stack([band.gradient.T.ravel(), probe.T.ravel()])
@@ -100,6 +102,16 @@ def encoder_motion(chunk: Chunk, size: Array) -> tuple[Array, Jerk]:
         left_open = _jerks(chunk, seen.reshape(c.T.shape).T, jerk) * signs
         jerk = _renewed_jerk(chunk, c, jerk, left_open)
     return c, jerk
+
+
+def _factor(band: Array) -> Array:
+    """Cholesky factor of a lower band (k, K); of nearly it where a long hole tells nothing."""
+    for share in STIFFNESS:
+        own = band.copy()
+        own[0] += share * np.abs(band[0]).max()
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return np.asarray(cholesky_banded(own, lower=True, check_finite=False))
+    raise np.linalg.LinAlgError("the encoders' information is not positive definite")
 
 
 def _jerk_probe(chunk: Chunk, jerk: Jerk, signs: Array) -> Array:
@@ -196,7 +208,7 @@ def _first_coefficients(chunk: Chunk) -> Array:
 
 def solved(chunk: Chunk, c: Array, jerk: Jerk, normal: Normal) -> Solution:
     """Factor the normal equations; the coefficients stay as they are."""
-    factor = cholesky_banded(normal.band, lower=True, check_finite=False, overwrite_ab=True)
+    factor = _factor(normal.band)
     border = normal.border
     if border.shape[1]:
         border = halved(factor, border)

@@ -65,8 +65,7 @@ def value(finding: Finding, name: str) -> float:
 
 def test_coupled_wrist_and_load_friction_of_the_tx40() -> None:
     found = diagnosed(TX40, ["train.parquet"], most=2)
-    coupling = found.findings[0]
-    assert coupling.effect == "transmission_coupling"
+    (coupling,) = [f for f in found.findings if f.effect == "transmission_coupling"]
     assert (coupling.joint, coupling.settings["neighbour"]) in {("joint_5", 1.0), ("joint_6", -1.0)}
     assert coupling.settings["ratio"] == pytest.approx(1.0, abs=0.02)
     # published: 1.95 N m, 0.616 N m s/rad, 0.00964 kg m^2

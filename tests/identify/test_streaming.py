@@ -27,7 +27,9 @@ from seqid_cli.robot.types import Robot
 from tests.bench.arm import known_friction, write_arm, write_log
 
 SAMPLES = 12_000
-OPTIONS = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=12.0))
+OPTIONS = InertiaOptions(
+    source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=()
+)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +89,7 @@ def test_the_parameters_are_those_of_the_held_log(
 
 def test_every_sample_may_be_used(folder: Path, robot: Robot) -> None:
     motion = MotionOptions(cutoff_hz=12.0, samples_per_cutoff=np.inf)
-    options = InertiaOptions(source="encoder", motion=motion)
+    options = InertiaOptions(source="encoder", motion=motion, neighbours=())
     recording = read_recording(folder / "log.parquet", robot)
     expected = identify_inertia([recording], robot, known_friction(), options=options)
     log = surveyed(folder / "log.parquet", robot)

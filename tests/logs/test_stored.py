@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -75,6 +76,8 @@ def test_the_result_is_that_of_local_logs_under_other_names(
     assert all(name.startswith("memory://lab/robot=") for name in named)
     for stage in found:
         del stage["motion"], stage["motion_use"]
+        for key in ("notes", "verdicts"):  # they name the logs
+            stage[key] = re.sub(r"[^\s\"']+\.parquet", "", json.dumps(stage[key]))
     assert found[0] == found[1]
     file = api.inertia(
         store, RIG / "robot.toml", RIG / "golden.json", motion="encoder", output=tmp_path / "o"

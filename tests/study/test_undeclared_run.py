@@ -255,8 +255,8 @@ def test_refinement_is_compared_with_the_arm_without_the_effect(cache: Path) -> 
         earlier: object,
     ) -> tuple[Stages, ClosedLoop]:
         assert {log.sha256 for log in file.inputs} == {r.sha256 for r in training}
-        tried = Round("spring", "elbow", False, 0.5, 0.0, (-0.1, 0.1))
-        return file.stages, ClosedLoop((tried,), {}, {}, {}, {}, ())
+        tried = Round("spring", "elbow", False, 0.0, (-0.1, 0.1))
+        return file.stages, ClosedLoop((tried,), {}, {}, {}, {}, {}, ())
 
     found = undeclared_refine.refine_case(case, cache, "now", idle)
     assert found.after == found.before

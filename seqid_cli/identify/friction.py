@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_summary import (
     DEFAULT_BETA,
-    Chosen,
     Fit,
     JointFit,
     summarise,
@@ -19,16 +19,10 @@ from seqid_cli.identify.friction_summary import (
 from seqid_cli.identify.gravity_of_trials import GravityFit, fit_gravity
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.ramps import without_acceleration
-from seqid_cli.identify.surface_fit import (
-    Orders,
-    Reduced,
-    SpeedData,
-    choose_orders,
-    fit_surface,
-    information,
-    left_out_errors,
-    reduce_speed,
-)
+from seqid_cli.identify.surface_data import Orders, SpeedData, edges_of, reduce_trials
+from seqid_cli.identify.surface_errors import joined, left_out_errors
+from seqid_cli.identify.surface_fit import SurfaceFit, choose_orders, fit_surfaces
+from seqid_cli.identify.surface_weights import around_medians, weighted
 from seqid_cli.identify.trials import (
     Trial,
     by_joint,
@@ -52,8 +46,8 @@ class UnpairedError(QualityError):
 
 
 WIDE_RANGE = 4.0  # fastest over slowest speed from which a logarithmic scale is tried
+ROUNDS = 2  # of a first look at which slices belong
 NARROW_SIGN = 25.0  # the sign is all there at a fifth of the slowest speed
-BLOCK = 8  # neighbouring slices whose errors may share a cause
 
 
 def identify_friction(
@@ -133,53 +127,56 @@ def _fit(
             where=f"joint {robot.joints[j].name}",
         )
     data = friction_data(gravity)
-    scaling = _scaling(data)
     _check_orders(robot, j, data, options.velocity_order)
-    chosen = _choose(data, scaling, options)
-    if scaling.speed[0] * WIDE_RANGE < scaling.speed[1]:
-        logarithmic = _choose(data, replace(scaling, logarithmic=True), options)
-        if logarithmic[2].held_out_rmse < 0.97 * chosen[2].held_out_rmse:
-            chosen = logarithmic
-    data = weighted_by_level(data, chosen)
-    chosen = _choose(data, chosen[0], options, thorough=thorough)
-    surface = _surface(data, *chosen, directional=gravity.directional)
-    return Fit(gravity, data, surface, chosen)
+    sides = (1, -1) if gravity.directional else (0,)
+    sets = [[item for item in data if side in (0, item.direction)] for side in sides]
+    asked = {"position": options.position_order, "velocity": options.velocity_order}
+    scalings = _scalings(data) if thorough else _scalings(data)[:1]
+    parts = _fitted(sets, scalings, **asked)
+    fits = [fit for _, fit in parts]
+
+    def accept(chosen: Orders) -> bool:
+        errors = joined([left_out_errors(own, fit, chosen) for own, fit in parts])
+        return errors.meets(options.beta or DEFAULT_BETA)
+
+    chosen = choose_orders(fits, **asked, accept=accept if options.beta else None)
+    surface = _surface(fits, chosen, directional=gravity.directional)
+    return Fit(gravity, parts, chosen, surface)
 
 
-def weighted_by_level(data: list[SpeedData], chosen: Chosen) -> list[SpeedData]:
-    """Weight each speed by the inverse variance of what the fit leaves at it."""
-    _, reduced, orders = chosen
-    D = fit_surface(reduced, orders.position, orders.velocity, orders.smoothing)
-    left = dict.fromkeys({item.u for item in reduced}, 0.0)
-    total = dict(left)
-    for item in reduced:
-        left[item.u] += item.misfit(D)
-        total[item.u] += item.total
-    variance = {u: left[u] / total[u] for u in left}
-    typical = float(np.median(list(variance.values())))
+def _fitted(
+    sets: list[list[SpeedData]],
+    scalings: list[Scaling],
+    *,
+    position: int | None,
+    velocity: int | None,
+) -> list[tuple[list[SpeedData], SurfaceFit]]:
+    """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
+    distances = [around_medians(own) for own in sets]
+    for last in (*[False] * ROUNDS, True):
+        data = [weighted(own, off) for own, off in zip(sets, distances, strict=True)]
+        tried = [
+            fit_surfaces(
+                [reduce_trials(own, scaling) for own in data], position=position, velocity=velocity
+            )
+            for scaling in (scalings if last else scalings[:1])
+        ]
+        fits = max(tried, key=lambda each: each[1])[0]
+        distances = [fit.distances(own) for own, fit in zip(sets, fits, strict=True)]
+    return list(zip(data, fits, strict=True))
+
+
+def _scalings(data: list[SpeedData]) -> list[Scaling]:
+    """Bases that may suit: speeds or their logarithms, positions of one range or of every turn."""
+    low = min(float(item.q.min()) for item in data)
+    high = max(float(item.q.max()) for item in data)
+    speeds = [item.speed for item in data]
+    slow, fast = min(speeds), max(speeds)
     return [
-        replace(item, weight=item.weight * typical / max(variance[step1.u], 0.1 * typical))
-        for item, step1 in zip(data, reduced, strict=True)
+        Scaling((low, high), (slow, fast), logarithmic, periodic)
+        for periodic in ((False, True) if high - low > 2.0 * np.pi else (False,))
+        for logarithmic in ((False, True) if slow * WIDE_RANGE < fast else (False,))
     ]
-
-
-def _choose(
-    data: list[SpeedData], scaling: Scaling, options: FrictionOptions, *, thorough: bool = False
-) -> Chosen:
-    """Reduce the data on one scale and choose the orders by speeds left out (Eq. 8, 10, 11)."""
-    reduced = [reduce_speed(item, scaling) for item in data]
-
-    def accept(orders: Orders) -> bool:
-        return left_out_errors(data, reduced, orders).meets(options.beta or DEFAULT_BETA)
-
-    orders = choose_orders(
-        reduced,
-        position=options.position_order,
-        velocity=options.velocity_order,
-        accept=accept if options.beta else None,
-        thorough=thorough,
-    )
-    return scaling, reduced, orders
 
 
 def friction_data(gravity: GravityFit) -> list[SpeedData]:
@@ -190,7 +187,8 @@ def friction_data(gravity: GravityFit) -> list[SpeedData]:
             direction = 1 if trial.velocity > 0 else -1
             friction = direction * (trial.tau - group.torque(trial.q))
             weight = np.full(len(trial.q), trial.weight)
-            result.append(SpeedData(trial.speed, direction, trial.q, friction, weight))
+            edges = edges_of(trial.t, trial.seconds)
+            result.append(SpeedData(trial.speed, direction, trial.q, friction, weight, edges))
     return _on_levels(result)
 
 
@@ -200,13 +198,6 @@ def _on_levels(data: list[SpeedData]) -> list[SpeedData]:
         speed = float(np.mean([item.speed for item in level]))
         result += [replace(item, speed=speed) for item in level]
     return result
-
-
-def _scaling(data: list[SpeedData]) -> Scaling:
-    low = min(float(item.q.min()) for item in data)
-    high = max(float(item.q.max()) for item in data)
-    speeds = [item.speed for item in data]
-    return Scaling((low, high), (min(speeds), max(speeds)))
 
 
 def _check_orders(robot: Robot, j: int, data: list[SpeedData], velocity: int | None) -> None:
@@ -220,52 +211,11 @@ def _check_orders(robot: Robot, j: int, data: list[SpeedData], velocity: int | N
         )
 
 
-def _surface(
-    data: list[SpeedData],
-    scaling: Scaling,
-    reduced: list[Reduced],
-    orders: Orders,
-    *,
-    directional: bool,
-) -> FrictionSurface:
-    """Fit both directions together (Eq. 15's assumption) or each by itself."""
-    sides = (1, -1) if directional else (0,)
-    D, covariance = [], []
-    for side in sides:
-        chosen = [i for i, item in enumerate(data) if side in (0, item.direction)]
-        own = [reduced[i] for i in chosen]
-        D.append(fit_surface(own, orders.position, orders.velocity, orders.smoothing))
-        own_data = [data[i] for i in chosen]
-        covariance.append(_covariance(own_data, own, scaling, D[-1], orders.smoothing))
-    size = covariance[0].shape[0]
-    joined = np.zeros((len(sides) * size, len(sides) * size))
-    for k, block in enumerate(covariance):
-        joined[k * size : (k + 1) * size, k * size : (k + 1) * size] = block
-    width = scaling.speed[0] / NARROW_SIGN
-    return FrictionSurface(scaling, width, D[0], D[-1], joined, directional)
-
-
-def _covariance(
-    data: list[SpeedData], reduced: list[Reduced], scaling: Scaling, D: Array, smoothing: float
-) -> Array:
-    """Covariance of D's entries, robust against errors shared by neighbouring slices."""
-    m, l = D.shape[0] - 1, D.shape[1] - 1
-    normal = information(reduced, m, l, smoothing)
-    bread = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
-    meat = np.zeros_like(bread)
-    blocks = 0
-    for item in data:
-        A = _basis(item, scaling, m, l)
-        scores = A * ((item.friction - A @ D.ravel()) * item.weight)[:, None]
-        edges = np.arange(0, len(item.q), BLOCK)
-        summed = np.add.reduceat(scores, edges, axis=0)
-        meat += summed.T @ summed
-        blocks += len(edges)
-    # Few blocks per coefficient make the sandwich too small; the usual degrees-of-freedom factor.
-    meat *= blocks / max(blocks - D.size, 1)
-    covariance: Array = bread @ meat @ bread
-    return covariance
-
-
-def _basis(item: SpeedData, scaling: Scaling, m: int, l: int) -> Array:
-    return scaling.basis(item.q, np.full(len(item.q), item.speed), m, l)
+def _surface(fits: list[SurfaceFit], orders: Orders, *, directional: bool) -> FrictionSurface:
+    """One surface for both directions together (Eq. 15's assumption) or one for each."""
+    D = [fit.entries(orders) for fit in fits]
+    scaling = fits[0].reduced.scaling
+    covariance = block_diag(*(fit.covariance(orders) for fit in fits))
+    return FrictionSurface(
+        scaling, scaling.speed[0] / NARROW_SIGN, D[0], D[-1], covariance, directional
+    )

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.gravity_of_trials import GravityFit
 from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.identify.surface_fit import Orders, Reduced, SpeedData, left_out_errors
+from seqid_cli.identify.surface_data import Orders, SpeedData
+from seqid_cli.identify.surface_errors import (
+    NEAR_ZERO,
+    Errors,
+    fitted_errors,
+    joined,
+    left_out_errors,
+)
+from seqid_cli.identify.surface_fit import SurfaceFit
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionJoint, GravityOfTrial, SpeedLevel, Verdict
@@ -17,11 +25,10 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
-Chosen = tuple[Scaling, list[Reduced], Orders]
 
 DEFAULT_BETA = 0.05
 FEWEST_SPEEDS = 4
-POOR_HELD_OUT = 0.15  # left-out error over friction beyond which the surface is not to be trusted
+POOR_DOUBT = 0.15  # of the friction at a speed, beyond which the surface is not to be trusted
 
 
 @dataclass(frozen=True)
@@ -29,9 +36,14 @@ class Fit:
     """One joint's friction data, freed of gravity, and the surface fitted to them."""
 
     gravity: GravityFit
-    data: list[SpeedData]
+    parts: list[tuple[list[SpeedData], SurfaceFit]]  # of both directions, or of each
+    orders: Orders
     surface: FrictionSurface
-    chosen: Chosen
+
+    @property
+    def data(self) -> list[SpeedData]:
+        """Of both directions."""
+        return [item for own, _ in self.parts for item in own]
 
 
 @dataclass(frozen=True)
@@ -45,22 +57,22 @@ class JointFit:
 
 def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions) -> JointFit:
     """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
-    data, surface, gravity = fit.data, fit.surface, fit.gravity
-    _, reduced, orders = fit.chosen
-    errors = left_out_errors(data, reduced, orders)
+    surface, gravity = fit.surface, fit.gravity
+    fitted = joined([fitted_errors(*part, fit.orders) for part in fit.parts])
+    unseen = joined([left_out_errors(*part, fit.orders) for part in fit.parts])
     beta = options.beta or DEFAULT_BETA
-    rms = float(np.sqrt(np.mean(np.concatenate([item.friction for item in data]) ** 2)))
-    levels = _levels(data, surface)
+    levels = _levels(fit, fitted, unseen)
     joint = FrictionJoint(
-        position_order=orders.position,
-        velocity_order=orders.velocity,
-        max_error=errors.relative,
-        max_abs_error=errors.absolute,
-        rmse=float(np.sqrt(np.mean([level.rmse**2 for level in levels]))),
-        held_out_rmse=errors.rmse if len(levels) >= FEWEST_SPEEDS else None,
+        position_order=fit.orders.position,
+        velocity_order=fit.orders.velocity,
+        max_error=unseen.relative,
+        max_abs_error=unseen.largest,
+        rmse=fitted.rms,
+        held_out_rmse=unseen.rms if len(levels) >= FEWEST_SPEEDS else None,
         beta=beta,
-        criterion_met=errors.meets(beta),
+        criterion_met=unseen.meets(beta),
         position_range=list(surface.scaling.position),
+        position_basis="fourier" if surface.scaling.periodic else "chebyshev",
         speed_range=list(surface.scaling.speed),
         speed_scale="log" if surface.scaling.logarithmic else "linear",
         sign_width=surface.sign_width,
@@ -82,48 +94,69 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
     )
     name = robot.joints[j].name
     notes = _notes(name, joint, gravity.asymmetry, unpaired)
-    return JointFit(joint, _verdict(name, joint, rms), notes)
+    return JointFit(joint, _verdict(name, joint, unseen, surface.scaling), notes)
 
 
-def _levels(data: list[SpeedData], surface: FrictionSurface) -> list[SpeedLevel]:
+def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
+    data = fit.data
+    speeds = sorted({item.speed for item in data})
+    scaled = fit.surface.scaling.u(np.array(speeds))
     result = []
-    for speed in sorted({item.speed for item in data}):
+    for speed, u in zip(speeds, scaled, strict=True):
         own = [item for item in data if item.speed == speed]
-        squares = [
-            (item.friction - item.direction * surface.torque(item.q, _velocity(item))) ** 2
-            for item in own
-        ]
+        inner = len(speeds) >= FEWEST_SPEEDS and speeds[0] < speed < speeds[-1]
         result.append(
             SpeedLevel(
                 speed=speed,
                 forward=sum(item.direction > 0 for item in own),
                 backward=sum(item.direction < 0 for item in own),
-                rmse=float(np.sqrt(np.mean(np.concatenate(squares)))),
+                friction=float(np.sqrt(np.mean(fitted.at(u).friction ** 2))),
+                std_error=_std_error(fit.surface, own),
+                rmse=fitted.at(u).rms,
+                left_out=unseen.at(u).rms if inner else None,
             )
         )
     return result
 
 
-def _velocity(item: SpeedData) -> Array:
-    return np.full(len(item.q), item.direction * item.speed)
+def _std_error(surface: FrictionSurface, own: list[SpeedData]) -> float:
+    """RMS standard error of the surface over the slices of one speed, N m."""
+    errors = [
+        surface.std_error(item.q, np.full(len(item.q), item.direction * item.speed)) for item in own
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
-def _verdict(name: str, joint: FrictionJoint, friction_rms: float) -> Verdict:
-    """Good, or poor and why."""
+def _verdict(name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling) -> Verdict:
+    """Good, or poor and why: the speed at which the surface is worst decides."""
     if joint.held_out_rmse is None:
         reason = (
             f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"
         )
         return Verdict(joint=name, good=False, reason=reason)
-    share = joint.held_out_rmse / max(friction_rms, 1e-12)
-    if share > POOR_HELD_OUT:
+    usual = float(np.sqrt(np.mean([level.friction**2 for level in joint.speeds])))
+    u = scaling.u(np.array([level.speed for level in joint.speeds]))
+    doubts = [
+        float(np.hypot(_rms(unseen.at(at).missed), level.std_error))
+        / max(level.friction, NEAR_ZERO * usual, 1e-12)
+        for at, level in zip(u, joint.speeds, strict=True)
+    ]
+    worst = int(np.argmax(doubts))
+    unit = "m/s" if joint.unit == "N" else "rad/s"
+    at = f"{percent(doubts[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
+    if doubts[worst] > POOR_DOUBT:
         reason = (
-            f"speeds left out are missed by {percent(share, 0)} of the friction; "
-            "record more speeds, or look at what else moves the torque (seqid diagnose)"
+            f"friction is known to {at} only; record more or longer trials there, or look at what "
+            "else moves the torque (seqid diagnose)"
         )
         return Verdict(joint=name, good=False, reason=reason)
-    reason = f"speeds left out are predicted to {percent(share)} of the friction"
+    overall = percent(joint.held_out_rmse / max(usual, 1e-12))
+    reason = f"speeds left out are predicted to {overall} of the friction; known to {at} or better"
     return Verdict(joint=name, good=True, reason=reason)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> list[str]:

@@ -206,7 +206,7 @@ class SimultaneousEquations:
         return FrictionJoint(
             position_order=0,
             velocity_order=1,
-            max_error=0.0,
+            max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
             rmse=sigma,
             position_range=[float(x) for x in self.position[j]],
             speed_range=[0.0, fast],

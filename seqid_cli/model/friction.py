@@ -67,7 +67,12 @@ class FrictionSurface:
         low, high = joint.position_range
         slow, fast = joint.speed_range
         return cls(
-            scaling=Scaling((low, high), (slow, fast), joint.speed_scale == "log"),
+            scaling=Scaling(
+                (low, high),
+                (slow, fast),
+                logarithmic=joint.speed_scale == "log",
+                periodic=joint.position_basis == "fourier",
+            ),
             sign_width=joint.sign_width,
             positive=np.array(joint.positive),
             negative=np.array(joint.negative),

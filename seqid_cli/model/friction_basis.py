@@ -44,6 +44,9 @@ class PositionBasis(Protocol):
     def size(self, order: int) -> int:
         """Return the number of functions."""
 
+    def order(self, size: int) -> int:
+        """Return the order of so many functions."""
+
     def values(self, q: Array, order: int) -> Array:
         """Return the functions (N, size) at positions q (N,), continued beyond the range."""
 
@@ -76,6 +79,10 @@ class Polynomial:
     def size(self, order: int) -> int:
         """Return the number of polynomials."""
         return order + 1
+
+    def order(self, size: int) -> int:
+        """Return the highest degree."""
+        return size - 1
 
     def values(self, q: Array, order: int) -> Array:
         """Return T_0 ... T_order (N, order + 1); beyond the range they fade to their means."""
@@ -131,6 +138,10 @@ class Fourier:
     def size(self, order: int) -> int:
         """Return the number of functions: the mean and two per harmonic."""
         return 2 * order + 1
+
+    def order(self, size: int) -> int:
+        """Return the highest harmonic."""
+        return size // 2
 
     def values(self, q: Array, order: int) -> Array:
         """Return the functions (N, 2 order + 1) at any position."""

@@ -54,7 +54,11 @@ def _problems(file: ParameterFile) -> Iterable[_Problem]:
 
 
 def _friction(key: str, joint: FrictionJoint) -> Iterable[_Problem]:
-    rows, columns = joint.position_order + 1, joint.velocity_order + 1
+    bases = {"chebyshev": joint.position_order + 1, "fourier": 2 * joint.position_order + 1}
+    if joint.position_basis not in bases:
+        yield f"{key}.position_basis", f"is {joint.position_basis!r}, none of {', '.join(bases)}"
+        return
+    rows, columns = bases[joint.position_basis], joint.velocity_order + 1
     for name, surface in (("positive", joint.positive), ("negative", joint.negative)):
         if not _has_shape(surface, rows, columns):
             yield f"{key}.{name}", f"must have {rows} rows of {columns} coefficients"

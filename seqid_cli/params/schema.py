@@ -67,12 +67,20 @@ class Parameter(Struct, kw_only=True):
 
 
 class SpeedLevel(Struct, kw_only=True):
-    """Constant-velocity data of one joint at one speed (rad/s)."""
+    """Constant-velocity data of one joint at one speed (rad/s).
+
+    `friction` is its RMS there, `std_error` that of the surface, `rmse` and `left_out` its error
+    with this speed and without, N m, of averages over a quarter of a trial. The slowest and the
+    fastest speed are never left out.
+    """
 
     speed: float
     forward: int
     backward: int
     rmse: float
+    friction: float = 0.0
+    std_error: float = 0.0
+    left_out: float | None = None
 
 
 class GravityOfTrial(Struct, kw_only=True):
@@ -88,9 +96,15 @@ class FrictionJoint(Struct, kw_only=True):
 
     tau_f = s(v) sum_jr d[j][r] T_j(x) T_r(u): T Chebyshev polynomials, x the position scaled from
     `position_range` and u the speed |v| scaled from `speed_range` to [-1, 1];
-    s(v) = tanh(v / sign_width). `negative` differs from `positive` where friction depends on
-    direction. Beyond the fastest speed friction goes on as Coulomb and viscous friction, below the
-    slowest it holds; beyond the positions it fades to its mean over them.
+    s(v) = tanh(v / sign_width). With the `position_basis` "fourier" 1, cos q, sin q, cos 2q, ...
+    stand for T_j(x), two to an order: 2 position_order + 1 rows. `negative` differs from
+    `positive` where friction depends on direction. Beyond the fastest speed friction goes on as
+    Coulomb and viscous friction, below the slowest it holds; beyond the positions it fades to its
+    mean over them.
+
+    `rmse` is that of the surface's averages over a quarter of a trial. `held_out_rmse`,
+    `max_abs_error` (N m) and `max_error` (of the friction) are of the same averages at speeds that
+    were left out, and of the surface itself at the slowest and the fastest.
     """
 
     position_order: int
@@ -98,6 +112,7 @@ class FrictionJoint(Struct, kw_only=True):
     max_error: float
     rmse: float
     position_range: list[float]
+    position_basis: str = "chebyshev"  # or "fourier", for joints that turn more than once
     speed_range: list[float]
     speed_scale: str = "linear"  # what u is scaled from: |v| ("linear") or its logarithm ("log")
     sign_width: float

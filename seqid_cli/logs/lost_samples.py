@@ -23,6 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.logs.bridging import Losses, cubic, with_losses
+from seqid_cli.logs.more_losses import below_counts, joined, recurring
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import gaussian_spread
 
@@ -41,18 +43,6 @@ HELD_LEAST = 2  # increments of nothing before a joint catches up
 SMALLEST = 1e-3  # of the increments, that are below a count or make one
 MOST = 20_000  # increments that tell their smallest
 LONGEST_S = 1.0  # that can be lost at once: behind that, motion before says nothing
-
-
-@dataclass(frozen=True)
-class Losses:
-    """Time `seconds` (K,) that is lost behind the samples `rows` (K,), in their order."""
-
-    rows: Rows
-    seconds: Array
-
-    def __len__(self) -> int:
-        """Count the places."""
-        return len(self.rows)
 
 
 @dataclass(frozen=True)
@@ -108,7 +98,7 @@ def mended(joints: Stream) -> Mended:
     if len(t) < 4 * AROUND or not np.isfinite(q).all():
         return as_it_is
     steps = _sudden(np.diff(q, axis=0))
-    if not 0 < len(steps) <= MANY * len(t):
+    if len(steps) > MANY * len(t):
         return as_it_is
     filled = _held(t, q, steps)
     if filled.any():
@@ -116,7 +106,7 @@ def mended(joints: Stream) -> Mended:
         steps = _sudden(np.diff(q, axis=0))
         made = np.flatnonzero(filled.any(axis=1))
         steps = steps[~(np.isin(steps, made) | np.isin(steps + 1, made))]
-    losses = _losses(t, q, dq, steps)
+    losses = _all_losses(t, q, dq, steps)
     if not len(losses) and not filled.any():
         return as_it_is
     channels = {**joints.channels, "position": q}
@@ -218,7 +208,7 @@ def _over(t: Array, values: Array, missing: Mask) -> Array:
     edges = np.flatnonzero(np.diff(missing.astype(np.int8)))
     for a, b in zip(edges[::2], edges[1::2] + 1, strict=True):  # the last before, the first behind
         slope = [_slope(t, values, slice(max(0, a - 3), a + 1)), _slope(t, values, slice(b, b + 4))]
-        result[a + 1 : b] = _cubic(t[a + 1 : b], t[[a, b]], values[[a, b]], np.array(slope))
+        result[a + 1 : b] = cubic(t[a + 1 : b], t[[a, b]], values[[a, b]], np.array(slope))
     return result
 
 
@@ -228,24 +218,22 @@ def _slope(t: Array, values: Array, rows: slice) -> float:
     return float(x @ y / (x @ x)) if len(x) > 1 else 0.0
 
 
-def _end_slopes(x: Array, values: Array, rows: slice, at: float) -> Array:
-    """Slopes (n,) of parabolas through some rows, at a moment."""
-    c = np.polynomial.polynomial.polyfit(x[rows] - at, values[rows], 2)
-    return np.asarray(c[1])
-
-
-def _cubic(at: Array, t: Array, values: Array, slopes: Array) -> Array:
-    """Hermite's cubic (..., n) at moments, from two moments (2,), values and slopes (2, ...)."""
-    h = t[1] - t[0]
-    s = ((at - t[0]) / h).reshape(-1, *([1] * (values.ndim - 1)))
-    left = (1 + 2 * s) * (1 - s) ** 2 * values[0] + s * (1 - s) ** 2 * h * slopes[0]
-    right = s**2 * (3 - 2 * s) * values[1] + s**2 * (s - 1) * h * slopes[1]
-    return np.asarray(left + right)
+def _all_losses(t: Array, q: Array, dq: Array | None, steps: Rows) -> Losses:
+    """Losses that increments show, and those that they do not show by themselves."""
+    losses = _losses(t, q, dq, steps)
+    count = _count(np.abs(np.diff(q, axis=0)))
+    if dq is not None:
+        losses = joined(losses, below_counts(t, q, dq, count, losses))
+        noise = _noise(t, np.diff(q, axis=0), dq)
+        losses = joined(losses, recurring(t, q, 0.5 * (dq[1:] + dq[:-1]), noise, losses))
+    return losses
 
 
 def _losses(t: Array, q: Array, dq: Array | None, steps: Rows) -> Losses:
     """Time that is lost, by all joints together."""
     steps = steps[(steps >= 2) & (steps < len(t) - 3)]
+    if not len(steps):
+        return Losses(np.zeros(0, np.intp), np.zeros(0))
     dt, d = np.diff(t), np.diff(q, axis=0)
     usual = float(np.median(dt))
     (before, one), (behind, other) = (_slopes(t, q, steps, side) for side in (-1, 1))
@@ -341,55 +329,3 @@ def _net(d: Array, t: Array, v: Array, weight: Array, steps: Rows, lost: Array) 
         late = np.where((np.abs(late) > 0.6 * usual) | (near == i), late, 0.0)
         net[k] = late.sum()
     return net
-
-
-def with_losses(stream: Stream, losses: Losses, bridged: Mask) -> tuple[Stream, Mask]:
-    """Move the stamps behind losses and fill the holes.
-
-    Parameters
-    ----------
-    stream : Stream
-        Also one of another quantity with the same stamps.
-    losses : Losses
-    bridged : (M,) bool array
-        Samples that were not measured anyway.
-
-    Returns
-    -------
-    tuple of Stream and (M',) bool array
-        The stream with the samples that fill holes, and which samples were not measured.
-    """
-    if not len(losses):
-        return stream, bridged
-    shift = np.zeros(len(stream), np.int64)
-    shift[losses.rows + 1] = np.rint(losses.seconds * 1e9).astype(np.int64)
-    stamps = stream.stamp_ns + np.cumsum(shift)
-    usual = float(np.median(np.diff(stream.stamp_ns)))
-    pieces, parts = [stamps], [dict(stream.channels)]
-    for row in losses.rows:
-        width = stamps[row + 1] - stamps[row]
-        count = max(1, round(float(width) / usual)) - 1
-        at = stamps[row] + (np.arange(1, count + 1) * (width / (count + 1))).astype(np.int64)
-        pieces.append(at)
-        parts.append({n: _filled(n, own, stamps, row, at) for n, own in stream.channels.items()})
-    joined = np.concatenate(pieces)
-    order = np.argsort(joined, kind="stable")
-    channels = {n: np.concatenate([part[n] for part in parts])[order] for n in stream.channels}
-    made = np.ones(len(joined), np.bool_)
-    made[: len(stream)] = bridged
-    return replace(stream, stamp_ns=joined[order], channels=channels), made[order]
-
-
-def _filled(name: str, values: Array, stamps: Stamps, row: int, at: Stamps) -> Array:
-    """Values (K, w) of one channel in the hole behind a sample."""
-    x = (stamps - stamps[row]).astype(np.float64) * 1e-9
-    seconds = (at - stamps[row]) * 1e-9
-    reach = len(at) + 2 if name != "position" else 2 * AROUND
-    low, high = max(0, row + 1 - reach), min(len(x), row + 1 + reach)
-    if name == "position":
-        sides = (slice(low, row + 1), slice(row + 1, high))
-        ends = x[[row, row + 1]]
-        slopes = [_end_slopes(x, values, *side) for side in zip(sides, ends, strict=True)]
-        return _cubic(seconds, ends, values[[row, row + 1]], np.array(slopes))
-    line = np.polynomial.polynomial.polyfit(x[low:high], values[low:high], 1)
-    return np.asarray(line[0] + seconds[:, None] * line[1])

@@ -11,8 +11,9 @@ import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs import bags, csv_file, echo, health, mcap, parquet
+from seqid_cli.logs.bridging import with_losses
 from seqid_cli.logs.clocks import Tidy, tidy
-from seqid_cli.logs.lost_samples import Mended, mended, with_losses
+from seqid_cli.logs.lost_samples import Mended, mended
 from seqid_cli.logs.open import check_log, storage_file
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
 from seqid_cli.logs.recording import Health, Recording

@@ -101,11 +101,11 @@ def test_drops_with_even_stamps_are_found_and_bridged(
 
 
 @pytest.mark.parametrize("rate_hz", RATES)
-@pytest.mark.parametrize("kind", ["sound", "coarse", "quantised", "differentiated", "none"])
+@pytest.mark.parametrize("kind", ["sound", "coarse", "quantised", "differentiated", "none", "few"])
 def test_sound_logs_are_left_alone(rate_hz: float, kind: str) -> None:
     for seed in range(12):
         for n in (1, 3):
-            log = arm(seed, rate_hz, n, count=2e-3 if kind == "coarse" else 2e-5)
+            log = arm(seed, rate_hz, n, count={"coarse": 2e-3, "few": 1.6e-2}.get(kind, 2e-5))
             if kind == "quantised":
                 log = replace(log, dq=0.02 * np.round(log.dq / 0.02))
             if kind == "differentiated":
@@ -114,6 +114,39 @@ def test_sound_logs_are_left_alone(rate_hz: float, kind: str) -> None:
             found = mended(stream)
             assert found.stream is stream
             assert not found.bridged.any()
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
+def test_losses_of_a_count_are_found_by_the_velocity(rate_hz: float) -> None:
+    """An encoder of 400 counts: a joint loses about one of them."""
+    full = arm(0, rate_hz, 1, count=2.0 * np.pi / 400)
+    gap = round(0.03 * rate_hz)
+    kept = np.arange(len(full.t)) % round(rate_hz) >= gap
+    left = full.rows(kept)
+    found = mended(left.stream(full.t[: len(left.t)])).losses
+    places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
+    sped = places[np.abs(left.dq[places, 0]) > 0.9]
+    near = np.abs(found.rows[:, None] - places).min(axis=1)
+    assert (near < 0.02 * rate_hz).all()  # a loss is somewhere within a count
+    assert len(sped) == 5
+    assert (np.abs(found.rows - sped[:, None]).min(axis=1) < 0.02 * rate_hz).all()
+    assert np.median(found.seconds) == pytest.approx(0.03, rel=0.2)
+    assert not len(mended(left.stream(full.t[: len(left.t)], velocity=False)).losses)
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
+def test_losses_that_recur_are_found_where_the_joint_turns_back(rate_hz: float) -> None:
+    for seed in SEEDS:
+        full = arm(seed, rate_hz, 1)
+        gap = round(0.04 * rate_hz)
+        kept = np.arange(len(full.t)) % (round(0.1 * rate_hz) + gap) >= gap
+        left = full.rows(kept)
+        found = mended(left.stream(full.t[: len(left.t)])).losses
+        places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
+        shown = places[np.abs(left.dq[places, 0]) > 0.02]  # 40 counts
+        assert set(found.rows) <= set(places)
+        assert np.mean(np.isin(shown, found.rows)) > 0.97
+        assert np.isin(places, found.rows).mean() > 0.9
 
 
 @pytest.mark.parametrize("rate_hz", RATES)

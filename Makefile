@@ -68,6 +68,10 @@ study-effects: $(DEV) ## how well undeclared effects are found, into docs/effect
 study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/coverage.md (hours)
 	$(BIN)/python -m tests.study --only coverage --processes $(WORKERS)
 
+.PHONY: study-planted
+study-planted: $(DEV) ## which stage says which planted fault, into docs/planted_faults.md (an hour)
+	$(BIN)/python -m tests.study --only planted
+
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
 	$(BIN)/python -m tests.bench

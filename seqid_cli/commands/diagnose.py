@@ -23,7 +23,7 @@ from seqid_cli.commands.options import (
 from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.show_diagnosis import show_diagnosis
 from seqid_cli.commands.show_motion import announced, show_motion
-from seqid_cli.commands.stages import tell_output
+from seqid_cli.commands.stages import tell_output, tell_remedies
 from seqid_cli.params.diagnosis_schema import (
     DIAGNOSIS_SCHEMA,
     Curve,
@@ -110,7 +110,8 @@ def run(
         gathered.recordings, job.robot, job.stages, options=options, aside=gathered.aside
     )
     uses = motion_uses(one_each(gathered), job.robot, job.stages.imu, options=options.motion)
-    found = replace(found, notes=(*gathered.notes(job.robot), *found.notes))
+    said = (*gathered.notes(job.robot), *found.notes)
+    found = replace(found, notes=(*said, *account.notes(said)))
     file = _document(job, account, found, uses)
     if job.output is not None:
         write_json_atomic(job.output, file, inputs=[*job.files, *job.parameters])
@@ -119,7 +120,9 @@ def run(
     show_motion(job.screen, file.motion)
     tell_output(job, "")
     _tell_next(job, file)
-    missing = file.verdict != "nothing_missing"
+    if file.verdicts:
+        tell_remedies(job.screen, account.findings)
+    missing = file.verdict != "nothing_missing" or bool(file.verdicts)
     return exit_code(untrusted=strict and missing, partial=account.partial)
 
 
@@ -137,6 +140,8 @@ def _tell_next(job: Job, file: DiagnosisFile) -> None:
 def _document(
     job: Job, account: Account, found: Diagnosis, motion: list[MotionUse]
 ) -> DiagnosisFile:
+    from seqid_cli.identify.judge import physics_verdicts
+
     return DiagnosisFile(
         schema=DIAGNOSIS_SCHEMA,
         created=now(),
@@ -158,6 +163,7 @@ def _document(
             for item in found.hidden
         ],
         motion=motion,
+        verdicts=[*physics_verdicts(job.stages, job.robot), *account.verdicts()],
         notes=list(found.notes),
     )
 

@@ -23,10 +23,10 @@ MOST_OF_TRIALS = 8_000_000
 
 @dataclass(frozen=True)
 class Earlier:
-    """Logs, or pieces of them, by stage; what was lost of some, and what is to be said of them."""
+    """Logs, or pieces of them, by stage; what was read, and what is to be said of it."""
 
     by_stage: Mapping[str, Sequence[Recording]]
-    partial: Sequence[str] = ()
+    accounts: Sequence[Account] = ()
     notes: Sequence[str] = ()
 
 
@@ -76,7 +76,7 @@ def read_earlier(
         ]
         for stage, logs in found.by_stage.items()
     }
-    return Earlier(by_stage, [*accounts[0].partial, *accounts[1].partial], notes)
+    return Earlier(by_stage, accounts, notes)
 
 
 def _some(

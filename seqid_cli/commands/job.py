@@ -17,7 +17,7 @@ from seqid_cli.logs.stored import StoredLog
 from seqid_cli.params.document import join, present
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import check_robot, read_parameters
-from seqid_cli.params.schema import InputLog, ParameterFile, Stages
+from seqid_cli.params.schema import InputLog, ParameterFile, Stages, Verdict
 from seqid_cli.robot.file import load_robot
 from seqid_cli.scale.options import Workers
 
@@ -149,7 +149,6 @@ class Account:
         self._logs: list[tuple[str, str, int]] = []
         self.partial: list[str] = []
         self.left_out = list(job.missing)
-        self._mended: list[str] = []
         self.before: Callable[[Recording], None] | None = None
 
     def __iter__(self) -> Iterator[Recording]:
@@ -219,23 +218,25 @@ class Account:
         path, screen = str(note.path), self._job.screen
         self._logs.append((path, note.sha256, note.samples))
         screen.detail(f"{path}: {note.samples} samples at {note.rate_hz:.6g} Hz")
-        for warning in note.warnings:
-            screen.warn(f"{path}: {warning}")
         self._found(note)
-        self._mended += [f"{path}: {text}" for text in note.mended]
+        known = {finding.message for finding in note.findings}
+        for warning in note.warnings:
+            if warning not in known:
+                screen.warn(f"{path}: {warning}")
+        screen.knows(f"{path}: {text}" for text in note.mended)
         if note.partial:
             self.partial.append(f"{path}: {note.partial}")
             screen.warn(f"{path}: only partly read: {note.partial}")
         self._show_progress(note.path)
 
     def _found(self, note: LogNote) -> None:
-        """Take account of what is wrong with a log; what its reader warned of is said already."""
+        """Take account of what is wrong with a log, and say what cannot wait for the result."""
+        from seqid_cli.identify.log_verdicts import said
+
         for finding in note.findings:
             self.findings.append(finding)
-            if finding.message not in note.warnings and finding.severity == "error":
-                about = " ".join(part for part in (finding.joint, finding.channel) if part)
-                text = f"{about}: {finding.message}" if about else finding.message
-                self._job.screen.warn(f"{note.path}: [{finding.code}] {text}")
+            if finding.severity == "error" or finding.message in note.warnings:
+                self._job.screen.warn(said(finding))
 
     def failed(self, path: Path, error: Exception) -> None:
         """Take account of a log that was left out because the user wants to go on."""
@@ -253,9 +254,20 @@ class Account:
         """What was read in part or not at all."""
         return self.partial + self.left_out
 
-    def notes(self) -> list[str]:
-        """Return what the result must say of logs that were left out or put right."""
-        return [*(f"left out: {text}" for text in self.left_out), *self._mended]
+    def notes(self, known: Sequence[str] = ()) -> list[str]:
+        """Return what the result must say of its logs, but for what it says already (`known`)."""
+        from seqid_cli.identify.log_verdicts import notes_of_logs
+
+        return [
+            *(f"left out: {text}" for text in self.left_out),
+            *notes_of_logs(self.findings, known),
+        ]
+
+    def verdicts(self) -> list[Verdict]:
+        """Return a poor verdict for each error of the logs."""
+        from seqid_cli.identify.log_verdicts import verdicts_of_logs
+
+        return verdicts_of_logs(self.findings)
 
 
 def exit_code(*, untrusted: bool, partial: Sequence[str]) -> int:

@@ -139,8 +139,7 @@ def _predict(
     unexplained: bool,
 ) -> PredictionFile:
     from seqid_cli.commands.prediction_errors import ErrorSums
-    from seqid_cli.identify.judge import as_a_whole
-    from seqid_cli.identify.log_verdicts import verdicts_of_logs
+    from seqid_cli.identify.judge import as_a_whole, physics_verdicts
     from seqid_cli.identify.predict import predict
     from seqid_cli.identify.prediction import lacking
     from seqid_cli.model.effects.fitted import effect_notes
@@ -186,7 +185,8 @@ def _predict(
                     for name, error in joints.items()
                     if error.samples
                 ),
-                *verdicts_of_logs(account.findings),
+                *physics_verdicts(job.stages, job.robot),
+                *account.verdicts(),
             ]
         ),
         notes=[*told, *_notes(joints), *account.notes()],
@@ -270,7 +270,7 @@ def _show(screen: Screen, file: PredictionFile) -> None:
             screen.result(f"{name or 'prediction'}: {verdict_text(file.verdicts, name)}")
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     for note in notes:
-        screen.note(f"note: {note}")
+        screen.remark(note)
     show_motion(screen, [log.motion for log in file.logs if log.motion is not None])
     used = sorted({number(log.cutoff_hz) for log in file.logs})
     screen.note(f"cut-off: {', '.join(used)} Hz, {file.cutoff_origin} (--cutoff overrides)")

@@ -28,7 +28,7 @@ from seqid_cli.commands.options import (
 from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.show_motion import announced, show_motion
 from seqid_cli.commands.show_refinement import show_refinement
-from seqid_cli.commands.stages import tell_output
+from seqid_cli.commands.stages import tell_output, tell_remedies
 from seqid_cli.params.document import refined, robot_id
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
@@ -39,6 +39,7 @@ from seqid_cli.params.schema import (
     MotionUse,
     ParameterFile,
     RefinementRound,
+    Verdict,
 )
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def run(
         max_effects=rounds,
         with_unexplained=with_unexplained,
     )
-    file, partial = _refine(job, job.previous, held_out, options)
+    file, accounts = _refine(job, job.previous, held_out, options)
     assert file.closed_loop is not None
     if job.output is not None:
         inputs = [*job.files, *held_out, *job.parameters]
@@ -128,17 +129,21 @@ def run(
     show_motion(job.screen, file.closed_loop.motion)
     tell_output(job, _FOLLOWING)
     loop = file.closed_loop
+    if loop.verdicts:
+        tell_remedies(job.screen, [found for account in accounts for found in account.findings])
+    partial = [text for account in accounts for text in account.partial]
     untrusted = strict and (loop.verdict == "poor" or not loop.rounds)
     return exit_code(untrusted=untrusted, partial=partial)
 
 
 def _refine(
     job: Job, previous: ParameterFile, held_out: Sequence[Path], options: DiscoverOptions
-) -> tuple[ParameterFile, list[str]]:
+) -> tuple[ParameterFile, list[Account]]:
     from seqid_cli.discover.confirm import confirm
     from seqid_cli.discover.gather import one_each
     from seqid_cli.discover.heldout import WholeLogs
     from seqid_cli.discover.refine import refine
+    from seqid_cli.identify.judge import physics_verdicts
     from seqid_cli.identify.motion_use import motion_uses
 
     training = Account(job)
@@ -166,15 +171,22 @@ def _refine(
         *(f"held out: {note}" for note in unseen.notes(job.robot)),
         *found.notes,
         *earlier.notes,
+        *training.notes(),
+        *kept_out.notes(),
+    ]
+    verdicts = [
+        *physics_verdicts(job.stages, job.robot),
+        *training.verdicts(),
+        *kept_out.verdicts(),
     ]
     file = refined(
         previous,
         robot_id(job.robot),
         training.inputs("effects"),
         decided.stages,
-        closed_loop(loop, kept_out.inputs(), notes, uses),
+        closed_loop(loop, kept_out.inputs(), notes, uses, verdicts),
     )
-    return file, [*training.partial, *kept_out.partial, *earlier.partial]
+    return file, [training, kept_out, *earlier.accounts]
 
 
 def _gathered(account: Account, job: Job, options: DiscoverOptions) -> Gathered:
@@ -203,10 +215,11 @@ def closed_loop(
     held_out: list[InputLog],
     notes: Sequence[str],
     motion: list[MotionUse],
+    verdicts: list[Verdict],
 ) -> ClosedLoop:
     """What a refined file says of its refinement."""
     return ClosedLoop(
-        verdict="good" if loop.confirmed else "poor",
+        verdict="good" if loop.confirmed and not verdicts else "poor",
         rounds=[_round(tried) for tried in loop.rounds if tried.accepted],
         refused=[_round(tried) for tried in loop.rounds if not tried.accepted],
         before=_rmse(loop.before),
@@ -217,6 +230,7 @@ def closed_loop(
         evaluated_on=list(loop.evaluated_on),
         held_out=held_out,
         motion=motion,
+        verdicts=verdicts,
         notes=[*notes, *loop.notes],
     )
 

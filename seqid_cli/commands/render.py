@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import typer
 
@@ -28,6 +28,7 @@ class Screen:
     verbose: bool = False
     json: bool = False
     color: bool = False
+    said: set[str] = field(default_factory=set)  # of warnings and remarks, each once
 
     def table(self, columns: Row, rows: Sequence[Row]) -> None:
         """Print a result as a table."""
@@ -46,8 +47,20 @@ class Screen:
             sys.stdout.write(encode(document))
 
     def warn(self, message: str) -> None:
-        """Say what may be wrong."""
-        sys.stderr.write(f"seqid {self.command}: warning: {message}\n")
+        """Say what may be wrong, once."""
+        if message not in self.said:
+            self.said.add(message)
+            sys.stderr.write(f"seqid {self.command}: warning: {message}\n")
+
+    def knows(self, messages: Iterable[str]) -> None:
+        """Keep messages from being said: they were, in other words."""
+        self.said.update(messages)
+
+    def remark(self, message: str) -> None:
+        """Say what a result remarks, unless it was said before."""
+        if message not in self.said:
+            self.said.add(message)
+            self.note(f"note: {message}")
 
     def note(self, message: str) -> None:
         """Say what is good to know."""

@@ -30,6 +30,12 @@ def verdict_text(verdicts: Sequence[Verdict], joint: str) -> str:
     return "good" if mine else "-"
 
 
+def show_poor(screen: Screen, verdicts: Sequence[Verdict], whole: str) -> None:
+    """Print what is poor, of a document that has no line for every joint."""
+    for name in dict.fromkeys(verdict.joint for verdict in verdicts if not verdict.good):
+        screen.result(f"{name or whole}: {verdict_text(verdicts, name)}")
+
+
 def _friction(screen: Screen, stage: FrictionStage) -> None:
     columns = (
         "joint",
@@ -102,4 +108,4 @@ def _remarks(
         if name not in shown:
             screen.result(f"{name or stage}: {verdict_text(verdicts, name)}")
     for note in notes:
-        screen.note(f"note: {note}")
+        screen.remark(note)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.render import Screen, limits, number, percent
+from seqid_cli.commands.show import show_poor
 from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EventEntry,
@@ -22,13 +23,14 @@ _EVENTS_SHOWN = 10
 def show_diagnosis(screen: Screen, file: DiagnosisFile) -> None:
     """Print a diagnosis."""
     screen.result(verdict_sentence(file))
+    show_poor(screen, file.verdicts, "diagnosis")
     _findings(screen, file.findings)
     _unexplained(screen, file.unexplained)
     _joints(screen, file.joints)
     _events(screen, file.events)
     _hidden(screen, file.hidden)
     for note in file.notes:
-        screen.note(f"note: {note}")
+        screen.remark(note)
 
 
 def verdict_sentence(file: DiagnosisFile) -> str:

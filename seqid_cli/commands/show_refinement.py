@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from seqid_cli.commands.render import Screen, limits, number, percent
+from seqid_cli.commands.show import show_poor
 from seqid_cli.commands.show_diagnosis import effect_at, setting_units
 from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, RefinementRound
 
@@ -18,11 +19,12 @@ def show_refinement(screen: Screen, loop: ClosedLoop, effects: Sequence[EffectOf
     else:
         why = "no effect predicts left-out blocks better" if loop.refused else "nothing was found"
         screen.result(f"Nothing was added: {why}.")
+    show_poor(screen, loop.verdicts, "refinement")
     _rounds(screen, [*loop.rounds, *loop.refused])
     _errors(screen, loop)
     _effects(screen, effects)
     for note in loop.notes:
-        screen.note(f"note: {note}")
+        screen.remark(note)
 
 
 def _verdict(screen: Screen, loop: ClosedLoop) -> None:
@@ -31,7 +33,7 @@ def _verdict(screen: Screen, loop: ClosedLoop) -> None:
     if doubtful:
         named = ", ".join(effect_at(item.effect, item.joint) for item in doubtful)
         screen.warn(f"verdict poor: the held-out logs do not confirm {named}")
-    else:
+    elif not loop.verdicts:
         screen.result("Verdict good: the held-out logs confirm what was added.")
 
 

@@ -43,7 +43,7 @@ def run_stage(
     from seqid_cli.identify.judge import judged
 
     account = Account(job, imus=imus)
-    found = _with_notes(identify(account), account.notes())
+    found = _with_notes(identify(account), account)
     found = judged(found, job.previous, job.robot, account.findings)
     names = tuple(present(found))
     for name in stale_stages(job.previous, names):
@@ -68,11 +68,9 @@ def run_stage(
     return exit_code(untrusted=strict and poor, partial=account.incomplete)
 
 
-def _with_notes(found: Stages, notes: list[str]) -> Stages:
-    if not notes:
-        return found
+def _with_notes(found: Stages, account: Account) -> Stages:
     stages = {
-        name: replace(stage, notes=[*stage.notes, *notes])
+        name: replace(stage, notes=[*stage.notes, *account.notes(stage.notes)])
         for name in ("friction", "gravity", "imu", "inertia")
         if (stage := getattr(found, name)) is not None
     }

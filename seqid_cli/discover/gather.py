@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,10 +22,10 @@ from seqid_cli.discover.look_over import BLOCK_S, LookedOver, look_over
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.parts import Reducible, mapped
 from seqid_cli.identify.streaming import open_if_long
+from seqid_cli.inspect.screening import read_screened, sound
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.stored import StoredLog, local_copy
 from seqid_cli.motion.survey import SurveyedLog
@@ -115,8 +116,9 @@ def gather(
     if isinstance(recordings, Reducible) and sum(map(_likely, paths)) > most:
         looks = tuple(mapped(recordings, _LookOver(robot, stages, options)))
         if sum(_size(look.samples, look.rate_hz) for look in looks) <= most:
-            held = [read_recording(p, robot, time_source=time_source) for p in paths]
-            return Gathered(tuple(held))
+            imus = stages.imu is not None
+            again = (read_screened(p, robot, time_source=time_source, imus=imus) for p in paths)
+            return Gathered(tuple(each.recording for each in again))
         return _pieces(looks, paths, robot, most, time_source, aside=aside)
     held = list(recordings)
     if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
@@ -206,7 +208,15 @@ def _read(
         return cut(log, ranges)
     with local_copy(log) as file:
         place, kind = Path(file), look.kind
-        found = read_pieces(place, robot, look.whole, ranges, time_source=time_source, kind=kind)
+        found = read_pieces(
+            place,
+            robot,
+            look.whole,
+            ranges,
+            time_source=time_source,
+            kind=kind,
+            sound=partial(sound, robot=robot),
+        )
     return [replace(piece, path=log) for piece in found]
 
 

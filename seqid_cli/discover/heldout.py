@@ -27,9 +27,9 @@ from seqid_cli.identify.predict import predict
 from seqid_cli.identify.predict_long import local_effects
 from seqid_cli.identify.prediction import LogPrediction
 from seqid_cli.identify.streaming import LONG, open_if_long, streams
+from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.stored import local_copy
 from seqid_cli.model.effects.fitted import fitted_effects
@@ -217,9 +217,11 @@ class WholeLogs:
     def _opened(self, file: Path) -> Recording | SurveyedLog | None:
         """A log to be passed over, or a short one; None for a long one that must be held."""
         least = likely_rows(file)
+        clock = self.time_source
         if least < LONG:
-            return read_recording(file, self.robot, time_source=self.time_source) if least else None
-        return open_if_long(file, self.robot, time_source=self.time_source, least=1)
+            return read_screened(file, self.robot, time_source=clock).recording if least else None
+        log = open_if_long(file, self.robot, time_source=clock, least=1)
+        return screened_long(log, self.robot).log if log is not None else None
 
 
 def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.errors import QualityError
 from seqid_cli.identify.imu_model import Constants, channels_of
 from seqid_cli.identify.imu_normal import (
     Local,
@@ -45,6 +46,7 @@ Mask = NDArray[np.bool_]
 ROUNDS, PLAIN_ROUNDS, FREEZE = 15, 2, 5
 SETTLED = 0.1  # of a standard error, of the last step
 LARGEST_TURN = 0.3
+FACTOR = 10.0  # that a gain may be off nominal: beyond it the readings are of something else
 LEAST_OTHERS = 0.1  # share of the information that the other logs must have
 BLOCK_S, BLOCK_PERIODS = 0.25, 4.0
 
@@ -82,6 +84,11 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
     Returns
     -------
     Fit
+
+    Raises
+    ------
+    QualityError
+        If no constants of any such sensor explain the readings.
     """
     count = len(start.bias)
     constants = start
@@ -99,6 +106,13 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         step = _limited(step)
         constants = constants.moved(step)
+        if not np.abs(constants.log_gain).max() < np.log(FACTOR):  # NaN neither
+            raise QualityError(
+                "its readings are not those of a sensor on that link: no gain explains them",
+                hint="Check gravity in the robot file, units and axes of the IMU, after_joint and "
+                "the order of the joints (seqid inspect LOG... -r ROBOT).",
+                where=imu.name,
+            )
         locals_ = [
             _moved(own, r, step, i) for own, r, i in zip(locals_, reductions, inner, strict=True)
         ]

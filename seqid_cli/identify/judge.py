@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from seqid_cli.identify.log_verdicts import notes_of_logs, verdicts_of_logs
+from seqid_cli.identify.log_verdicts import verdicts_of_logs
 from seqid_cli.identify.trials import gravity_columns
 from seqid_cli.inspect.report import Finding
 from seqid_cli.model.friction import FrictionSurface
@@ -45,6 +45,7 @@ DISAGREE = 0.25  # of a joint's gravity torque, by which two stages may differ
 LIGHT = 0.05  # of the largest gravity torque: joints that carry less are not compared
 FACTOR = 2.5  # that gravity may be off the URDF's inertials
 FALSE_SIGN = -0.3  # times the URDF's gravity: beyond it the sign is another one
+ALIKE = 0.3  # correlation with the URDF's gravity: below it, it points elsewhere
 HELD_NM = 1e-3  # gravity torques below say nothing
 
 JUDGED = ("friction", "gravity", "imu", "inertia")
@@ -79,9 +80,27 @@ def judged(
         stage = getattr(found, name)
         if stage is not None:
             own = [*stage.verdicts, *_physics(stage, known, robot), *verdicts_of_logs(findings)]
-            notes = [*stage.notes, *notes_of_logs(findings, stage.notes)]
-            stages[name] = replace(stage, verdicts=as_a_whole(own), notes=notes)
+            stages[name] = replace(stage, verdicts=as_a_whole(own))
     return replace(found, **stages)
+
+
+def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
+    """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
+
+    Parameters
+    ----------
+    stages : Stages
+    robot : Robot
+        As it is now: its gear ratios or gravity may not be those of the identification.
+
+    Returns
+    -------
+    list of Verdict
+        What no arm can be, each reason once per joint.
+    """
+    there = (stages.friction, stages.gravity, stages.inertia)
+    found = [v for stage in there if stage is not None for v in _physics(stage, stages, robot)]
+    return list({(v.joint, v.reason): v for v in found}.values())
 
 
 def as_a_whole(verdicts: Sequence[Verdict]) -> list[Verdict]:
@@ -284,6 +303,11 @@ def _weighed(samples: Samples, robot: Robot) -> Iterator[Verdict]:
             reason = (
                 f"gravity is {size:.2g} times that of the URDF's inertials: unit of the torque, "
                 "torque_constant, gear_ratio"
+            )
+        elif ratio < ALIKE * size:
+            reason = (
+                "gravity over the positions is not that of the URDF's inertials: direction of "
+                "gravity in the robot file, zeros and order of the joints"
             )
         else:
             continue

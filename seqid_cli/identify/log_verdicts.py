@@ -54,6 +54,11 @@ def _grouped(findings: Iterable[Finding], severity: str) -> list[list[Finding]]:
     return list(groups.values())
 
 
+def said(finding: Finding) -> str:
+    """Return a finding in words, as notes have it."""
+    return (f"{finding.joint}: " if finding.joint else "") + _text([finding])
+
+
 def _text(alike: Sequence[Finding]) -> str:
     first = alike[0]
     logs = list(dict.fromkeys(finding.log for finding in alike))

@@ -101,14 +101,14 @@ def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
         Findings, each code once per joint and channel.
     """
     breaks = breaks_of(data.robot, data.t, data.joints.channels["position"])
-    sound = _without(data, breaks)
+    sound = without(data, breaks)
     following = tuple(follow(sound)) if imus else ()
     findings = [*_findings(data, sound, breaks, following, imus=imus, quality=quality)]
     return Checked(sound, tuple(_unique(findings)), following)
 
 
-def _without(data: LogData, breaks: Sequence[Break]) -> LogData:
-    """Take the samples out that are known to be wrong."""
+def without(data: LogData, breaks: Sequence[Break]) -> LogData:
+    """Take the samples of a log out that are known to be wrong."""
     if not any(len(each.rows) for each in breaks):
         return data
     position = data.joints.channels["position"].copy()

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.checks import check
+from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.material import log_data
 from seqid_cli.inspect.positions import Break, breaks_of
 from seqid_cli.inspect.report import Finding
@@ -57,6 +57,12 @@ def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> 
     """
     checked = check(log_data(recording, raw, robot, modelled=True), imus=imus, quality=False)
     return Screened(checked.data.recording, _located(checked.findings, recording.path))
+
+
+def sound(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
+    """Return a log, or a piece of one, without its damaged samples; see `screened`."""
+    data = log_data(recording, raw, robot, modelled=True)
+    return without(data, breaks_of(robot, data.t, data.joints.channels["position"])).recording
 
 
 def read_screened(

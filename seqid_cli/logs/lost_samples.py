@@ -39,6 +39,7 @@ RETURNED = 0.5  # of a step, that the increments around it may take back
 COUNTED = 0.3  # of an interval, by which stamps that count rows may differ from even ones
 MANY = 0.2  # of the increments: steps as frequent as that are noise or a slower channel
 ON_GRID = 0.12  # of an interval (median), within which losses are whole intervals
+BESIDE = 3  # increments from a step to its way back, if it is a spike
 HELD_LEAST = 2  # increments of nothing before a joint catches up
 SMALLEST = 1e-3  # of the increments, that are below a count or make one
 MOST = 20_000  # increments that tell their smallest
@@ -312,14 +313,14 @@ def _noise(t: Array, d: Array, dq: Array | None) -> Array:
 def _net(d: Array, t: Array, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
     """Time (K,) that the increments around a step gain, with the step itself.
 
-    What is late and catches up has lost none.
+    What is late and catches up has lost none, nor has a spike, whose way back is beside it.
     """
     usual = float(np.median(np.diff(t)))
     net = np.zeros(len(steps))
     for k, i in enumerate(steps):
         reach = int(min(lost[k] / usual, LONGEST_S / usual)) + 3 if lost[k] > 0 else 0
         near = np.array([x for x in range(i - reach, i + 4) if 0 <= x < len(d)], dtype=np.intp)
-        others = steps[(steps != i) & (np.abs(steps - i) <= reach)]
+        others = steps[(steps != i) & (np.abs(steps - i) <= reach) & (lost > 0)]
         near = near[~np.isin(near, others)]
         gained = d[near] - v[k] * np.diff(t)[near, None]
         # The velocity changes within the reach: only what is late by most of an interval counts.
@@ -327,5 +328,5 @@ def _net(d: Array, t: Array, v: Array, weight: Array, steps: Rows, lost: Array) 
             float(np.sum(v[k] ** 2 * weight[k])), 1e-300
         )
         late = np.where((np.abs(late) > 0.6 * usual) | (near == i), late, 0.0)
-        net[k] = late.sum()
+        net[k] = min(late.sum(), late[np.abs(near - i) <= BESIDE].sum())
     return net

@@ -7,7 +7,7 @@ of the pieces are kept. A piece holds all that the log has: temperatures and IMU
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,11 +16,12 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.logs.long import READERS, LongLog
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
-from seqid_cli.logs.read import _assemble, read_recording
+from seqid_cli.logs.read import _assemble, read_both
 from seqid_cli.logs.recording import Array, Recording, Whole
 from seqid_cli.robot.types import Robot
 
 Range = tuple[float, float]  # s since the log's first sample
+Sound = Callable[[Recording, RawLog], Recording]
 
 AROUND_S = 0.1  # on either side of a piece, for IMUs whose stamps are not those of the joints
 
@@ -105,6 +106,7 @@ def read_pieces(
     *,
     time_source: TimeSource = "header",
     kind: str = "",
+    sound: Sound | None = None,
 ) -> list[Recording]:
     """Read pieces of a log without holding the rest of it.
 
@@ -118,6 +120,8 @@ def read_pieces(
         First and last moment of each piece, s since the first sample; they may overlap.
     kind : str
         The format of a log that can be passed over; a log of any other is read as a whole and cut.
+    sound : callable, optional
+        Takes damaged samples out of a recording, given as `read_both` does.
 
     Returns
     -------
@@ -130,7 +134,8 @@ def read_pieces(
         The file can no longer be read, or holds too little of a piece.
     """
     if kind not in READERS:
-        return cut(read_recording(path, robot, time_source=time_source), ranges)
+        recording, all_rows = read_both(path, robot, time_source=time_source)
+        return cut(sound(recording, all_rows) if sound else recording, ranges)
     gathered = [_Gathered.of(whole, *one) for one in ranges]
     try:
         for raw in READERS[kind](path, robot, time_source):
@@ -138,7 +143,7 @@ def read_pieces(
                 one.push(raw)
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return [_assembled(one, path, kind, robot, whole) for one in gathered]
+    return [_assembled(one, path, kind, robot, whole, sound) for one in gathered]
 
 
 @dataclass
@@ -200,11 +205,15 @@ def _values(part: Stream, name: str, parts: Sequence[Stream]) -> Array:
     return np.full((len(part), width), np.nan)
 
 
-def _assembled(gathered: _Gathered, path: Path, kind: str, robot: Robot, whole: Whole) -> Recording:
+def _assembled(
+    gathered: _Gathered, path: Path, kind: str, robot: Robot, whole: Whole, sound: Sound | None
+) -> Recording:
     if not gathered.joints:
         seconds = gathered.first * 1e-9 - whole.start
         raise InputError(f"no longer holds the rows {seconds:.3g} s on", where=str(path))
-    found = _assemble(path, kind, whole.sha256, gathered.raw(), robot, None)
+    raw = gathered.raw()
+    found = _assemble(path, kind, whole.sha256, raw, robot, None)
+    found = sound(found, raw) if sound else found
     return replace(
         found,
         sha256=_digest(whole, found.start - whole.start, len(found.t)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from seqid_cli.params.prediction_schema import FileId
-from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Struct, Tool
+from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Struct, Tool, Verdict
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
 MORE_THAN_NOISE = 3.0  # noise floors, from which what is left at a joint is worth a word
@@ -105,7 +105,11 @@ class HiddenEntry(Struct, kw_only=True):
 
 
 class DiagnosisFile(Struct, kw_only=True):
-    """The whole document; `findings` are ordered, the most certain first."""
+    """The whole document; `findings` are ordered, the most certain first.
+
+    `verdicts` are poor where the logs are damaged or the model is of no arm that can be: what is
+    found then may be that.
+    """
 
     schema: str
     created: str
@@ -121,4 +125,5 @@ class DiagnosisFile(Struct, kw_only=True):
     events: list[EventEntry] = []
     hidden: list[HiddenEntry] = []
     motion: list[MotionUse] = []
+    verdicts: list[Verdict] = []
     notes: list[str] = []

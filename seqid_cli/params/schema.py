@@ -321,7 +321,8 @@ class ClosedLoop(Struct, kw_only=True):
     """What refinement did, measured on the held-out logs alone.
 
     `rounds` are the effects that were added, in order; `refused` those that were tried and did not
-    help. The `verdict` is poor if a round is not confirmed. `before` is by the model as it came in,
+    help. The `verdict` is poor if a round is not confirmed or one of `verdicts` is poor, which say
+    what is wrong with the logs. `before` is by the model as it came in,
     `after` by the refined one; `gain_interval` is of 1 - (after / before)^2, 95 %. All are over the
     same samples, those in which a joint slides. `noise_floor` is what torque noise alone leaves
     there, N m, estimated by itself, with its 95 % interval. `held_out` identifies the logs that
@@ -339,6 +340,7 @@ class ClosedLoop(Struct, kw_only=True):
     evaluated_on: list[str] = []
     held_out: list[InputLog] = []
     motion: list[MotionUse] = []
+    verdicts: list[Verdict] = []
     notes: list[str] = []
 
 

@@ -157,10 +157,8 @@ def _sentence(
 
 def _prediction_points(collection: Collection, independent: list[Prediction]) -> Iterator[Point]:
     for item in collection.predictions:
-        for verdict in item.file.verdicts:
-            if not verdict.good:
-                text = f"{verdict.joint or 'the prediction'}: {verdict.reason}"
-                yield Point("poor", text, item.path, command="seqid diagnose " + _tail(collection))
+        call = "seqid diagnose " + _tail(collection)
+        yield from _poor(item.file.verdicts, "the prediction", item.path, call)
         still = [n for n, error in item.file.joints.items() if not error.samples]
         if still:
             text = f"{listed(still)} never slides in these logs and is not judged"
@@ -186,6 +184,12 @@ def _prediction_points(collection: Collection, independent: list[Prediction]) ->
         yield Point("open", text, command=call)
 
 
+def _poor(verdicts: Iterable[Verdict], whole: str, path: str, call: str = "") -> Iterator[Point]:
+    for verdict in verdicts:
+        if not verdict.good:
+            yield Point("poor", f"{verdict.joint or whole}: {verdict.reason}", path, command=call)
+
+
 def _tail(collection: Collection) -> str:
     model = collection.model
     path = model.path if model else "inertia.json"
@@ -196,6 +200,8 @@ def _stage_points(collection: Collection, judged: bool) -> Iterator[Point]:
     model = collection.model
     if model is None:
         return
+    loop = model.file.closed_loop
+    yield from _poor(loop.verdicts if loop else (), "the refinement", model.path)
     for name, verdict in stage_verdicts(model.stages):
         if not verdict.good:
             what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
@@ -245,6 +251,7 @@ def _missing_stages(collection: Collection) -> Iterator[Point]:
 
 def _diagnosis_points(collection: Collection) -> Iterator[Point]:
     for item in collection.diagnoses:
+        yield from _poor(item.file.verdicts, "the diagnosis", item.path)
         yield from _found(item, collection)
         if item.file.verdict == "nothing_missing" and _leaves_more(item.file):
             yield Point("open", nothing_found(item.file), item.path)

@@ -2,8 +2,9 @@
 
 Every fault is planted into the logs (or the robot file) of arms whose sound logs are good in every
 stage; each stage then runs as a user would run it. A cell says what the stage says: `poor` (a
-verdict of a joint or of the stage, with the reason), `refused` (it does not run, exit code 2), or
-`good`, which only a fault may be that this stage cannot see for a physical reason.
+verdict of a joint or of the stage, with the reason), `refused` (it does not run, exit code 2),
+`mended` (it says so, has put it right, and the verdict is good), or `good`, which only a fault may
+be that this stage cannot see for a physical reason.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from seqid_cli import api
 from seqid_cli.errors import SeqidError
-from seqid_cli.params.schema import Verdict
+from seqid_cli.params.schema import FrictionStage, ImuStage, RigidStage, Verdict
 from tests.inspect.faults import write_columns
 from tests.inspect.planting import Columns
 from tests.study.planted_arms import ARMS, Bench
@@ -98,8 +99,11 @@ def _hole(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
 
 
 def _lost(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
-    """Rows are lost every second, and what is left is stamped evenly, as by a counter."""
-    t = columns["t"]
+    """Rows are lost every second, and what is left is stamped evenly, as by a counter.
+
+    One of the losses is where a joint moves: at rest nothing is lost.
+    """
+    t, at = columns["t"], _busy(columns, bench, rng)[1]
     step = float(np.median(np.diff(t)))
     velocity = {
         name.removesuffix("position") + "velocity": np.gradient(columns[name], t)
@@ -108,7 +112,7 @@ def _lost(columns: Columns, bench: Bench, rng: np.random.Generator) -> None:
     }
     columns.update({name: np.convolve(v, np.ones(5) / 5, "same") for name, v in velocity.items()})
     every, lost = max(int(1.0 / step), 40), max(int(0.03 / step), 2)
-    kept = np.arange(len(t)) % every >= lost
+    kept = (np.arange(len(t)) - at + lost // 2) % every >= lost
     for name in columns:
         columns[name] = columns[name][kept]
     columns["t"] = t[0] + step * np.arange(int(kept.sum()))
@@ -151,40 +155,52 @@ FAULTS = (
 
 @dataclass
 class Cell:
-    """What a stage said: refused, poor or good, and why."""
+    """What a stage said: refused, poor or good, and why; `notes` are what it put right."""
 
     answer: str
     reasons: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
-def _answer(run: Callable[[], Sequence[Verdict]]) -> Cell:
+Told = tuple[Sequence[Verdict], Sequence[str]]
+
+
+def _answer(run: Callable[[], Told]) -> Cell:
     try:
-        verdicts = run()
+        verdicts, notes = run()
     except SeqidError as error:
         return Cell("refused", [str(error)])
     poor = [f"{v.joint}: {v.reason}" for v in verdicts if not v.good]
-    return Cell("poor" if poor else "good", poor)
+    about_logs = [note for note in notes if re.search(r"\[[a-z_]+\] ", note)]
+    return Cell("poor" if poor else "good", poor, about_logs)
 
 
 def stage_verdicts(
     stage: str, logs: Sequence[Path], robot: Path, before: Path | None, out: Path
-) -> Sequence[Verdict]:
-    """Run a stage on logs; returns its verdicts."""
+) -> Told:
+    """Run a stage on logs; returns its verdicts and notes."""
     paths = list(logs)
     if stage == "predict":
         assert before is not None
-        return api.predict(paths, robot, before).verdicts
+        said = api.predict(paths, robot, before)
+        return said.verdicts, said.notes
     if stage == "friction":
-        return api.friction(paths, robot, output=out, **ORDERS).stages.friction.verdicts
+        return _told(api.friction(paths, robot, output=out, **ORDERS).stages.friction)
     if stage == "simultaneous":
         found = api.simultaneous(paths, robot, output=out).stages
-        return [*found.friction.verdicts, *found.inertia.verdicts]
+        parts = _told(found.friction), _told(found.inertia)
+        return [*parts[0][0], *parts[1][0]], [*parts[0][1], *parts[1][1]]
     assert before is not None
     if stage == "gravity":
-        return api.gravity(paths, robot, before, output=out).stages.gravity.verdicts
+        return _told(api.gravity(paths, robot, before, output=out).stages.gravity)
     if stage == "imu-calib":
-        return api.imu_calib(paths, robot, parameters=before, output=out).stages.imu.verdicts
-    return api.inertia(paths, robot, before, output=out).stages.inertia.verdicts
+        return _told(api.imu_calib(paths, robot, parameters=before, output=out).stages.imu)
+    return _told(api.inertia(paths, robot, before, output=out).stages.inertia)
+
+
+def _told(stage: FrictionStage | RigidStage | ImuStage | None) -> Told:
+    assert stage is not None
+    return stage.verdicts, stage.notes
 
 
 ORDERS: Mapping[str, int] = {"position_order": 4, "velocity_order": 4}  # of all, for speed
@@ -331,7 +347,9 @@ def _cell(
             continue
         answer = cell.answer
         if fault.name != "none" and answer != "refused":
-            answer = "poor" if new_reasons(cell, answered["none"].get(stage)) else "good"
+            sound = answered["none"].get(stage)
+            answer = "mended" if cell.notes and not (sound and sound.notes) else "good"
+            answer = "poor" if new_reasons(cell, sound) else answer
             why = excused(fault, stage, bench)
             answer = f"not seen ({why})" if answer == "good" and why else answer
         counts[answer] = counts.get(answer, 0) + 1

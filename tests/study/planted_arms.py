@@ -138,4 +138,6 @@ ARMS: tuple[Callable[[], Bench], ...] = (
     partial(sample, "six_joint", "elbow", "wrist_1", weighed=True),
     partial(drawn, 4),
     partial(drawn, 12),
+    partial(drawn, 23),
+    partial(drawn, 31),
 )

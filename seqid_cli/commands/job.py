@@ -235,7 +235,11 @@ class Account:
 
         for finding in note.findings:
             self.findings.append(finding)
-            if finding.severity == "error" or finding.message in note.warnings:
+            if finding.severity == "error":
+                about = " ".join(part for part in (finding.joint, finding.channel) if part)
+                text = f"{about}: {finding.message}" if about else finding.message
+                self._job.screen.warn(f"{note.path}: [{finding.code}] {text}")
+            elif finding.message in note.warnings:
                 self._job.screen.warn(said(finding))
 
     def failed(self, path: Path, error: Exception) -> None:

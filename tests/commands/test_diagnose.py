@@ -24,6 +24,7 @@ from seqid_cli.discover.results import (
 )
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.inspect.report import found
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.effect import Value
 from seqid_cli.motion.options import MotionOptions
@@ -242,6 +243,21 @@ def test_strict_is_about_the_verdict(
     library.result = found
     assert rig.run(*BASE).code == 0
     assert rig.run(*BASE, "--strict").code == strict
+
+
+def test_errors_of_the_logs_are_in_the_document(rig: Rig, reader: Reader, library: Library) -> None:
+    reader.findings = (
+        found("position_spikes", "jumps", joint="elbow", channel="position"),
+        found("clock_gap", "1 gaps"),
+    )
+    done = rig.run(*BASE, "--json")
+    document = json.loads(done.out)
+    jsonschema.validate(document, json_schema(DIAGNOSIS_SCHEMA))
+    assert [verdict["joint"] for verdict in document["verdicts"]] == ["elbow"]
+    assert "[position_spikes] a.parquet" in document["verdicts"][0]["reason"]
+    assert any("[clock_gap] a.parquet" in note for note in document["notes"])
+    assert "elbow: poor" in rig.run(*BASE).out
+    assert rig.run(*BASE, "--strict").code == 1
 
 
 def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:

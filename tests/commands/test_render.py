@@ -6,7 +6,7 @@ import pytest
 
 from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.progress import ProgressLine
-from seqid_cli.commands.render import number, percent, plain_table, rich_table
+from seqid_cli.commands.render import Screen, number, percent, plain_table, rich_table
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.params.schema import Verdict
 
@@ -101,3 +101,16 @@ def test_charts_of_little() -> None:
     assert text_chart([1.0, 1.0], [2.0, 3.0], x_label="", y_label="") == []
     flat = text_chart([0.0, 1.0], [2.0, 2.0], x_label="", y_label="")
     assert sum(line.count("*") for line in flat) == 2
+
+
+def test_a_warning_is_given_once(capsys: pytest.CaptureFixture[str]) -> None:
+    screen = Screen(command="x")
+    screen.warn("a.parquet: samples are lost")
+    screen.warn("a.parquet: samples are lost")
+    screen.remark("a.parquet: samples are lost")
+    screen.remark("another")
+    screen.remark("another")
+    assert capsys.readouterr().err.splitlines() == [
+        "seqid x: warning: a.parquet: samples are lost",
+        "note: another",
+    ]

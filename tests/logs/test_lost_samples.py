@@ -196,6 +196,15 @@ def test_a_spike_is_not_a_loss() -> None:
     assert mended(stream).stream is stream
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_spike_of_a_coarse_encoder_is_not_a_loss(seed: int) -> None:
+    log = arm(seed, 111.0, 1, count=2.0 * np.pi / 600)
+    for at in range(200, len(log.t) - 200, 37):
+        q = log.q.copy()
+        q[at] += 0.3
+        assert not len(mended(replace(log, q=q).stream(velocity=False)).losses)
+
+
 def test_a_step_of_one_joint_alone_is_not_lost_time() -> None:
     log = arm(5, 500.0, 3)
     rows = np.flatnonzero(np.abs(log.dq).min(axis=1) > 0.2)[::50]

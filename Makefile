@@ -72,6 +72,10 @@ study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind
 study-planted: $(DEV) ## which stage says which planted fault, into docs/planted_faults.md (an hour)
 	$(BIN)/python -m tests.study --only planted
 
+.PHONY: study-outside
+study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (ten seconds a case)
+	$(BIN)/python -m tests.outside --set tuning --seeds 0:50
+
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
 	$(BIN)/python -m tests.bench

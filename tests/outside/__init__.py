@@ -1,0 +1,1 @@
+"""A second simulator, in MuJoCo: it shares no code with `tests.plants`."""

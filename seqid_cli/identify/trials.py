@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 SLICES = 64
 WINDOW_S = 0.08  # s, of motion in a ramp that is averaged
 LEAST_WINDOW = 8  # samples
+ZEROS = 4  # samples, at the ends of a window: two central differences end within them
 MOST_ORDER = 12  # of the polynomial in time that a trial's positions follow
 SAME_SPEED = 0.12
 SAME_CONFIGURATION = 0.03  # rad
@@ -181,8 +182,8 @@ def _ramps(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Ramps:
     sums over positions times the window's own differences, without differentiating positions.
     """
     length = max(LEAST_WINDOW, round(WINDOW_S * rate_hz))
-    window = np.zeros(length + 4)
-    window[2:-2] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+    window = np.zeros(length + 2 * ZEROS)
+    window[ZEROS:-ZEROS] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
     window /= window.sum()
     starts = np.arange(0, len(q) - len(window) + 1, max(1, length // 2))
     middles = starts + len(window) // 2 + stretch.move_start

@@ -207,6 +207,19 @@ def test_slices_average_position_and_torque() -> None:
         assert len(own.q) * own.weight <= len(reference.q)
 
 
+def test_windows_of_ramps_give_the_acceleration_exactly() -> None:
+    """Of fast moves at a low rate as well: a steady speed is no acceleration."""
+    reference = sweeps(np.array([0.4, 0.0]), 1, (-1.5, 1.5), [4.0], 40.0, rate_hz=250.0)
+    ddq = np.gradient(np.gradient(reference.q[:, 1])) * 250.0**2
+    tau = np.zeros_like(reference.q)
+    tau[:, 1] = 0.02 * ddq
+    windows = 0
+    for own in collect_trials([recording(reference.q, tau)], planar_2r()):
+        np.testing.assert_allclose(own.ramps.tau, 0.02 * own.ramps.ddq, atol=1e-6)
+        windows += len(own.ramps.ddq)
+    assert windows >= 4
+
+
 def test_a_log_without_torque_is_refused() -> None:
     with pytest.raises(InputError, match="neither joint torque nor motor current") as caught:
         collect_trials([recording(np.zeros((500, 2)), None)], planar_2r())

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.motion.motion import Motion, decimated
+from seqid_cli.motion.segments import driven
 from seqid_cli.robot.base import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
@@ -52,7 +53,7 @@ class Sample:
     tau: Array
     direction: Array  # of motion, -1 to 1, through the torque's filter
     memory: float  # rows that count as one
-    moving: tuple[int, ...]  # joints that go far enough both ways
+    moving: tuple[int, ...]  # joints that are driven far enough both ways
     basis: Basis | None  # of the robot without rotors; None where its geometry is not known
 
     def rms_speed(self, j: int) -> float:
@@ -80,7 +81,11 @@ def sample_of(data: LogData) -> Sample | None:
     rows = rows[:: max(1, len(rows) // ROWS)]
     if len(rows) < FEWEST or motion.tau is None:
         return None
-    moving = tuple(j for j in range(robot.n) if data.moves(j) and _both_ways(motion, rows, j))
+    moving = tuple(
+        j
+        for j in np.flatnonzero(driven(motion.q[rows])).tolist()
+        if data.moves(j) and _both_ways(motion, rows, j)
+    )
     spacing = float(np.median(np.diff(motion.t[rows])))
     speeds = np.maximum(np.sqrt(np.mean(motion.dq[rows] ** 2, axis=0)), 1e-12)
     direction = motion.filtered(np.tanh(motion.dq / (SLOW * speeds)), 2)

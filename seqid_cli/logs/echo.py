@@ -10,7 +10,8 @@ compared with
 gravity of the whole arm, a smooth function of the joint's own position, its friction, and the
 accelerations of all joints. It is an echo if the first two explain it and the others have no part,
 neither in the torque nor in what the first two leave of it, but for a damping F_v < 0, which no
-friction has but a controller may.
+friction has but a controller may. A joint that is only held is passed over: while others shake it,
+its torque follows its position by its controller's law.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
+from seqid_cli.motion.segments import driven
 from seqid_cli.robot.base import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
@@ -111,7 +113,7 @@ def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[in
     memory = MEMORY_S / step
     H = _gravity(robot, Q)
     result: dict[int, Shares] = {}
-    for j in range(robot.n):
+    for j in np.flatnonzero(driven(Q)).tolist():
         top = float(np.quantile(np.abs(v[:, j]), 0.99))
         slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > SLOW * top)
         if not _both_ways(v[slides, j], step):

@@ -13,6 +13,7 @@ from seqid_cli.motion.segments import (
     SMALLEST_STEP,
     Stretch,
     constant_velocity,
+    driven,
     moving_mask,
     noise_step,
     standing,
@@ -210,3 +211,11 @@ def test_noise_step_sees_counts_and_noise() -> None:
     assert step[1] == pytest.approx(3e-3, rel=0.15)
     assert step[2] == SMALLEST_STEP
     assert noise_step(counts[:, None], np.array([2 * MIDDLE]))[0] == pytest.approx(2 * MIDDLE)
+
+
+def test_a_joint_that_others_shake_is_held() -> None:
+    t = np.linspace(0.0, 10.0, 2001)
+    shaken = 0.2 * np.exp(-(((t - 5.0) / 0.05) ** 2))
+    q = np.column_stack([np.sin(t), 0.3 * np.cos(t), shaken, np.zeros_like(t)])
+    q[7] = np.nan
+    assert driven(q).tolist() == [True, True, False, False]

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from seqid_cli import api
+from seqid_cli.inspect.screening import read_screened
 from seqid_cli.robot.file import load_robot
 from tests.outside import motions
 from tests.outside.__main__ import main, tabulated
 from tests.outside.arms import GRAVITY, Arm, Link, drawn_arm, mjcf, robot_toml, urdf
-from tests.outside.cases import RESERVED, kind_of, record
+from tests.outside.cases import RESERVED, SPEEDS, kind_of, record
 from tests.outside.effects import KINDS
 from tests.outside.simulate import simulate
 
@@ -102,6 +103,18 @@ def test_a_clean_pendulum_is_identified_to_within_its_errors(tmp_path: Path) -> 
     felt = max(inertia.parameters, key=lambda p: abs(p.value))
     truth = 0.02 + 2.0 * 0.4**2 + 0.1
     assert abs(felt.value - truth) < 4.0 * felt.std_error + 0.01 * truth
+
+
+def test_a_held_joint_that_another_shakes_is_not_judged(tmp_path: Path) -> None:
+    """Its torque is the controller's law, -k_p (q - q_0) - k_d dq, whatever its friction."""
+    arm = drawn_arm(2)
+    (tmp_path / "robot.toml").write_text(robot_toml(arm))
+    (tmp_path / "arm.urdf").write_text(urdf(arm))
+    motion = motions.trial(3, 0, np.array([0.4, -0.3, 0.2]), SPEEDS[2:4])
+    path = record(tmp_path / "t.parquet", arm, motion, 1)
+    screened = read_screened(path, load_robot(tmp_path / "robot.toml"))
+    assert np.ptp(screened.recording.q, axis=0)[1:].min() > 0.1
+    assert screened.findings == ()
 
 
 def test_reserved_seeds_are_for_the_reserved_set(capsys: pytest.CaptureFixture[str]) -> None:

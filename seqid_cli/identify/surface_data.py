@@ -53,11 +53,12 @@ class SpeedData:
 class Reduced:
     """Trials after step 1: T of them, p functions of position and two of the ends each.
 
-    `u` (T,) scaled speeds, `R` (T, p + 2, p + 2), `z` (T, p + 2), `rest` (T,) squares that no such
-    function takes, `total` (T,) sums of weights, `slices` (T,) how many.
+    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 2, p + 2), `z` (T, p + 2), `rest` (T,) squares
+    that no such function takes, `total` (T,) sums of weights, `slices` (T,) how many.
     """
 
     scaling: Scaling
+    speeds: Array
     u: Array
     R: Array
     z: Array
@@ -86,7 +87,7 @@ class Reduced:
 
     def subset(self, kept: NDArray[np.bool_]) -> Reduced:
         """Some of the trials."""
-        parts = (self.u, self.R, self.z, self.rest, self.total, self.slices)
+        parts = (self.speeds, self.u, self.R, self.z, self.rest, self.total, self.slices)
         return Reduced(self.scaling, *(part[kept] for part in parts))
 
 
@@ -95,7 +96,7 @@ def reduce_trials(data: Sequence[SpeedData], scaling: Scaling) -> Reduced:
     parts = [_reduced(item, scaling) for item in data]
     speeds = np.array([item.speed for item in data])
     R, z, rest, total, slices = (np.array(part) for part in zip(*parts, strict=True))
-    return Reduced(scaling, scaling.u(speeds), R, z, rest, total, slices)
+    return Reduced(scaling, speeds, scaling.u(speeds), R, z, rest, total, slices)
 
 
 def _reduced(data: SpeedData, scaling: Scaling) -> tuple[Array, Array, float, float, float]:

@@ -6,14 +6,15 @@ Slices of trial k, reduced (`surface_data`), are
 
 D the surface, phi Chebyshev polynomials of the scaled speed, n_k white noise of variance s_n^2,
 and e_k what the trial has for itself: an offset of variance s_t^2 and terms of degree j of variance
-s_s^2 / j, which is how 1/f noise over the length of a trial spreads over polynomials, and at its
-ends what is left of acceleration, of variance s_e^2 (R_k has columns for it). The entries of D are
-Gaussian too. Coulomb and viscous friction, d_00 and d_01, are as large as they like; others have
-variances that fall with their degrees,
+s_s^2 / j, which is how 1/f noise over the length of a trial spreads over polynomials; torque of a
+speed that changes by a share of itself along its way, I dv/dt ~ v^2, of variance
+s_a^2 (v / v_max)^4 / max(j, 1); and at its ends what is left of acceleration, of variance s_e^2
+(R_k has columns for it). The entries of D are Gaussian too. Coulomb and viscous friction, d_00 and
+d_01, are as large as they like; others have variances that fall with their degrees,
 
     var d_j0 = s_q^2 / j^a,   var d_0r = s_v^2 / r^b,   var d_jr = s_qv^2 / (j^a r^b).
 
-The seven sizes and both powers maximise the marginal likelihood of all slices (C. E. Rasmussen and
+The eight sizes and both powers maximise the marginal likelihood of all slices (C. E. Rasmussen and
 C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, Sec. 5.4), which, as restricted
 likelihood does, allows for what the surface takes. What the data do not tell stays near its usual
 value.
@@ -35,13 +36,13 @@ from seqid_cli.model.friction_basis import Scaling
 Array = NDArray[np.float64]
 
 NAMES = (
-    *("position", "speed", "both", "trial", "slow", "edge", "noise"),
+    *("position", "speed", "both", "trial", "slow", "unsteady", "edge", "noise"),
     *("over_position", "over_speed"),
 )
 BROAD = 3.0  # of the RMS friction: size of Coulomb and viscous friction, as good as free
 DECAY = 3.0  # usual power of the degree with which the variance of a term falls
 DECAY_SPREAD = float(np.log(2.0))  # standard deviation of its logarithm
-USUAL = (0.1, 0.1, 0.03, 0.01, 0.01, 0.1)  # of the RMS friction: sizes over position ... edge
+USUAL = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1)  # of the RMS friction: sizes over position ... edge
 SPREAD = float(np.log(10.0))  # standard deviation of a size's logarithm about the usual one
 NEAR, STEP, NEWTON = 0.1, 1e-4, 4  # of the logarithms: farthest and trial step; how many steps
 LIMIT = 5.0  # spreads, beyond which no size is looked for
@@ -52,9 +53,9 @@ class Sizes:
     """Standard deviations, N m.
 
     Of the surface's terms over `position`, over `speed` and over `both`; of a `trial`'s own offset,
-    of its `slow` changes, of its `edge`s; of the white `noise` of one sample. `broad` holds for
-    Coulomb and viscous friction. `over_position` and `over_speed` are the powers with which
-    variances fall.
+    of its `slow` changes, of its `unsteady` speed if it is the fastest, of its `edge`s; of the
+    white `noise` of one sample. `broad` holds for Coulomb and viscous friction. `over_position` and
+    `over_speed` are the powers with which variances fall.
     """
 
     position: float
@@ -62,6 +63,7 @@ class Sizes:
     both: float
     trial: float
     slow: float
+    unsteady: float
     edge: float
     noise: float
     over_position: float
@@ -83,11 +85,17 @@ class Sizes:
         found[over_position.size(orders.position) :] = 0.0
         return np.vstack([found, np.zeros((EDGES, found.shape[1]))])
 
-    def own(self, scaling: Scaling, size: int) -> Array:
-        """Standard deviations (size + 2,) of a trial's own terms."""
+    def own(self, scaling: Scaling, size: int, speeds: Array) -> Array:
+        """Variances (4, T, size + 2) of own terms of trials at speeds (T,), by their causes."""
         degree = scaling.over_position.degrees(scaling.over_position.order(size))
-        terms = np.where(degree == 0, self.trial, self.slow / np.sqrt(np.maximum(degree, 1.0)))
-        return np.append(terms, [self.edge] * EDGES)
+        spread = np.append(1.0 / np.maximum(degree, 1.0), np.zeros(EDGES))
+        first = np.append(degree == 0, np.zeros(EDGES))
+        last = np.append(np.zeros(size), np.ones(EDGES))
+        fast = (speeds / scaling.speed[1]) ** 4
+        shapes = (first, spread * (1.0 - first), np.outer(fast, spread), last)
+        sizes = (self.trial, self.slow, self.unsteady, self.edge)
+        every = np.ones((len(fast), 1))
+        return np.stack([a**2 * shape * every for a, shape in zip(sizes, shapes, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -109,7 +117,8 @@ class Normal:
     def of(cls, reduced: Reduced, sizes: Sizes, order: int) -> Normal:
         """Add up the trials; `order` is that over speed."""
         R, z, phi = reduced.R, reduced.z, reduced.over_speed(order)
-        scaled = R * sizes.own(reduced.scaling, reduced.size)
+        own = sizes.own(reduced.scaling, reduced.size, reduced.speeds).sum(axis=0)
+        scaled = R * np.sqrt(own)[:, None, :]
         V = scaled @ scaled.transpose(0, 2, 1)
         diagonal = np.arange(V.shape[1])
         V[:, diagonal, diagonal] += sizes.noise**2
@@ -140,8 +149,8 @@ class Evidence:
 
     sets: Sequence[Reduced]
     highest: Orders
-    usual: Array  # (9,) N m, and powers
-    spread: Array  # (9,) of their logarithms
+    usual: Array  # (10,) N m, and powers
+    spread: Array  # (10,) of their logarithms
     broad: float
 
     @classmethod
@@ -157,12 +166,12 @@ class Evidence:
         return cls(sets, highest, usual, spread, BROAD * level)
 
     def sizes(self, logs: Array) -> Sizes:
-        """Sizes from the logarithms (9,) of what they are times the usual ones."""
+        """Sizes from the logarithms (10,) of what they are times the usual ones."""
         values = (self.usual * np.exp(logs)).tolist()
         return Sizes(**dict(zip(NAMES, values, strict=True)), broad=self.broad)
 
     def __call__(self, logs: Array) -> tuple[float, Array]:
-        """Twice the negative logarithm, but for a constant, and its gradient (9,)."""
+        """Twice the negative logarithm, but for a constant, and its gradient (10,)."""
         sizes = self.sizes(logs)
         cost, gradient = float(np.sum((logs / self.spread) ** 2)), 2.0 * logs / self.spread**2
         for own in self.sets:
@@ -205,15 +214,15 @@ class Evidence:
         square = (np.diag(covariance) + mean**2).reshape(prior.shape)
         share = np.where(prior > 0, 1.0 - square / np.where(prior > 0, prior, 1.0) ** 2, 0.0)
         gradient[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
-        gradient[3:7] = self._of_errors(own, sizes, normal, mean, covariance)
-        gradient[6] += beyond - rest
-        gradient[7:] = _of_falls(own, sizes, share)
+        gradient[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
+        gradient[7] += beyond - rest
+        gradient[8:] = _of_falls(own, sizes, share)
         return cost, 2.0 * gradient
 
     def _of_errors(
         self, own: Reduced, sizes: Sizes, normal: Normal, mean: Array, covariance: Array
     ) -> Array:
-        """Derivatives (4,) by half the logarithms of trial ... noise, but for the rest."""
+        """Derivatives (5,) by half the logarithms of trial ... noise, but for the rest."""
         phi = own.over_speed(self.highest.velocity)
         shape = (own.z.shape[1], phi.shape[1])
         left = own.z - (own.R @ (phi @ mean.reshape(shape).T)[:, :, None])[:, :, 0]
@@ -222,12 +231,11 @@ class Evidence:
         white = (normal.inverse @ left[:, :, None])[:, :, 0]
         pulled = (own.R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
         pulled += np.einsum("kij,kjl,kli->ki", normal.S, doubt, normal.S, optimize=True)
-        by_term = (np.diagonal(normal.S, axis1=1, axis2=2) - pulled).sum(axis=0)
-        by_term = by_term * sizes.own(own.scaling, own.size) ** 2
+        by_term = np.diagonal(normal.S, axis1=1, axis2=2) - pulled
+        by_kind = np.einsum("tp,ktp->k", by_term, sizes.own(own.scaling, own.size, own.speeds))
         spread = normal.inverse @ own.R @ doubt @ own.R.transpose(0, 2, 1) @ normal.inverse
         by_noise = np.trace(normal.inverse - spread, axis1=1, axis2=2).sum() - np.sum(white**2)
-        slow, ends = by_term[1:-EDGES].sum(), by_term[-EDGES:].sum()
-        return np.array([by_term[0], slow, ends, sizes.noise**2 * by_noise])
+        return np.append(by_kind, sizes.noise**2 * by_noise)
 
 
 def _of_falls(own: Reduced, sizes: Sizes, share: Array) -> Array:

@@ -40,6 +40,7 @@ TRUE = Sizes(
     both=0.2,
     trial=0.1,
     slow=0.1,
+    unsteady=0.2,
     edge=0.1,
     noise=0.3,
     over_position=3.0,
@@ -47,7 +48,7 @@ TRUE = Sizes(
     broad=15.0,
 )
 
-WHITE = replace(TRUE, trial=0.0, slow=0.0, edge=0.0)
+WHITE = replace(TRUE, trial=0.0, slow=0.0, unsteady=0.0, edge=0.0)
 
 
 def data_of(
@@ -68,7 +69,8 @@ def data_of(
             edges = edges_of(0.02 * np.arange(SLICES), 0.02)
             own = np.hstack([scaling.over_position.values(q, MAX_POSITION_ORDER), edges])
             size = own.shape[1] - edges.shape[1]
-            error = own @ (sizes.own(scaling, size) * rng.standard_normal(own.shape[1]))
+            spread = np.sqrt(sizes.own(scaling, size, np.array([speed])).sum(axis=0)[0])
+            error = own @ (spread * rng.standard_normal(own.shape[1]))
             error += sizes.noise / np.sqrt(weight) * rng.standard_normal(SLICES)
             result.append(
                 SpeedData(float(speed), direction, q, A @ D.ravel() + error, weight, edges)
@@ -89,7 +91,8 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
         columns.append(SCALING.basis(item.q, speed, orders.position, orders.velocity))
         y.append(item.friction)
         own = np.hstack([SCALING.over_position.values(item.q, MAX_POSITION_ORDER), item.edges])
-        shared = own * sizes.own(SCALING, MAX_POSITION_ORDER + 1)
+        variance = sizes.own(SCALING, MAX_POSITION_ORDER + 1, np.array([item.speed])).sum(axis=0)
+        shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
     A = np.vstack(columns)
     V = np.zeros((len(A), len(A)))
@@ -153,7 +156,7 @@ def test_the_gradient_of_the_evidence_is_its_derivative(periodic: bool) -> None:
     data = data_of(COEFFICIENTS[:3], rng, sizes=TRUE, scaling=scaling)
     sets = [reduce_trials(data[::2], scaling), reduce_trials(data[1::2], scaling)]
     evidence = Evidence.of(sets, Orders(6, 7))
-    for at in (np.zeros(9), rng.normal(size=9)):
+    for at in (np.zeros(10), rng.normal(size=10)):
         expected = approx_fprime(at, lambda x: evidence(x)[0], 1e-6)
         np.testing.assert_allclose(evidence(at)[1], expected, rtol=1e-3, atol=0.05)
 

@@ -45,9 +45,9 @@ class Candidate:
 
     @property
     def freedom(self) -> int:
-        """Number of parameters that are fitted: coefficients and continuous settings."""
-        searched = sum(s.continuous or bool(s.then) for s in self.effect.settings)
-        return len(self.effect.coefficients(self.settings)) + searched
+        """Number of parameters that are fitted: coefficients and what is searched."""
+        coefficients = self.effect.coefficients(self.settings)
+        return len(coefficients) + self.effect.searched(self.settings)
 
 
 @dataclass(frozen=True)

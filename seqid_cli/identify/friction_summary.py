@@ -78,6 +78,7 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
         sign_width=surface.sign_width,
         directional=surface.directional,
         asymmetry=gravity.asymmetry,
+        temperature=_temperature(gravity),
         positive=surface.positive.tolist(),
         negative=surface.negative.tolist(),
         covariance=surface.entry_covariance.tolist(),
@@ -95,6 +96,14 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
     name = robot.joints[j].name
     notes = _notes(name, joint, gravity.asymmetry, unpaired)
     return JointFit(joint, _verdict(name, joint, unseen, surface.scaling), notes)
+
+
+def _temperature(gravity: GravityFit) -> float | None:
+    """Mean temperature [degC] of the trials; None where one of them has none."""
+    trials = [trial for group in gravity.groups for trial in group.trials]
+    samples = [trial.weight * len(trial.q) for trial in trials]
+    mean = float(np.average([trial.celsius for trial in trials], weights=samples))
+    return mean if np.isfinite(mean) else None
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -65,7 +65,8 @@ class Trial:
 
     `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
     acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
-    where every joint stood, the moving one at the middle of its range.
+    where every joint stood, the moving one at the middle of its range. `celsius` is the mean of the
+    joint's temperature, NaN where none was logged.
     """
 
     joint: int
@@ -80,6 +81,7 @@ class Trial:
     t: Array  # (K,) s since the log began
     seconds: float  # of a slice
     log: int = 0  # which one
+    celsius: float = np.nan
 
     @property
     def speed(self) -> float:
@@ -128,7 +130,19 @@ class TrialsOf:
         tau = torque_of(recording)
         step = noise_step(recording.q, resolution)
         stretches = constant_velocity(recording.q, rate, step=step, valid=recording.valid)
-        return [_trial(recording.q, tau, rate, each, begin=0, log=number) for each in stretches]
+        trials = [_trial(recording.q, tau, rate, each, begin=0, log=number) for each in stretches]
+        if recording.temperature is None:
+            return trials
+        return [
+            replace(trial, celsius=_mean(recording.temperature[each.start : each.stop, each.joint]))
+            for trial, each in zip(trials, stretches, strict=True)
+        ]
+
+
+def _mean(values: Array) -> float:
+    """Mean of what is finite; NaN where nothing is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else np.nan
 
 
 def _trial(

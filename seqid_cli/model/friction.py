@@ -51,7 +51,7 @@ class FrictionSurface:
     """Friction of one joint, ready to evaluate.
 
     `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of their
-    entries, row-major, stacked where `directional`.
+    entries, row-major, stacked where `directional`; `temperature` degC at which it was identified.
     """
 
     scaling: Scaling
@@ -60,6 +60,7 @@ class FrictionSurface:
     negative: Array
     entry_covariance: Array
     directional: bool
+    temperature: float | None = None
 
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> FrictionSurface:
@@ -78,6 +79,7 @@ class FrictionSurface:
             negative=np.array(joint.negative),
             entry_covariance=np.array(joint.covariance),
             directional=joint.directional,
+            temperature=joint.temperature,
         )
 
     @property

@@ -125,6 +125,7 @@ class FrictionJoint(Struct, kw_only=True):
     beta: float | None = None
     criterion_met: bool | None = None
     asymmetry: float | None = None  # share of friction that depends on direction
+    temperature: float | None = None  # degC, mean over the trials, where it was logged
     gravity: list[GravityOfTrial] = []
     speeds: list[SpeedLevel] = []
     parameters: list[Parameter] = []  # Coulomb, viscous, offset of a simultaneous fit

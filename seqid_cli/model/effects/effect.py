@@ -140,6 +140,10 @@ class Effect(abc.ABC):
         """
         return True
 
+    def searched(self, settings: Settings) -> int:
+        """How many parameters are searched beside the coefficients: the continuous settings."""
+        return sum(setting.continuous or bool(setting.then) for setting in self.settings)
+
     @abc.abstractmethod
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the linear parameters, in the order of the columns."""

@@ -38,6 +38,10 @@ class FrictionChange(Effect):
             return False
         return all(scene.model.surfaces[joint] is not None for scene in scenes)
 
+    def searched(self, settings: Settings) -> int:
+        """Return 1: when it happened, which no channel tells; laws with a cause do without."""
+        return 1
+
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the changes."""
         return (

@@ -2,8 +2,9 @@
 
     tau = h (a_c s(v) + a_v v),   h = T - T_0 where temperature is logged, exp(-t / T_w) otherwise
 
-T [degC] is the logged temperature, T_0 its mean over the logs, a_c [N m/K] and a_v [N m s/(rad K)]
-how Coulomb and viscous friction change with it. Without a sensor the gear warms up with the time
+T [degC] is the logged temperature, T_0 that at which the file's friction was identified (or the mean
+over the logs, where the file does not know it), a_c [N m/K] and a_v [N m s/(rad K)] how Coulomb and
+viscous friction change with it. Without a sensor the gear warms up with the time
 constant T_w [s] on the clock that the logs share, t [s] since the first of them began, and a_c
 [N m], a_v [N m s/rad] is what a cold start adds. Logs that share no clock count as begun equally
 cold. Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of industrial
@@ -57,6 +58,10 @@ class ThermalFriction(Effect):
         """Only without a logged temperature."""
         return not settings["logged"]
 
+    def searched(self, settings: Settings) -> int:
+        """Return 1 for the time constant, without a logged temperature."""
+        return 0 if settings["logged"] else 1
+
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the change of Coulomb and of viscous friction."""
         if settings["logged"]:
@@ -79,16 +84,16 @@ class ThermalFriction(Effect):
         assert joint is not None
         span = session(scenes)
         if _logged(scenes, joint):
-            mean = float(np.mean(np.concatenate([_celsius(s, joint) for s in scenes])))
+            reference = _reference(scenes, joint)
             times, logged = [float(np.clip(span, SHORTEST_S, LONGEST_S))], 1.0
         else:
             times = [float(x) for x in np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)]
-            mean, logged = 0.0, 0.0
+            reference, logged = 0.0, 0.0
         for time in times:
             yield {
                 "warm_up_time": float(np.clip(time, SHORTEST_S, LONGEST_S)),
                 "logged": logged,
-                "reference_temperature": mean,
+                "reference_temperature": reference,
             }
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
@@ -110,10 +115,21 @@ def _celsius(scene: Scene, joint: int) -> Array:
 
 
 def _logged(scenes: Sequence[Scene], joint: int) -> bool:
-    """Whether every log has this joint's temperature, within reason, and it changes enough."""
+    """Whether every log has this joint's temperature, within reason, and it changes enough.
+
+    Also against the temperature at which the file's friction was identified.
+    """
     if any(scene.temperature is None for scene in scenes):
         return False
     logged = np.concatenate([s.temperature[:, joint] for s in scenes if s.temperature is not None])
     if not np.all((logged > -60.0) & (logged < 200.0)):
         return False
-    return float(np.ptp(logged)) >= LEAST_KELVIN
+    return float(np.ptp(np.append(logged, _reference(scenes, joint)))) >= LEAST_KELVIN
+
+
+def _reference(scenes: Sequence[Scene], joint: int) -> float:
+    """Temperature [degC] at which the file's friction was identified, else the mean of the logs."""
+    surface = scenes[0].model.surfaces[joint]
+    if surface is not None and surface.temperature is not None:
+        return surface.temperature
+    return float(np.mean(np.concatenate([_celsius(scene, joint) for scene in scenes])))

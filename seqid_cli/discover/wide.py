@@ -91,9 +91,9 @@ def both_bands(
 ) -> dict[int, Array]:
     """Split columns at the logs' own rates into rows below and above the cut-off.
 
-    Rows above it belong to channel n + joint, in single precision. What lies above nearly all the
-    time comes below only where a joint reverses, and that is where its law is known least: then it
-    is held against the rows above alone.
+    Rows above it belong to channel n + joint, in single precision. Of a log in which nearly all of
+    a column lies above, what is left below comes from where the joint reverses, and there its law
+    is known least: then that log's rows above alone count.
     """
     below: dict[int, list[Array]] = {}
     above: dict[int, list[Array]] = {}
@@ -102,13 +102,13 @@ def both_bands(
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
         for joint, X in columns.items():
             low = full.motion.filtered(X, times=2)
-            below.setdefault(joint, []).append(low[::every])
+            passing = np.mean(low**2) < PASSING * np.mean((X - low) ** 2)
+            below.setdefault(joint, []).append(low[::every] * (not passing))
             above.setdefault(joint, []).append(X - low)
     result = {}
     for joint in below:
         slow, fast = rows.torque(joint, below[joint]), high.of(joint, above[joint])
-        passing = len(fast) > 0 and np.mean(slow**2) < PASSING * np.mean(fast**2)
-        result[joint] = np.zeros_like(slow) if passing else slow
+        result[joint] = slow
         # There are many rows above, and hundreds of candidates that keep theirs.
         result[rows.n + joint] = cast(Array, fast.astype(np.float32))
     return result

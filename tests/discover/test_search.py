@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover import greedy
-from seqid_cli.discover.candidates import Tried, best_of_each
+from seqid_cli.discover.candidates import Candidate, Tried, best_of_each
 from seqid_cli.discover.diagnose import wider_errors
 from seqid_cli.discover.gates import Gates
 from seqid_cli.discover.greedy import searched
@@ -214,6 +214,13 @@ def test_the_simpler_of_equals_leads(two: list[Scene]) -> None:
     assert rich.candidate.freedom == poor.candidate.freedom + 1
     assert simplest([gaining(rich, 1.0), gaining(poor, 0.99)]).candidate is poor.candidate
     assert simplest([gaining(rich, 1.0), gaining(poor, 0.97)]).candidate is rich.candidate
+
+
+def test_a_change_without_a_cause_has_one_parameter_more() -> None:
+    settings = {"warm_up_time": 60.0, "logged": 1.0, "reference_temperature": 20.0}
+    thermal = Candidate(CATALOGUE["thermal_friction"], 0, settings)
+    unknown = Candidate(CATALOGUE["friction_change"], 0, {})
+    assert unknown.freedom == thermal.freedom + 1
 
 
 def file_of(scene: Scene) -> Stages:

@@ -96,6 +96,18 @@ def test_bands_add_up_to_the_columns() -> None:
     np.testing.assert_allclose(found[rows.n + JOINT], high.of(JOINT, rest), atol=1e-9)
 
 
+def test_a_log_below_the_cutoff_counts_beside_logs_above_it() -> None:
+    """Each log says for itself whether a column shows in its rows below the cut-off."""
+    slow, fast = arm_scenes(logs=2, seconds=8.0)
+    rows = rows_of([slow, fast])
+    phase = 2 * np.pi * LINE_HZ
+    columns = [np.sin(0.02 * phase * slow.time)[:, None], 9.0 * np.sin(phase * fast.time)[:, None]]
+    found = both_bands(rows, high_band(rows), [{JOINT: X} for X in columns])
+    low = [slow.motion.filtered(columns[0], times=2), np.zeros_like(columns[1])]
+    np.testing.assert_allclose(found[JOINT], rows.torque(JOINT, low), atol=1e-9)
+    assert np.abs(found[JOINT]).max() > 0.5
+
+
 def test_what_is_measured_above_the_cutoff() -> None:
     """A line there is all of it; one far below the cut-off is none."""
     scenes = arm_scenes(at_joint(JOINT, line), logs=1)

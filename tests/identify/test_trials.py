@@ -10,6 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
+from seqid_cli.identify.friction import identify_friction
+from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.trials import (
     Ramps,
     Trial,
@@ -218,6 +220,24 @@ def test_windows_of_ramps_give_the_acceleration_exactly() -> None:
         np.testing.assert_allclose(own.ramps.tau, 0.02 * own.ramps.ddq, atol=1e-6)
         windows += len(own.ramps.ddq)
     assert windows >= 4
+
+
+def test_trials_know_how_warm_the_joint_was() -> None:
+    reference = sweeps(np.array([0.4, 0.0]), 1, (-1.0, 1.0), [0.5, 1.0], 10.0, rate_hz=250.0)
+    cold = recording(reference.q, np.zeros_like(reference.q))
+    celsius = np.column_stack([np.full(len(reference.q), 50.0), 20.0 + cold.t])
+    celsius[::7] = np.nan
+    warm = replace(cold, temperature=celsius)
+    trials = collect_trials([warm], planar_2r())
+    for own in trials:
+        assert own.celsius == pytest.approx(20.0 + own.t.mean(), abs=0.05)
+    assert all(np.isnan(own.celsius) for own in collect_trials([cold], planar_2r()))
+    friction = np.tanh(20.0 * np.gradient(reference.q, axis=0) * 250.0)
+    for log, known in ((warm, True), (cold, False)):
+        stage = identify_friction([replace(log, tau=friction)], planar_2r(), FrictionOptions())
+        (joint,) = stage.joints.values()
+        assert (joint.temperature is not None) == known
+        assert not known or trials[0].celsius < (joint.temperature or 0.0) < trials[-1].celsius
 
 
 def test_a_log_without_torque_is_refused() -> None:

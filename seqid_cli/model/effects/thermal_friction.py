@@ -2,11 +2,11 @@
 
     tau = h (a_c s(v) + a_v v),   h = T - T_0 where temperature is logged, exp(-t / T_w) otherwise
 
-T [degC] is the logged temperature, T_0 that at which the file's friction was identified (or the mean
+T [degC] is the logged temperature, T_0 that at which the file's friction was identified (the mean
 over the logs, where the file does not know it), a_c [N m/K] and a_v [N m s/(rad K)] how Coulomb and
-viscous friction change with it. Without a sensor the gear warms up with the time
-constant T_w [s] on the clock that the logs share, t [s] since the first of them began, and a_c
-[N m], a_v [N m s/rad] is what a cold start adds. Logs that share no clock count as begun equally
+viscous friction change with it. Without a sensor the gear warms up with the time constant T_w [s]
+on the clock that the logs share, t [s] since the first of them began, and a_c [N m], a_v
+[N m s/rad] is what a cold start adds. Logs that share no clock count as begun equally
 cold. Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of industrial
 manipulators", Robotica 37(5), 2019; Bittencourt, Gunnarsson, "Static friction in a robot joint:
 modeling and identification of load and temperature effects", J. Dyn. Sys. Meas. Control 134(5),

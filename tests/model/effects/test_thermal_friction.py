@@ -66,6 +66,22 @@ def test_slopes_come_back_from_logged_temperature(trials: list[Trial]) -> None:
     assert found.left < 0.05
 
 
+def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Trial]) -> None:
+    """Friction was identified at 12 degC: even logs of one temperature are warmer than that."""
+    scene = logged(trials[-1]).scene
+    warm = replace(scene, temperature=np.full((scene.samples, 2), 52.0))
+    surfaces = tuple(replace(surface, temperature=12.0) for surface in scene.model.surfaces)
+    known = replace(warm, model=replace(scene.model, surfaces=surfaces))
+    effect = ThermalFriction()
+    assert {point["logged"] for point in effect.grid([warm], 0, [])} <= {0.0}
+    (point,) = effect.grid([known], 0, [])
+    assert point["reference_temperature"] == 12.0
+    columns = effect.columns(known, 0, point)[0]
+    np.testing.assert_allclose(columns[:, 1], 40.0 * scene.motion.dq[:, 0])
+    assert effect.searched(point) == 0
+    assert effect.searched({**point, "logged": 0.0}) == 1
+
+
 def test_the_time_constant_comes_back_from_the_clock(trials: list[Trial]) -> None:
     """Cold friction less warm friction, and how fast it goes."""
     found = fit(ThermalFriction(), trials, joint=1)

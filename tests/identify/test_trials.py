@@ -234,7 +234,8 @@ def test_trials_know_how_warm_the_joint_was() -> None:
     assert all(np.isnan(own.celsius) for own in collect_trials([cold], planar_2r()))
     friction = np.tanh(20.0 * np.gradient(reference.q, axis=0) * 250.0)
     for log, known in ((warm, True), (cold, False)):
-        stage = identify_friction([replace(log, tau=friction)], planar_2r(), FrictionOptions())
+        logs = [replace(log, tau=friction)]
+        stage = identify_friction(logs, planar_2r(), options=FrictionOptions())
         (joint,) = stage.joints.values()
         assert (joint.temperature is not None) == known
         assert not known or trials[0].celsius < (joint.temperature or 0.0) < trials[-1].celsius

@@ -115,7 +115,13 @@ def _closed(
         noise_floor_interval={names[j]: floor.interval(j) for j in judged},
         gain_interval={name: (g.low, g.high) for name, g in changes.items() if g.known},
         evaluated_on=logs,
-        notes=(*found.notes, *notes, *((said,) if lost else ()), *((more,) if loud else ())),
+        notes=(
+            *found.notes,
+            *notes,
+            *((said,) if lost else ()),
+            *((more,) if loud else ()),
+            *floor.doubts(new, names),
+        ),
     )
 
 

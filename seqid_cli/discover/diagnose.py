@@ -147,6 +147,7 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
             *file_notes(found, robot, ordinary, named),
             *outside_notes(found, robot, ordinary),
             *free_base_notes(found, robot),
+            *found.floor.doubts(np.minimum(found.search.rms(), found.start), robot.joint_names),
         ),
     )
 
@@ -289,16 +290,20 @@ def _with_errors_of_the_file(others: Search, tried: Tried) -> Trial:
 
 
 def _explains(found: Investigation, tried: Tried) -> float:
-    """Share of the variance above the noise floor that the effect takes away, on left-out folds."""
+    """What `share_above` says of the effect's joints, on left-out folds."""
     search = found.search
     joints = [j for j in sorted(tried.columns) if j < search.stage.rows.n]
-    before, after, floor = (
-        search.without(tried).rms()[joints],
-        search.rms()[joints],
-        found.floor.rms[joints],
-    )
+    before, after = search.without(tried).rms()[joints], search.rms()[joints]
+    return share_above(before, after, found.floor.rms[joints])
+
+
+def share_above(before: Array, after: Array, floor: Array) -> float:
+    """Share of the variance above the noise floor that goes from `before` to `after`, (n,) N m.
+
+    All of it where no more than the floor is left.
+    """
     scale = np.maximum(after, 1e-12)
-    above = float(np.sum((before**2 - np.minimum(floor, after) ** 2) / scale**2))
+    above = float(np.sum((before**2 - floor**2) / scale**2))
     taken = float(np.sum((before**2 - after**2) / scale**2))
     return float(np.clip(taken / max(above, 1e-300), 0.0, 1.0))
 

@@ -81,6 +81,24 @@ class NoiseFloor:
         """95 % interval of one joint's floor, N m."""
         return float(self.low[joint]), float(self.high[joint])
 
+    def doubts(self, left: Array, names: Sequence[str]) -> tuple[str, ...]:
+        """Joints at which a model leaves less than the interval's lower end.
+
+        Parameters
+        ----------
+        left : (n,) array
+            RMS, N m, of what a model leaves of the samples that the floor is of; NaN where unknown.
+        names : sequence of str
+            Of the joints.
+        """
+        return tuple(
+            f"joint {name}: {rest:.3g} N m is left, less than the noise floor's interval, "
+            f"{low:.3g} to {high:.3g} N m: the floor's estimate is doubtful there; a log that "
+            "repeats a motion gives a better one"
+            for name, rest, low, high in zip(names, left, self.low, self.high, strict=True)
+            if rest < low
+        )
+
 
 def noise_floor(
     recordings: Sequence[Recording],

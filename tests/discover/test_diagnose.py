@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.dependence import dependence
-from seqid_cli.discover.diagnose import _mended, described, diagnose
+from seqid_cli.discover.diagnose import _mended, described, diagnose, share_above
+from seqid_cli.discover.floor import NoiseFloor
 from seqid_cli.discover.investigate import Investigation, Searched, investigate
 from seqid_cli.discover.loud import expected, louder_joints
 from seqid_cli.discover.notes import file_notes, outside_notes
@@ -278,6 +279,28 @@ def test_clean_logs_are_as_loud_as_expected() -> None:
     logs = clean()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
     np.testing.assert_allclose(found.search.rms() / expected(found), 1.2, atol=0.4)
+
+
+def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
+    logs = clean()
+    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    assert not any("doubtful" in note for note in described(found, logs.robot).notes)
+    times = np.array([0.5, 3.0])
+    parts = (found.floor.rms, found.floor.low, found.floor.high)
+    low = found.search.rms() / found.floor.low
+    floor = NoiseFloor(*(times * part * low for part in parts), found.floor.ways)
+    said = described(replace(found, floor=floor), logs.robot)
+    (note,) = [note for note in said.notes if "doubtful" in note]
+    assert note.startswith("joint elbow: ")
+    assert said.joints["elbow"].noise_floor == floor.rms[1] > said.joints["elbow"].rmse_explained
+
+
+def test_a_share_of_what_is_above_the_floor() -> None:
+    before, after = np.array([5.0]), np.array([3.0])
+    assert share_above(before, after, np.array([0.0])) == pytest.approx(16 / 25)
+    assert share_above(before, after, np.array([1.0])) == pytest.approx(16 / 24)
+    assert share_above(before, after, np.array([4.0])) == 1.0
+    assert share_above(after, before, np.array([1.0])) == 0.0
 
 
 def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:

@@ -106,6 +106,13 @@ def test_the_residual_does_not_bound_the_floor() -> None:
     assert np.all(floor.high > truth)
 
 
+def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
+    floor = NoiseFloor(np.full(3, 2.0), np.full(3, 1.5), np.full(3, 3.0), ("rests",) * 3)
+    (note,) = floor.doubts(np.array([1.4, 1.6, np.nan]), ("hip", "knee", "foot"))
+    assert note.startswith("joint hip: 1.4 N m is left")
+    assert "1.5 to 3 N m" in note
+
+
 def test_white_and_flicker_noise_are_told_apart() -> None:
     rng = np.random.default_rng(7)
     frequency = np.linspace(0.5, 250.0, 500)

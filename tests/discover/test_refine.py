@@ -12,6 +12,7 @@ import pytest
 
 from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.events import Interval
+from seqid_cli.discover.floor import NoiseFloor
 from seqid_cli.discover.heldout import Gain, HeldOutError, gain, gain_of
 from seqid_cli.discover.left_out import FOLDS, Folds
 from seqid_cli.discover.loop import Loop
@@ -80,7 +81,9 @@ def before() -> ParameterFile:
     return identified(first_logs())
 
 
-def test_what_came_late_leaves_the_file_as_it_is(before: ParameterFile) -> None:
+def test_what_came_late_leaves_the_file_as_it_is(
+    before: ParameterFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
     training, held_out = changed("fourier", "trapezoids"), changed("held_out")
     found = refine(training, robot(), before, earlier=first_logs(), options=DiscoverOptions())
     stages, loop = found.stages, confirm(found, held_out)
@@ -97,6 +100,13 @@ def test_what_came_late_leaves_the_file_as_it_is(before: ParameterFile) -> None:
     assert low < loop.after["joint_1"].rmse
     assert [r.confirmed for r in loop.rounds] == [True]
     assert loop.confirmed
+    assert not any("doubtful" in note for note in loop.notes)
+    left = np.array([loop.after["joint_1"].rmse])
+    above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left, ("spectrum",))
+    monkeypatch.setattr("seqid_cli.discover.confirm.noise_floor", lambda *_: above)
+    doubtful = confirm(found, held_out)
+    assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
+    assert any("doubtful" in note for note in doubtful.notes)
 
 
 def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:

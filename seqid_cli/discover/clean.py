@@ -74,6 +74,23 @@ def clean_recordings(
     return CleanLogs.of(recordings, scenes, residual, deviation).draw(rng)
 
 
+def echoes(
+    recordings: Sequence[Recording],
+    scenes: Sequence[Scene],
+    deviation: Sequence[Array] | None = None,
+    events: Sequence[Mask] | None = None,
+) -> list[Array]:
+    """Residuals (N, n) N m that a right model has where only the encoder is noisy.
+
+    What the encoder's noise makes of position, velocity, acceleration and the instant at which
+    friction turns round, drawn once. Arguments as those of `CleanLogs.of`.
+    """
+    nothing = [np.zeros_like(scene.motion.q) for scene in scenes]
+    more = nothing if deviation is None else deviation
+    drawn = CleanLogs.of(recordings, scenes, nothing, more, events)
+    return [log.echo for log in drawn.logs]
+
+
 @dataclass(frozen=True)
 class CleanLogs:
     """What all draws share."""

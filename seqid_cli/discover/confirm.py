@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.discover.base import base_of
+from seqid_cli.discover.clean import echoes
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.heldout import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.loop import joints_of, key_of_round, with_effects
@@ -143,4 +144,4 @@ def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:
     scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
     rows = rows_of(scenes)
     left = [whole.residual for whole in base_of(rows, model.stages).whole]
-    return noise_floor(freed, scenes, rows, left, range(len(held_out)))
+    return noise_floor(freed, scenes, rows, left, echoes(freed, scenes), range(len(held_out)))

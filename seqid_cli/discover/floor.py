@@ -1,11 +1,15 @@
-"""How small the residual could become: torque noise in the band, that no model explains.
+"""How small the residual could become: noise in the band, that no model explains.
 
-Noise is a property of a joint's drive, white and 1/f^a, looked for in all logs together; how much
-of it passes a log's low-pass depends on the log. Three ways, the best that a joint's logs allow:
+It is torque noise and what the encoder's noise makes of the motion. The latter is drawn: logs whose
+true motion and model are known go through the same filters. Torque noise is a property of a joint's
+drive, white and 1/f^a, looked for in all logs together; how much of it passes a log's low-pass
+depends on the log. Three ways, the best that a joint's logs allow:
 
 repeats
     Motion that comes back with a period, or in another log: half the mean square of the residual's
-    differences, which no model of the motion can take away.
+    differences, which no model of the motion can take away. Where the motion comes back to a part
+    of a count, errors of counting come back as well: between none and all of the encoder's part is
+    to be added, which the other ways decide.
 rests
     All joints stand for several lengths of the filter: the spectrum of the raw torque there, white
     noise and 1/f^a.
@@ -30,8 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend
 
-from seqid_cli.discover.noise import median_spectrum, nearest, power_gain, stretches
-from seqid_cli.discover.noise_level import Level, Spectrum, level_of, passed
+from seqid_cli.discover.noise import LEAST_SHARE, median_spectrum, nearest, power_gain, stretches
+from seqid_cli.discover.noise_level import Level, Slid, Spectrum, level_of, passed
 from seqid_cli.discover.periods import repeats_of
 from seqid_cli.discover.rows import Rows
 from seqid_cli.logs.recording import Recording
@@ -61,15 +65,17 @@ BAND_STRETCH = 4.0  # periods of the cut-off per spectrum of it
 FEWEST_STRETCHES = 2
 HANN = 1.5  # bins of a tapered spectrum that count as one
 MEDIAN = 2.08  # variance of a median of periodograms over that of their mean
+ECHO_ERROR = 0.15  # relative standard error of the encoder's part
+ECHO_SPREAD = np.exp(ECHO_ERROR * np.array([0.0, -1.96, 1.96]))  # at the estimate and its ends
 AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """RMS (n,) N m of low-passed torque noise, and how each joint's was found.
+    """RMS (n,) N m that a right model leaves, and how each joint's torque noise was found.
 
-    `low`, `high` (n,) N m are its 95 % interval: what the spectrum's estimate leaves open, and how
-    much the noise of logs so short scatters about it.
+    `low`, `high` (n,) N m are its 95 % interval: what the spectrum's estimate leaves open, how much
+    the noise of logs so short scatters about it, and how well the encoder's part is known.
     """
 
     rms: Array
@@ -105,6 +111,7 @@ def noise_floor(
     scenes: Sequence[Scene],
     rows: Rows,
     residual: Sequence[Array],
+    echo: Sequence[Array],
     judged: Collection[int] | None = None,
 ) -> NoiseFloor:
     """Find the noise floor of every joint.
@@ -120,8 +127,11 @@ def noise_floor(
     residual : sequence of (N, n) arrays
         Low-passed residual [N m] at the scenes' samples after all that was found has been taken
         out; zero where it does not count.
+    echo : sequence of (N, n) arrays
+        The part of it that the encoder's noise makes [N m], see `echoes`.
     judged : collection of int, optional
-        The logs whose floor is wanted, by number; the others only help to find the noise.
+        The logs whose floor is wanted, by number, over all samples in which a joint slides; the
+        others only help to find the noise. By default all, over the rows as they count.
 
     Returns
     -------
@@ -129,31 +139,40 @@ def noise_floor(
         An estimate of its own: the RMS of `residual` does not bound it.
     """
     wanted = range(len(scenes)) if judged is None else sorted(judged)
-    rested, moving = _at_rest(recordings, scenes), _in_motion(recordings, scenes, residual)
+    rested, moving = _at_rest(recordings, scenes), _in_motion(recordings, scenes, residual, echo)
     repeats, rng = _repeats(scenes, residual), np.random.default_rng(SEED)
     ways, found = [], []
     for j in range(rows.n):
-        way, levels = _levels(j, repeats, rested[j], moving[j])
         moves = [(scenes[k].motion, scenes[k].slides[:, j]) for k in wanted]
         slid = [(motion, float(m.sum()) / motion.rate_hz) for motion, m in moves if m.any()]
+        slides = np.concatenate([echo[k][scenes[k].slides[:, j], j] for k in wanted])
+        heard = rms(rows.torque(j, [e[:, j] for e in echo]) if judged is None else slides)
+        way, levels = _levels(rested[j], moving[j])
+        both = np.hypot(_known(levels, slid, rng), heard * ECHO_SPREAD)
+        if repeats.periods[j] >= FEWEST_REPEATED:
+            white = min((level.white for level in levels if level.white > 0.0), default=np.inf)
+            differs = _known([repeats.level(j, white)], slid, rng)
+            # The encoder's part comes back with the motion, or does not: `both` decides how much.
+            most = np.hypot(differs, heard * ECHO_SPREAD)
+            way, both = "repeats", np.median([differs, most, both], axis=0)
         ways.append(way)
-        each = np.array([level.rms(slid, rng) for level in levels])
-        found.append((each[0, 0], each[0, 1], each[:, 2].max()))
+        found.append(both)
     floor, low, high = np.array(found).T
     return NoiseFloor(floor, low, high, tuple(ways))
 
 
-def _levels(
-    joint: int, repeats: Repeats, rested: Sequence[Spectrum], moving: Sequence[Spectrum]
-) -> tuple[Way, Sequence[Level]]:
-    """Noise of one joint by the best way that there is; further levels bound it from above."""
-    at_rest, in_motion = _at_rest_level(rested), _in_motion_levels(moving)
-    if repeats.periods[joint] >= FEWEST_REPEATED:
-        known = [level.white for level in (at_rest, *in_motion) if level]
-        return "repeats", [repeats.level(joint, min(known, default=np.inf))]
+def _known(levels: Sequence[Level], slid: Slid, rng: np.random.Generator) -> Array:
+    """RMS of the likeliest level's noise, N m, its lower end, and the highest upper end of all."""
+    each = np.array([level.rms(slid, rng) for level in levels])
+    return np.array([each[0, 0], each[0, 1], each[:, 2].max()])
+
+
+def _levels(rested: Sequence[Spectrum], moving: Sequence[Spectrum]) -> tuple[Way, Sequence[Level]]:
+    """Torque noise of one joint, by the better way; further levels bound it from above."""
+    at_rest = _at_rest_level(rested)
     if at_rest is not None:
         return "rests", [at_rest]
-    return "spectrum", in_motion or [Level.known(0.0)]
+    return "spectrum", _in_motion_levels(moving) or [Level.known(0.0)]
 
 
 def _at_rest_level(spectra: Sequence[Spectrum]) -> Level | None:
@@ -281,23 +300,27 @@ def _quantised(recording: Recording, joint: int) -> float:
 
 
 def _in_motion(
-    recordings: Sequence[Recording], scenes: Sequence[Scene], residual: Sequence[Array]
+    recordings: Sequence[Recording],
+    scenes: Sequence[Scene],
+    residual: Sequence[Array],
+    echo: Sequence[Array],
 ) -> list[list[Spectrum]]:
     """Spectra above the cut-off and just below it, by joint, of the logs that show any."""
-    logs = list(zip(recordings, scenes, residual, strict=True))
-    each = [
-        [found(*log, j) for log in logs for found in (_slid, _top_of_band)]
-        for j in range(scenes[0].robot.n)
-    ]
-    return [[one for one in own if one is not None] for own in each]
+    result = []
+    for j in range(scenes[0].robot.n):
+        logs = zip(recordings, scenes, residual, echo, strict=True)
+        each = [(_slid(log, x, j), _top_of_band(log, x, r, e, j)) for log, x, r, e in logs]
+        result.append([one for pair in each for one in pair if one is not None])
+    return result
 
 
 def _top_of_band(
-    recording: Recording, scene: Scene, residual: Array, joint: int
+    recording: Recording, scene: Scene, residual: Array, echo: Array, joint: int
 ) -> Spectrum | None:
     """What is left of the torque at the top of the band, the low-pass undone: there is no motion.
 
-    Steps of the torque, which reach above the cut-off, the model has below it.
+    Steps of the torque, which reach above the cut-off, the model has below it. What the encoder's
+    noise makes is taken off.
     """
     motion = scene.motion
     rate, cutoff = motion.rate_hz, motion.lowpass.cutoff_hz
@@ -307,18 +330,20 @@ def _top_of_band(
     kept = (frequency > BAND[0] * cutoff) & (frequency < BAND[1] * cutoff)
     if len(starts) < FEWEST_STRETCHES or not kept.any() or not motion.lowpass.active:
         return None
-    density = median_spectrum(residual[:, joint], starts, length, rate)[kept]
+    whole, heard = (
+        median_spectrum(values[:, joint], starts, length, rate)[kept] for values in (residual, echo)
+    )
+    density = np.maximum(whole - heard, LEAST_SHARE * whole)
     density = density / power_gain(motion.lowpass, frequency[kept], 2)
     averaged = np.full(int(kept.sum()), len(starts) / (HANN * MEDIAN))
     return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))
 
 
-def _slid(recording: Recording, scene: Scene, residual: Array, joint: int) -> Spectrum | None:
+def _slid(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
     """The raw torque above the cut-off where the joint slides, away from reversals.
 
     If it never does for long, of all the log.
     """
-    del residual
     assert recording.tau is not None
     rate, cutoff = recording.rate_hz, scene.motion.lowpass.cutoff_hz
     length = min(round(STRETCH * rate / cutoff), len(recording.t))

@@ -22,6 +22,7 @@ from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Stage, Tried
+from seqid_cli.discover.clean import echoes
 from seqid_cli.discover.dependence import Dependence, dependence
 from seqid_cli.discover.doubtful import take_back, take_back_doubtful
 from seqid_cli.discover.events import Interval, event_masks, find_events
@@ -116,7 +117,7 @@ def investigate(
             t.candidate for t in result.search.accepted
         ]
         dependences = _dependences(result.search, gates, dependences if same else ())
-    floor = _floor(logs, result.search)
+    floor = _floor(logs, result.search, events)
     count = len(result.search.accepted)
     take_back_doubtful(result.search, floor.rms)
     outside = _outside(result.search, gates)
@@ -124,7 +125,7 @@ def investigate(
         result = _beside(result.search, outside, gates, options)
         dependences = _dependences(result.search, gates)
     if outside or len(result.search.accepted) < count:
-        floor = _floor(logs, result.search)
+        floor = _floor(logs, result.search, events)
     return Investigation(
         tuple(logs),
         result,
@@ -137,10 +138,12 @@ def investigate(
     )
 
 
-def _floor(logs: Sequence[Recording], search: Search) -> NoiseFloor:
+def _floor(logs: Sequence[Recording], search: Search, events: Sequence[Interval]) -> NoiseFloor:
     """Noise floor with all that was found taken out."""
-    stage = search.stage
-    return noise_floor(logs, stage.scenes, stage.rows, search.residual(search.system()))
+    stage, system = search.stage, search.system()
+    apart = event_masks(stage.rows, events)
+    echo = echoes(logs, stage.scenes, search.deviation(system), apart)
+    return noise_floor(logs, stage.scenes, stage.rows, search.residual(system), echo)
 
 
 def _judged(

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.clean import CleanLog
 from seqid_cli.discover.dependence import dependence
-from seqid_cli.discover.events import event_masks
 from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise import DETAIL
@@ -46,19 +44,12 @@ class Loud:
 def expected(found: Investigation) -> Array:
     """RMS (n,) N m that the residual would have with a right model.
 
-    Torque noise, what the encoder's noise makes of the motion, and a detail of the torque itself.
+    The noise floor, and a detail of the torque itself.
     """
-    search = found.search
-    rows, deviation = search.stage.rows, search.deviation(search.system())
-    scenes, events = search.stage.scenes, event_masks(rows, found.events)
-    echo = [
-        CleanLog(log, scene, np.zeros_like(scene.motion.q), moved, event).echo
-        for log, scene, moved, event in zip(found.logs, scenes, deviation, events, strict=True)
-    ]
-    seen = [rms(rows.torque(j, [e[:, j] for e in echo])) for j in range(rows.n)]
+    rows, scenes = found.search.stage.rows, found.search.stage.scenes
     torque = [scene.motion.filtered(scene.modelled) for scene in scenes]
     detail = [DETAIL * rms(rows.torque(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
-    return np.hypot(np.hypot(seen, found.floor.rms), detail)
+    return np.hypot(found.floor.rms, detail)
 
 
 def louder_joints(found: Investigation, ordinary: Array) -> tuple[Loud, ...]:

@@ -71,7 +71,7 @@ class UnexplainedPart(Struct, kw_only=True):
 class ResidualEntry(Struct, kw_only=True):
     """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
 
-    `noise_floor` is what torque noise alone leaves, estimated by itself, and
+    `noise_floor` is what torque noise and encoder alone leave, estimated by itself, and
     `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts. `white` says
     that nothing but noise is left.
     """

@@ -325,9 +325,9 @@ class ClosedLoop(Struct, kw_only=True):
     help. The `verdict` is poor if a round is not confirmed or one of `verdicts` is poor, which say
     what is wrong with the logs. `before` is by the model as it came in,
     `after` by the refined one; `gain_interval` is of 1 - (after / before)^2, 95 %. All are over the
-    same samples, those in which a joint slides. `noise_floor` is what torque noise alone leaves
-    there, N m, estimated by itself, with its 95 % interval. `held_out` identifies the logs that
-    `evaluated_on` names.
+    same samples, those in which a joint slides. `noise_floor` is what torque noise and encoder
+    alone leave there, N m, estimated by itself, with its 95 % interval. `held_out` identifies the
+    logs that `evaluated_on` names.
     """
 
     verdict: Literal["good", "poor"] = "good"

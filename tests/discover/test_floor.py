@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.floor import NoiseFloor, noise_floor, rms
 from seqid_cli.discover.noise_level import Spectrum, level_of
+from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filtering import Lowpass
 from tests.discover.drawn_logs import (
     RATE_HZ,
@@ -25,6 +26,11 @@ STD = np.array([1.0, 0.3])  # N m, of the raw torque
 LOOSE = 3.0  # what the residual is larger by than noise
 
 
+def silent(found: list[Scene]) -> list[Array]:
+    """What encoders without noise make of the torque."""
+    return [np.zeros_like(scene.motion.q) for scene in found]
+
+
 def ratio(
     logs: list[Array], *, coloured: float, step: float, seed: int
 ) -> tuple[Array, NoiseFloor]:
@@ -40,9 +46,8 @@ def ratio(
     # What a model of the motion misses repeats with it, and so is above the floor.
     missed = [np.cos(3 * x.motion.q) for x in found]
     scale = LOOSE * truth
-    floor = noise_floor(
-        recordings, found, rows, [r + scale * m for r, m in zip(left, missed, strict=True)]
-    )
+    given = [r + scale * m for r, m in zip(left, missed, strict=True)]
+    floor = noise_floor(recordings, found, rows, given, silent(found))
     return floor.rms / truth, floor
 
 
@@ -97,13 +102,39 @@ def test_the_residual_does_not_bound_the_floor() -> None:
     left = low_passed(tau, found[0])
     slow = Lowpass(1.5, found[0].motion.rate_hz)
     small = [left - slow(left)]
-    floor = noise_floor([log], found, rows, small)
+    floor = noise_floor([log], found, rows, small, silent(found))
     truth = np.array([rms(rows.of(j, [left[:, j]])) for j in range(2)])
     result = np.array([rms(rows.of(j, [small[0][:, j]])) for j in range(2)])
     assert np.all(result < 0.95 * truth)
     np.testing.assert_allclose(floor.rms, truth, rtol=0.2)
     assert np.all(floor.low < truth)
     assert np.all(floor.high > truth)
+
+
+def with_encoder(path: Array, again: bool) -> tuple[Array, NoiseFloor]:
+    """Floor over truth (n,) of torque noise and an encoder's part, which may come back."""
+    rng = np.random.default_rng(11)
+    raw = [noise(rng, len(path), STD, coloured=0.0, rate_hz=RATE_HZ) for _ in range(2)]
+    logs = [recording(path, smooth_torque(path) + e) for e in raw]
+    found, rows = scenes(logs)
+    torque = [low_passed(e, x) for e, x in zip(raw, found, strict=True)]
+    heard = [low_passed(rng.standard_normal(path.shape), x) for x in found]
+    echo = [low_passed(rng.standard_normal(path.shape), x) for x in found]
+    left = [e + heard[0 if again else k] for k, e in enumerate(torque)]
+    every = range(2)
+    floor = noise_floor(logs, found, rows, left, echo, every)
+    own = zip(left, found, strict=True)
+    per_log = [np.where(x.slides, e, np.nan) for e, x in own]
+    return floor.rms / np.sqrt(np.nanmean(np.concatenate(per_log) ** 2, axis=0)), floor
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_the_encoders_part_is_added_whether_or_not_it_comes_back(again: bool) -> None:
+    found, floor = with_encoder(wander(30.0, 12), again)
+    assert floor.ways == ("repeats", "repeats")
+    np.testing.assert_allclose(found, 1.0, atol=0.15)
+    np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
+    np.testing.assert_array_less(1.0, floor.high / floor.rms * found)
 
 
 def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
@@ -138,7 +169,7 @@ def test_logs_that_repeat_tell_the_noise_of_others() -> None:
     left = [low_passed(e, x) for e, x in zip(raw, found, strict=True)]
     # Steps that the model does not have, in the first log alone.
     rough = [LOOSE * left[0], left[1]]
-    floor = noise_floor(logs, found, rows, rough, judged=[0])
+    floor = noise_floor(logs, found, rows, rough, silent(found), judged=[0])
     truth = [rms(left[0][rows.picked[0]][rows.used[0][:, j], j]) for j in range(2)]
     assert floor.ways == ("repeats", "repeats")
     np.testing.assert_allclose(floor.rms, truth, rtol=0.15)
@@ -152,4 +183,4 @@ def test_a_log_in_which_a_joint_does_not_count_has_no_say() -> None:
     found, rows = scenes(logs)
     assert rows.used[1][:, 1].sum() == 0
     rough = [np.where(x.slides, 1.0, 0.0) for x in found]
-    assert np.isfinite(noise_floor(logs, found, rows, rough).rms).all()
+    assert np.isfinite(noise_floor(logs, found, rows, rough, silent(found)).rms).all()

@@ -1,9 +1,11 @@
 """The noise floor's estimate against the truth: `python -m tests.study --only noise_floor`.
 
-Plants whose current noise is known record motion that does not come back, motion that does, and
-moves with rests between them; noise is white, or half of its variance 1/f. The true floor is the
-RMS of the low-passed true noise over the samples in which a joint slides. The residual is that of a
-right model, the noise itself: it is what repeats are compared by.
+Plants whose noise is known record motion that does not come back, motion that does, and moves with
+rests between them; torque noise is white, or half of its variance 1/f, and encoders are coarse or
+fine. The true floor is the RMS of what the plant's own model leaves, over the samples in which a
+joint slides: the measured torque without that of the rigid bodies and of friction at the positions,
+velocities and accelerations that the tool makes of the encoder. That is the residual given; a
+second one has an effect in it that the model lacks.
 """
 
 from __future__ import annotations
@@ -18,17 +20,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.floor import noise_floor
+from seqid_cli.discover.clean import echoes
+from seqid_cli.discover.floor import noise_floor, rms
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.motion.filtering import Lowpass
-from seqid_cli.params.schema import Stages
+from seqid_cli.model.effects.scene import Scene
 from tests.plants.experiments import Trial, span_of, validation_trials
 from tests.plants.rigs import one_joint, two_joint
-from tests.plants.simulate import Plant
+from tests.plants.simulate import Log, Plant
 from tests.plants.trajectories import point_to_point
-from tests.study.lab import Experiment, run
+from tests.plants.twin import inverse
+from tests.study.identified import simultaneous
+from tests.study.lab import run
 from tests.study.tables import number, table
 from tests.study.variants import another
 
@@ -38,6 +42,9 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "method.md"
 FIRST_SEED = 10_000  # numbers of the estimate were set on logs that are made up, not on these
 RIGS = {"one joint": one_joint, "two joints": two_joint}
 NOISES = {"white": 0.0, "half 1/f": 0.5}
+ENCODERS = ("coarse", "fine")
+FINER = 50.0  # times
+MISSED = 3.0  # floors, amplitude of an effect that the model lacks
 MOTIONS = ("does not come back", "comes back", "rests between moves")
 SECONDS = 20.0
 DWELL_S = 1.2
@@ -49,19 +56,25 @@ class Case:
 
     rig: str
     noise: str
+    encoder: str
     motion: str
     seed: int
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Estimate over truth by joint, whether the interval holds the truth, its upper end."""
+    """Estimate over truth by joint, whether the interval holds the truth, its upper end.
+
+    `missed`, `missed_inside`: the same where the model lacks an effect.
+    """
 
     case: Case
     ways: tuple[str, ...]
     ratio: Array
     inside: Array
     reach: Array
+    missed: Array
+    missed_inside: Array
 
 
 def trials(plant: Plant, motion: str, rng: np.random.Generator) -> list[Trial]:
@@ -83,37 +96,56 @@ def outcome(case: Case) -> Outcome:
     """Record, estimate, compare."""
     rng = np.random.default_rng([case.seed, MOTIONS.index(case.motion)])
     plant = replace(another(RIGS[case.rig](), rng), coloured=NOISES[case.noise])
+    if case.encoder == "fine":
+        plant = replace(plant, encoder_step=plant.encoder_step / FINER)
     experiment = run(case.rig, plant, trials(plant, case.motion, rng), case.seed)
     logs = experiment.recordings["validation"]
-    scenes = scenes_of(logs, experiment.robot, Stages(), options=InertiaOptions(source="encoder"))
-    rows, noise = rows_of(scenes), low_passed_noise(experiment, [s.motion.lowpass for s in scenes])
-    steps = [round(log.rate_hz / s.motion.rate_hz) for log, s in zip(logs, scenes, strict=True)]
-    left = [e[::k] for e, k in zip(noise, steps, strict=True)]
-    counted = [
-        np.where(s.motion.usable[:, None], e, 0.0) for s, e in zip(scenes, left, strict=True)
+    stages = simultaneous(logs, experiment.robot)
+    scenes = scenes_of(logs, experiment.robot, stages, options=InertiaOptions(source="encoder"))
+    left = [
+        np.where(scene.motion.usable[:, None], perfect(plant, log, scene), 0.0)
+        for log, scene in zip(experiment.logs["validation"], scenes, strict=True)
     ]
-    floor = noise_floor(logs, scenes, rows, counted)
-    slid = [np.where(s.slides, e**2, 0.0) for s, e in zip(scenes, left, strict=True)]
-    count = np.sum([s.slides.sum(axis=0) for s in scenes], axis=0)
-    truth = np.sqrt(np.sum([x.sum(axis=0) for x in slid], axis=0) / count)
-    inside = (floor.low <= truth) & (truth <= floor.high)
-    return Outcome(case, floor.ways, floor.rms / truth, inside, floor.high / floor.rms)
+    rows, echo = rows_of(scenes), echoes(logs, scenes)
+    truth = np.array(
+        [
+            rms(np.concatenate([e[s.slides[:, j], j] for e, s in zip(left, scenes, strict=True)]))
+            for j in range(plant.arm.n)
+        ]
+    )
+    effect = [MISSED * truth * np.cos(3.0 * s.motion.q) for s in scenes]
+    more = [np.where(e != 0.0, e + x, 0.0) for e, x in zip(left, effect, strict=True)]
+    every = range(len(scenes))
+    floors = [noise_floor(logs, scenes, rows, given, echo, every) for given in (left, more)]
+    inside = [(floor.low <= truth) & (truth <= floor.high) for floor in floors]
+    reach = floors[0].high / floors[0].rms
+    ratios = [floor.rms / truth for floor in floors]
+    return Outcome(case, floors[0].ways, ratios[0], inside[0], reach, ratios[1], inside[1])
 
 
-def low_passed_noise(experiment: Experiment, lowpasses: Sequence[Lowpass]) -> list[Array]:
-    """True noise (N, n) N m of each log at its own rate, after two passes."""
-    drive, found = experiment.plant.torque_per_ampere, []
-    for log, thinned in zip(experiment.logs["validation"], lowpasses, strict=True):
-        lowpass = Lowpass(thinned.cutoff_hz, 1.0 / float(log.t[1] - log.t[0]))
-        found.append(lowpass(lowpass(log.current * drive - log.truth.tau)))
-    return found
+def perfect(plant: Plant, log: Log, scene: Scene) -> Array:
+    """What the plant's own model leaves of the torque (N, n) N m, at the scene's samples.
+
+    Friction turns round where the motion that the encoder shows does.
+    """
+    assert scene.full is not None
+    seen, truth = scene.full.motion, log.truth
+    rigid = np.array(
+        [inverse(plant.arm, *now) for now in zip(seen.q, seen.dq, seen.ddq, strict=True)]
+    )
+    forward, backward, smooth = plant.friction.begin()(0.0, seen.q, seen.dq, np.zeros_like(seen.q))
+    dry = np.where(seen.dq > 0.0, forward, -backward)
+    measured = log.current * plant.torque_per_ampere
+    assert len(truth.q) == seen.samples
+    left = seen.filtered(measured - dry - smooth, times=2) - seen.filtered(rigid)
+    return left[:: round(seen.rate_hz / scene.motion.rate_hz)]
 
 
 def study(seeds: int, processes: int = 1) -> str:
     """The table."""
     cases = [
         Case(*names, FIRST_SEED + k)
-        for names in product(RIGS, NOISES, MOTIONS)
+        for names in product(RIGS, NOISES, ENCODERS, MOTIONS)
         for k in range(seeds)
     ]
     with ProcessPoolExecutor(processes) as pool:
@@ -127,7 +159,7 @@ def study(seeds: int, processes: int = 1) -> str:
 def tables_of(found: Sequence[Outcome]) -> str:
     """One row per rig, noise and motion; joints of all seeds together."""
     header = (
-        "rig, noise, motion",
+        "rig, noise, encoder, motion",
         "way",
         "joints",
         "estimate / truth, median",
@@ -135,15 +167,21 @@ def tables_of(found: Sequence[Outcome]) -> str:
         "95 %",
         "interval holds the truth",
         "its upper end / estimate, median",
+        "estimate / truth where the model lacks an effect",
+        "interval holds the truth there",
     )
     rows = []
-    for names in product(RIGS, NOISES, MOTIONS):
-        own = [x for x in found if (x.case.rig, x.case.noise, x.case.motion) == names]
+    for names in product(RIGS, NOISES, ENCODERS, MOTIONS):
+        own = [
+            x for x in found if (x.case.rig, x.case.noise, x.case.encoder, x.case.motion) == names
+        ]
         if not own:
             continue
         ratio = np.concatenate([x.ratio for x in own])
         low, middle, high = np.quantile(ratio, [0.05, 0.5, 0.95])
         inside = np.concatenate([x.inside for x in own])
+        missed = np.concatenate([x.missed_inside for x in own])
+        raised = float(np.median(np.concatenate([x.missed for x in own])))
         reach = float(np.median(np.concatenate([x.reach for x in own])))
         ways = sorted({way for x in own for way in x.ways})
         rows.append(
@@ -154,6 +192,8 @@ def tables_of(found: Sequence[Outcome]) -> str:
                 *(number(float(x)) for x in (middle, low, high)),
                 f"{inside.sum()} of {len(inside)}",
                 number(reach),
+                number(raised),
+                f"{missed.sum()} of {len(missed)}",
             )
         )
     inside = np.concatenate([x.inside for x in found])

@@ -31,6 +31,7 @@ from tests.study.bound import (
 )
 from tests.study.identified import noise_floor, summed
 from tests.study.lab import recording_of, robot_of, run, true_standard, true_value
+from tests.study.noise_floor import Case, outcome
 from tests.study.tables import number, placed, rms, share_within, spread, table
 from tests.study.variants import another
 
@@ -240,3 +241,10 @@ def test_one_joint_tables_are_complete(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(rows) == 4 * 2 + 8 + 12 + 8 + 6
     for row in rows[2:10]:
         assert all(cell.strip() for cell in row.split("|")[1:-1])
+
+
+@pytest.mark.parametrize("motion", ["does not come back", "comes back"])
+def test_the_noise_floor_holds_what_a_coarse_encoder_makes(motion: str) -> None:
+    found = outcome(Case("one joint", "white", "coarse", motion, 500))
+    assert found.inside.all()
+    assert abs(float(found.ratio[0]) - 1.0) < 0.25

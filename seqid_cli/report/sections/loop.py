@@ -50,9 +50,9 @@ def closed_loop(collection: Collection) -> Section:
     lead = (
         "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
         "logs were opened after the last decision: both errors are measured there, where joints "
-        "slide, on the same samples. The noise floor estimates what torque noise alone leaves. "
-        "The gain is the part of the error's variance that the refined model takes away, with its "
-        "95 % interval."
+        "slide, on the same samples. The noise floor estimates what torque noise and encoder alone "
+        "leave. The gain is the part of the error's variance that the refined model takes away, "
+        "with its 95 % interval."
     )
     group = Group(
         "loop-errors",

@@ -11,16 +11,18 @@ repeats
     of a count, errors of counting come back as well: between none and all of the encoder's part is
     to be added, which the other ways decide.
 rests
-    All joints stand for several lengths of the filter: the spectrum of the raw torque there, white
-    noise and 1/f^a.
+    All joints stand for several periods of the cut-off: the spectrum of the raw torque there, white
+    noise and 1/f^a. A controller that hunts between two counts of its encoder shows more than
+    noise; that is seen where a rest shows more than motion does at the same frequencies.
 spectrum
     What the raw torque shows above the cut-off while the joint slides, and what is left of it at
     the top of the band, where there is no motion, as white noise and 1/f noise that goes on below.
     Control and steps of the motion show there as well, and only add to it: of all that the logs
-    show the least counts, with what agrees with it. 1/f noise that this does not show stays open,
-    and widens the interval, up to what all of it would be as noise.
+    show the least counts, with what agrees with it. What colour the noise has below stays open: the
+    interval reaches from white noise of the density at the top up to all that is left.
 
-The estimate is one of its own: what a model leaves of the torque does not bound it.
+The estimate is one of its own: what a model leaves of the torque does not bound it. A way whose
+interval lies above all that is left is refuted, and the next one is asked.
 """
 
 from __future__ import annotations
@@ -35,14 +37,15 @@ from numpy.typing import NDArray
 from scipy.signal import detrend
 
 from seqid_cli.discover.noise import LEAST_SHARE, median_spectrum, nearest, power_gain, stretches
-from seqid_cli.discover.noise_level import Level, Slid, Spectrum, level_of, passed
+from seqid_cli.discover.noise_level import Level, Spectrum, level_of, passed
 from seqid_cli.discover.periods import repeats_of
 from seqid_cli.discover.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import runs, shrink
-from seqid_cli.motion.motion import NOISE_BANDWIDTH, Motion
+from seqid_cli.motion.motion import NOISE_BANDWIDTH, Motion, encoder_resolution
+from seqid_cli.motion.segments import unmoved
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,13 +53,13 @@ Way = Literal["repeats", "rests", "spectrum"]
 
 SEED = 0  # of the draws behind the interval
 FEWEST_REPEATED = 20.0  # periods of the cut-off that must repeat
-SHORTEST_REST = 6.0  # periods of the cut-off
+SHORTEST_REST = 4.0  # periods of the cut-off
 FEWEST_RESTED = 20.0  # periods of the cut-off, over all rests
+SETTLING = 1.2  # periods of the cut-off at both ends of a rest, in which a move dies away
 STRETCH = 4.0  # periods of the cut-off per spectrum, while joints move
 FEWEST_FREQUENCIES = 8
 EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)  # of 1/f^a noise at rest
 FLICKER = (1.0,)  # the same above the cut-off, where exponents are not told apart
-BELOW = 4.0  # times the lowest frequency seen at rest, to which 1/f is continued
 ABOVE = 1.5  # cut-offs, from which the torque is taken for noise
 UP_TO = 10.0  # cut-offs: what lies further off tells little of the band
 NYQUIST_SHARE = 0.9
@@ -68,6 +71,7 @@ MEDIAN = 2.08  # variance of a median of periodograms over that of their mean
 ECHO_ERROR = 0.15  # relative standard error of the encoder's part
 ECHO_SPREAD = np.exp(ECHO_ERROR * np.array([0.0, -1.96, 1.96]))  # at the estimate and its ends
 AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
+EXCEEDS = 4.0  # standard errors above what shows in motion: a rest that is more than noise
 
 
 @dataclass(frozen=True)
@@ -139,7 +143,11 @@ def noise_floor(
         An estimate of its own: the RMS of `residual` does not bound it.
     """
     wanted = range(len(scenes)) if judged is None else sorted(judged)
-    rested, moving = _at_rest(recordings, scenes), _in_motion(recordings, scenes, residual, echo)
+    moving = _in_motion(recordings, scenes, residual, echo)
+    rested = [
+        [one for one in own if not _exceeds(one, others)]
+        for own, others in zip(_at_rest(recordings, scenes), moving, strict=True)
+    ]
     repeats, rng = _repeats(scenes, residual), np.random.default_rng(SEED)
     ways, found = [], []
     for j in range(rows.n):
@@ -147,60 +155,64 @@ def noise_floor(
         slid = [(motion, float(m.sum()) / motion.rate_hz) for motion, m in moves if m.any()]
         slides = np.concatenate([echo[k][scenes[k].slides[:, j], j] for k in wanted])
         heard = rms(rows.torque(j, [e[:, j] for e in echo]) if judged is None else slides)
-        way, levels = _levels(rested[j], moving[j])
-        both = np.hypot(_known(levels, slid, rng), heard * ECHO_SPREAD)
-        if repeats.periods[j] >= FEWEST_REPEATED:
-            white = min((level.white for level in levels if level.white > 0.0), default=np.inf)
-            differs = _known([repeats.level(j, white)], slid, rng)
-            # The encoder's part comes back with the motion, or does not: `both` decides how much.
-            most = np.hypot(differs, heard * ECHO_SPREAD)
-            way, both = "repeats", np.median([differs, most, both], axis=0)
+        rest = np.concatenate([residual[k][scenes[k].slides[:, j], j] for k in wanted])
+        left = rms(rest[rest != 0.0])
+        levels = _levels(j, repeats, rested[j], moving[j])
+        torque = {way: np.array(level.rms(slid, rng)) for way, level in levels.items()}
+        torque["spectrum"][1] = min(
+            torque["spectrum"][1], Level.known(_top(moving[j])).rms(slid, rng)[1]
+        )
+        each = {way: np.hypot(known, heard * ECHO_SPREAD) for way, known in torque.items()}
+        if "repeats" in each:
+            # The encoder's part comes back with the motion, or does not: other ways decide.
+            other = each.get("rests", each["spectrum"])
+            each["repeats"] = np.median([torque["repeats"], each["repeats"], other], axis=0)
+        # Of noise no more can be there than is left of the torque in all.
+        way = next(way for way in each if way == "spectrum" or each[way][1] <= left)
+        middle, low, high = each[way]
         ways.append(way)
-        found.append(both)
+        found.append((middle, low, max(high, left) if way == "spectrum" else high))
     floor, low, high = np.array(found).T
     return NoiseFloor(floor, low, high, tuple(ways))
 
 
-def _known(levels: Sequence[Level], slid: Slid, rng: np.random.Generator) -> Array:
-    """RMS of the likeliest level's noise, N m, its lower end, and the highest upper end of all."""
-    each = np.array([level.rms(slid, rng) for level in levels])
-    return np.array([each[0, 0], each[0, 1], each[:, 2].max()])
-
-
-def _levels(rested: Sequence[Spectrum], moving: Sequence[Spectrum]) -> tuple[Way, Sequence[Level]]:
-    """Torque noise of one joint, by the better way; further levels bound it from above."""
+def _levels(
+    joint: int, repeats: Repeats, rested: Sequence[Spectrum], moving: Sequence[Spectrum]
+) -> dict[Way, Level]:
+    """Noise of one joint by every way that there is, the best one first."""
     at_rest = _at_rest_level(rested)
+    in_motion = level_of(_agreeing(moving), FLICKER, 0.0) if moving else Level.known(0.0)
+    found: dict[Way, Level] = {}
+    if repeats.periods[joint] >= FEWEST_REPEATED:
+        known = [level.white for level in (at_rest, in_motion) if level and level.white > 0.0]
+        found["repeats"] = repeats.level(joint, min(known, default=np.inf))
     if at_rest is not None:
-        return "rests", [at_rest]
-    return "spectrum", _in_motion_levels(moving) or [Level.known(0.0)]
+        found["rests"] = at_rest
+    return {**found, "spectrum": in_motion}
 
 
 def _at_rest_level(spectra: Sequence[Spectrum]) -> Level | None:
     if not spectra:
         return None
-    below = min(float(one.frequency[0]) for one in spectra) / BELOW
-    return level_of(reduce(Spectrum.beside, spectra), EXPONENTS, below)
+    return level_of(reduce(Spectrum.beside, spectra), EXPONENTS, 0.0)
 
 
-def _in_motion_levels(spectra: Sequence[Spectrum]) -> list[Level]:
-    """The least that the logs show; and what all that falls with frequency makes as 1/f noise."""
-    if not spectra:
-        return []
-    falling = reduce(Spectrum.beside, [one for one in spectra if not _rises(one, spectra)])
-    return [level_of(one, FLICKER, 0.0) for one in (_agreeing(spectra), falling)]
+def _exceeds(rest: Spectrum, spectra: Sequence[Spectrum]) -> bool:
+    """Whether joints that stand show more than a joint that slides, at the same frequencies.
+
+    A controller that hunts between two counts of its encoder does; noise is the same in both.
+    """
+    for other in spectra:
+        shared = rest.within(float(other.frequency[0]), float(other.frequency[-1]))
+        if len(shared.frequency) and not _agrees(shared, other, EXCEEDS):
+            return True
+    return False
 
 
-def _rises(one: Spectrum, spectra: Sequence[Spectrum]) -> bool:
-    """Whether another one is below it at lower frequencies, as no noise would be."""
-    return any(
-        other.frequency[-1] <= one.frequency[0] and not _agrees(one, other) for other in spectra
-    )
-
-
-def _agrees(one: Spectrum, other: Spectrum) -> bool:
+def _agrees(one: Spectrum, other: Spectrum, errors: float = AGREE) -> bool:
     """Whether the first is not above the other beyond what chance makes."""
     error = float(np.sqrt(one.mean[1] + other.mean[1]))
-    return one.mean[0] - other.mean[0] <= AGREE * other.mean[0] * error
+    return one.mean[0] - other.mean[0] <= errors * other.mean[0] * error
 
 
 def _agreeing(spectra: Sequence[Spectrum]) -> Spectrum:
@@ -211,6 +223,15 @@ def _agreeing(spectra: Sequence[Spectrum]) -> Spectrum:
     least = min(spectra, key=lambda one: one.mean[0])
     kept = [one for one in spectra if _agrees(one, least)]
     return reduce(Spectrum.beside, kept)
+
+
+def _top(spectra: Sequence[Spectrum]) -> float:
+    """Density of the upper half of the frequencies: noise that does not rise is no less below."""
+    if not spectra:
+        return 0.0
+    one = _agreeing(spectra)
+    middle = float(np.median(one.frequency))
+    return one.within(middle, np.inf).mean[0]
 
 
 def rms(values: Array) -> float:
@@ -273,8 +294,8 @@ def _at_rest(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[l
 def _rests(recording: Recording, scene: Scene) -> list[slice] | None:
     """Pieces of equal length in which all joints stand; None where that is not for long enough."""
     period = recording.rate_hz / scene.motion.lowpass.cutoff_hz
-    still = ~nearest(scene.motion.moving, len(recording.t)).any(axis=1)
-    quiet = shrink(still & recording.valid, round(1.2 * period))
+    still = unmoved(recording.q, encoder_resolution(scene.robot), round(SHORTEST_REST * period))
+    quiet = shrink(still & recording.valid, round(SETTLING * period))
     pieces = [(a, b) for a, b in runs(quiet, len(quiet)) if b - a >= SHORTEST_REST * period]
     if sum(b - a for a, b in pieces) < FEWEST_RESTED * period:
         return None

@@ -51,6 +51,12 @@ class Spectrum:
             max(self.least, other.least),
         )
 
+    def within(self, low: float, high: float) -> Spectrum:
+        """What lies between two frequencies, Hz."""
+        kept = (self.frequency >= low) & (self.frequency <= high)
+        parts = (self.frequency[kept], self.density[kept], self.averaged[kept])
+        return Spectrum(*parts, self.least)
+
     @property
     def mean(self) -> tuple[float, float]:
         """Mean density, and its relative variance."""

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from seqid_cli.motion.cutoff import encoder_step
 from seqid_cli.motion.filtering import runs, shrink
@@ -30,6 +30,7 @@ SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
 HELD = 0.1  # of the farthest joint's travel, below which a joint is held, not driven
 MIDDLE = (0.01, 0.99)  # quantiles of the positions, between which a joint travels
+FLICKER = 1.5  # noise steps, between which an encoder may go to and fro at rest
 VELOCITY_TOLERANCE = 0.1
 SLOWER = 0.1  # of the mean velocity, by which an end may be slower than the middle
 STEADY = 0.15  # of the mean velocity, at the ends of a stretch
@@ -277,6 +278,31 @@ def _end_velocities(piece: Array, step: float) -> tuple[float, float]:
         return float(max(abs(end - 1) / (STEADY + slack), (middle - end) / (SLOWER + slack)))
 
     return excess(first), excess(last)
+
+
+def unmoved(q: Array, resolution: Array | None, samples: int) -> Mask:
+    """Where no joint leaves its place by more than the encoder's noise, for so many samples.
+
+    Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two counts, it
+    shows short rests between moves; a joint that creeps within a count stands.
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Positions, rad (m).
+    resolution : (n,) array or None
+        Smallest steps of the encoders, where the robot file knows them.
+    samples : int
+        Length of a rest at the least.
+
+    Returns
+    -------
+    (N,) bool array
+    """
+    size = max(3, samples)
+    swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)
+    middle = (swing <= FLICKER * noise_step(q, resolution)).all(axis=1)
+    return np.asarray(maximum_filter1d(middle.astype(np.uint8), size) > 0)
 
 
 def standing(moving: Mask, rate_hz: float, margin_s: float = 0.05) -> Mask:

@@ -32,11 +32,11 @@ def silent(found: list[Scene]) -> list[Array]:
 
 
 def ratio(
-    logs: list[Array], *, coloured: float, step: float, seed: int
+    logs: list[Array], *, coloured: float, step: float, seed: int, hunting: float = 0.0
 ) -> tuple[Array, NoiseFloor]:
-    """Floor over the true RMS of low-passed noise (n,)."""
+    """Floor over the true RMS of low-passed noise (n,); torque hunts at rest by so much of it."""
     rng = np.random.default_rng(seed)
-    signal = [smooth_torque(q) for q in logs]
+    signal = [smooth_torque(q) + hunting * _hunted(q) for q in logs]
     raw = [noise(rng, len(q), STD, coloured=coloured, rate_hz=RATE_HZ) for q in logs]
     total = [quantise(s + e, step * STD) for s, e in zip(signal, raw, strict=True)]
     recordings = [recording(q, tau) for q, tau in zip(logs, total, strict=True)]
@@ -49,6 +49,13 @@ def ratio(
     given = [r + scale * m for r, m in zip(left, missed, strict=True)]
     floor = noise_floor(recordings, found, rows, given, silent(found))
     return floor.rms / truth, floor
+
+
+def _hunted(q: Array) -> Array:
+    """Torque (N, 2) N m of a controller that goes to and fro while all joints stand."""
+    still = np.all(np.gradient(q, axis=0) == 0.0, axis=1)
+    saw = np.cumsum(np.sign(np.sin(np.arange(len(q)) / 40.0))) / 40.0
+    return np.asarray(STD * (still * saw)[:, None])
 
 
 @pytest.mark.parametrize(("coloured", "step"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.5)])
@@ -184,3 +191,14 @@ def test_a_log_in_which_a_joint_does_not_count_has_no_say() -> None:
     assert rows.used[1][:, 1].sum() == 0
     rough = [np.where(x.slides, 1.0, 0.0) for x in found]
     assert np.isfinite(noise_floor(logs, found, rows, rough, silent(found)).rms).all()
+
+
+def test_a_controller_that_hunts_at_rest_is_no_noise() -> None:
+    """Held at a count's edge a joint's torque goes to and fro; in motion it does not."""
+    q = resting(80.0, 6.0, 6)
+    quiet, floor = ratio([q], coloured=0.0, step=0.0, seed=6)
+    assert floor.ways == ("rests", "rests")
+    hunted, told = ratio([q], coloured=0.0, step=0.0, seed=6, hunting=30.0)
+    assert told.ways[0] == "spectrum"
+    np.testing.assert_allclose(hunted, 1.0, atol=0.4)
+    np.testing.assert_allclose(quiet, 1.0, atol=0.3)

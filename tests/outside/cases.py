@@ -2,141 +2,180 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 import warnings
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from seqid_cli import api
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from tests.logs.writers import write_mcap, write_parquet
 from tests.outside import motions
-from tests.outside.arms import REACH, Arm, drawn_arm, robot_toml, urdf
-from tests.outside.effects import KINDS
-from tests.outside.simulate import NOTHING, Effect, simulate
+from tests.outside.arms import Arm
+from tests.outside.effects import Effect
+from tests.outside.plan import Case, drawn
+from tests.outside.robotfiles import robot_toml, urdf
+from tests.outside.simulate import Log, simulate
 
 Array = NDArray[np.float64]
-SPEEDS = np.array([0.15, 0.3, 0.6, 1.2, 2.0])
-KINDS_OF_CASE = ("clean", *KINDS)
-RESERVED = 10_000  # seeds from here on judge, and are not looked at before
+SPEEDS = np.array([0.08, 0.2, 0.45, 0.8])  # of the joint's limit
+FEWER = np.array([0.2, 0.45])
+EPOCH_S = 1.7e9
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What was hidden in a case and what was found."""
+class Recorder:
+    """Writes one log after the other, as a user's logger does."""
 
-    seed: int
-    kind: str
-    joint: str | None
-    verdict: str
-    names: list[list[str]]  # found: effect, joint
-    named: bool  # right effect, or one that it is said not to be told from
-    exact: bool  # right effect
-    placed: bool  # at the right joint
-    stages: str  # "good", or what is poor
-    seconds: float
-    error: str = ""
+    def __init__(self, case: Case, folder: Path, rng: np.random.Generator) -> None:
+        self.case, self.folder, self.rng = case, folder, rng
+        self.clock, self.count = 0.0, 0
+
+    def record(self, motion: Array, effects: Sequence[Effect]) -> Path:
+        """Simulate a motion and write the log."""
+        case, self.count = self.case, self.count + 1
+        log = simulate(case.arm, motion, 100 * case.seed + self.count, effects, self.clock)
+        start, self.clock = self.clock, self.clock + len(motion) * 1e-3 + 5.0
+        suffix = "mcap" if case.mcap else "parquet"
+        path = self.folder / f"log_{self.count:02}.{suffix}"
+        write(path, case.arm, log, log.t + EPOCH_S if case.clock else log.t - start)
+        return path
+
+    def moves(self, count: int, seconds: float, effects: Sequence[Effect]) -> list[Path]:
+        """Motions of all joints, of drawn sorts."""
+        sorts = self.rng.permutation(list(motions.MOTIONS))[:count]
+        return [
+            self.record(motions.MOTIONS[sort](self.case.arm, self.rng, seconds), effects)
+            for sort in sorts
+        ]
+
+    def trials(self, speeds: Array, effects: Sequence[Effect]) -> list[Path]:
+        """Every joint by itself, the others held at a drawn posture."""
+        n = self.case.arm.n
+        posture = self.rng.uniform(-0.6, 0.6, n)
+        return [
+            self.record(motions.trial(self.case.arm, j, posture, speeds), effects)
+            for j in range(n)
+        ]
 
 
-def kind_of(seed: int) -> str:
-    """Every kind in turn."""
-    return KINDS_OF_CASE[seed % len(KINDS_OF_CASE)]
+def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
+    """Write a log as Parquet or MCAP, with torques or currents."""
+    scale = arm.of("ratio") * arm.of("constant")
+    own: dict[str, Any] = {"accelerometers": log.accelerometers, "gyros": log.gyros}
+    effort = log.torque / scale if arm.currents else log.torque
+    if path.suffix == ".mcap":
+        t0 = int(t[0]) * 10**9
+        write_mcap(path, t - int(t[0]), arm.names, log.q, encoding="cdr", effort=effort, t0_ns=t0, **own)
+        return
+    own["current" if arm.currents else "torque"] = effort
+    own["temperature"] = log.temperature if arm.temperatures else None
+    write_parquet(path, t, arm.names, log.q, **own)
 
 
-def run_case(seed: int, kind: str) -> Outcome:
-    """Record, identify before the effect, record after it, diagnose."""
-    arm = drawn_arm(seed)
-    rng = np.random.default_rng([seed, 6])
-    effect = KINDS[kind](arm, rng) if kind != "clean" else NOTHING
-    start = time.perf_counter()
-    joint = None if effect.joint is None else arm.names[effect.joint]
-    with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
+def run_case(seed: int, folder: Path) -> tuple[dict[str, Any], DiagnosisFile | None]:
+    """Record, identify, record on, diagnose: what was hidden and what was found."""
+    case = drawn(seed)
+    start, found, row = time.process_time(), None, _truth(case)
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", api.SeqidWarning)
         try:
-            stages, found = _identified_and_diagnosed(Path(name), arm, effect, seed, rng)
+            row["stages"], found = _answer(case, folder)
+            row |= told(found)
         except Exception as error:  # a case that fails is an answer too
-            said = f"{type(error).__name__}: {error}"
-            spent = time.perf_counter() - start
-            return Outcome(seed, kind, joint, "failed", [], False, False, False, "", spent, said)
-    return _outcome(seed, kind, joint, found, stages, time.perf_counter() - start)
+            row["error"] = f"{type(error).__name__}: {error}"
+    row["seconds"] = time.process_time() - start
+    return row, found
 
 
-def _identified_and_diagnosed(
-    folder: Path, arm: Arm, effect: Effect, seed: int, rng: np.random.Generator
-) -> tuple[str, DiagnosisFile]:
+def _truth(case: Case) -> dict[str, Any]:
+    names = case.arm.names
+    return {
+        "seed": case.seed,
+        "kinds": [effect.name for effect in case.effects],
+        "joints": ["" if e.joint is None else names[e.joint] for e in case.effects],
+        "shares": list(case.shares),
+        "flow": case.flow,
+        "arm": case.arm.label,
+        "n": case.arm.n,
+        "imu": bool(case.arm.imus),
+        "error": "",
+    }
+
+
+def told(found: DiagnosisFile) -> dict[str, Any]:
+    """What a diagnosis says, as far as it is judged."""
+    return {
+        "verdict": found.verdict,
+        "findings": [
+            {
+                "effect": item.effect,
+                "joint": item.joint or "",
+                "confidence": item.confidence,
+                "name_confidence": item.name_confidence,
+                "alike": item.confusable_with,
+            }
+            for item in found.findings
+        ],
+        "unexplained": [[part.joint, part.depends_on] for part in found.unexplained],
+        "events": [[e.log, e.start, e.end, e.joints] for e in found.events],
+        "residuals": {
+            joint: [entry.rmse, entry.noise_floor, entry.rmse_explained]
+            for joint, entry in found.joints.items()
+        },
+    }
+
+
+def _answer(case: Case, folder: Path) -> tuple[str, DiagnosisFile]:
     robot = folder / "robot.toml"
-    robot.write_text(robot_toml(arm))
-    (folder / "arm.urdf").write_text(urdf(arm))
-    n = len(arm.links)
-    postures = rng.uniform(-0.5 * REACH, 0.5 * REACH, (2, n))
-    trials = [
-        record(folder / f"trial_{j}_{k}.parquet", arm, motions.trial(n, j, posture, speeds), seed)
-        for k, (posture, speeds) in enumerate(zip(postures, (SPEEDS, SPEEDS[2:4]), strict=True))
-        for j in range(n)
-    ]
-    moves = [
-        record(folder / "multisine.parquet", arm, motions.multisine(n, rng, 20.0), seed + 1),
-        record(folder / "spline.parquet", arm, motions.spline(n, rng, 15.0), seed + 2),
-    ]
-    after = [
-        record(path, arm, motion, seed + 3 + k, effect)
-        for k, (path, motion) in enumerate(
-            (
-                (folder / "after_multisine.parquet", motions.multisine(n, rng, 20.0)),
-                (folder / "after_points.parquet", motions.point_to_point(n, rng, 16.0)),
-            )
-        )
-    ]
-    files = [folder / f"{stage}.json" for stage in ("friction", "gravity", "inertia")]
-    friction = api.friction(trials[:n], robot, output=files[0]).stages.friction
-    gravity = api.gravity(trials, robot, files[0], output=files[1]).stages.gravity
-    inertia = api.inertia(moves, robot, files[1], output=files[2]).stages.inertia
-    named = (("friction", friction), ("gravity", gravity), ("inertia", inertia))
+    robot.write_text(robot_toml(case.arm))
+    (folder / "arm.urdf").write_text(urdf(case.arm))
+    recorder = Recorder(case, folder, np.random.default_rng([case.seed, 6]))
+    if case.flow == "single":
+        logs = recorder.moves(1, 20.0, case.effects)
+        file, poor = _one_step(case, robot, logs, folder)
+    elif case.flow.startswith("step"):
+        file, poor = _one_step(case, robot, recorder.moves(3, 20.0, case.before), folder)
+        logs = recorder.moves(2, 16.0, case.effects)
+    else:
+        file, poor = _sequential(case, robot, recorder, folder)
+        logs = recorder.moves(2, 18.0, case.effects)
+    return poor, api.diagnose(logs, robot, file)
+
+
+def _one_step(case: Case, robot: Path, logs: list[Path], folder: Path) -> tuple[Path, str]:
+    file, imu = folder / "simultaneous.json", folder / "imu.json"
+    if case.arm.imus:
+        api.imu_calib(logs, robot, output=imu)
+    stages = api.simultaneous(logs, robot, [imu] if case.arm.imus else [], output=file).stages
+    return file, _poor(stages)
+
+
+def _sequential(case: Case, robot: Path, recorder: Recorder, folder: Path) -> tuple[Path, str]:
+    trials = recorder.trials(SPEEDS, case.before)
+    more = recorder.trials(FEWER, case.before)
+    moves = recorder.moves(2, 18.0, case.before)
+    files = [folder / f"{stage}.json" for stage in ("friction", "gravity", "imu", "inertia")]
+    api.friction(trials, robot, output=files[0])
+    api.gravity([*trials, *more], robot, files[0], output=files[1])
+    known = files[1:2]
+    if case.arm.imus:
+        api.imu_calib([*more, *moves], robot, files[1], output=files[2])
+        known = files[2:3]
+    return files[3], _poor(api.inertia(moves, robot, known, output=files[3]).stages)
+
+
+def _poor(stages: Any) -> str:
+    """What is poor of the stages, or "good"."""
+    named = ((name, getattr(stages, name)) for name in ("friction", "gravity", "imu", "inertia"))
     poor = [
-        f"{name} {v.joint}: {v.reason}" for name, s in named if s for v in s.verdicts if not v.good
+        f"{name} {verdict.joint}: {verdict.reason}"
+        for name, stage in named
+        if stage is not None
+        for verdict in stage.verdicts
+        if not verdict.good
     ]
-    return "; ".join(poor) or "good", api.diagnose(after, robot, files[2])
-
-
-def record(path: Path, arm: Arm, motion: Array, seed: int, effect: Effect = NOTHING) -> Path:
-    """Simulate a log and write it as a user's logger does."""
-    log = simulate(arm, motion, seed, effect)
-    columns = {"t": log.t}
-    for j, name in enumerate(arm.names):
-        columns[f"{name}.position"] = log.q[:, j]
-        columns[f"{name}.current"] = log.current[:, j]
-    pq.write_table(pa.table(columns), path)
-    return path
-
-
-def _outcome(
-    seed: int, kind: str, joint: str | None, found: DiagnosisFile, stages: str, seconds: float
-) -> Outcome:
-    names = [[item.effect, item.joint or ""] for item in found.findings]
-    pushed = kind == "external_contact" and bool(found.events)
-    right = [item for item in found.findings if item.effect == kind]
-    alike = [item for item in found.findings if kind in item.confusable_with]
-    at = [item.joint for item in (*right, *alike)]
-    clean = kind == "clean"
-    return Outcome(
-        seed,
-        kind,
-        joint,
-        found.verdict,
-        names,
-        named=not names and not found.unexplained if clean else bool(right or alike or pushed),
-        exact=not names and not found.unexplained if clean else bool(right or pushed),
-        placed=joint in at or (pushed and any(joint in e.joints for e in found.events)),
-        stages=stages,
-        seconds=seconds,
-    )
-
-
-def as_row(outcome: Outcome) -> dict[str, object]:
-    """A line of the cache."""
-    return asdict(outcome)
+    return "; ".join(poor) or "good"

@@ -1,127 +1,74 @@
-"""Effects, each made by means of the simulator: stiffness, bodies, friction, sensors, forces."""
+"""What a model can lack, and how it acts on the simulated arm: by MuJoCo's own means."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.outside.arms import Arm
-from tests.outside.simulate import Effect
 
 Array = NDArray[np.float64]
-Draw = Callable[[Arm, np.random.Generator], Effect]
 
 
-def _joint(arm: Arm, rng: np.random.Generator) -> int:
-    return int(rng.integers(len(arm.links)))
+@dataclass
+class State:
+    """An arm at a moment: t (s, of the session) and (n,) per joint; `memory` belongs to effects."""
+
+    t: float
+    q: Array  # rad
+    dq: Array  # rad/s
+    load: Array  # N m that the gear passes to the link
+    warmth: Array  # K above the cold arm
+    memory: dict[str, Array] = field(default_factory=dict)
 
 
-def spring(arm: Arm, rng: np.random.Generator) -> Effect:
-    """A hose: the joint's own stiffness."""
-    j = _joint(arm, rng)
-    size = float(rng.uniform(0.8, 1.6)) * arm.links[j].coulomb
+@dataclass(frozen=True)
+class Effect:
+    """One thing that the model lacks; every part that is given acts.
 
-    def change(model: mujoco.MjModel) -> None:
-        model.jnt_stiffness[j] = size
+    `xml` edits the arm in MuJoCo. At every step `dry` gives the dry friction (n,) from what it
+    would be, `push` adds a torque (n,) at the joints, `flange` a force (3,) at the last body, and
+    `drive` makes of the torque that is told (n,) the one that acts. `told` changes what is logged
+    of the torques (N, n) at times (N,), `angle` what the encoders say of angles (..., n).
+    """
 
-    return Effect("spring", j, size, model=change)
-
-
-def payload(arm: Arm, rng: np.random.Generator) -> Effect:
-    """A load that the last link carries: its body, changed."""
-    last, size = arm.links[-1], float(rng.uniform(0.3, 0.7)) * arm.links[-1].mass
-
-    def change(model: mujoco.MjModel) -> None:
-        body = model.nbody - 1
-        place = np.array([0.0, 0.0, 2.0 * last.centre[2]])
-        mass = last.mass + size
-        middle = (last.mass * last.centre + size * place) / mass
-        off, own = place - middle, last.centre - middle
-        model.body_inertia[body] = last.inertia + sum(
-            m * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
-            for m, (x, y, z) in ((size, off), (last.mass, own))
-        )  # products of inertia beside an axis of some mm are left out
-        model.body_mass[body], model.body_ipos[body] = mass, middle
-
-    return Effect("payload", None, size, model=change)
+    name: str
+    joint: int | None
+    xml: Callable[[ET.Element], None] | None = None
+    dry: Callable[[Array, State], Array] | None = None
+    push: Callable[[State], Array] | None = None
+    flange: Callable[[float], Array] | None = None
+    drive: Callable[[Array, State], Array] | None = None
+    told: Callable[[Array, Array], Array] | None = None
+    angle: Callable[[Array], Array] | None = None
 
 
-def load_dependent_friction(arm: Arm, rng: np.random.Generator) -> Effect:
-    """Dry friction that grows with the torque that the gear carries."""
-    j, size = 0, float(rng.uniform(0.06, 0.12))
+@dataclass(frozen=True)
+class Sized:
+    """An effect whose size is still open: `make(scale)`, up to the scale `most`."""
 
-    def dry(base: Array, dq: Array, load: Array) -> Array:
-        found = base.copy()
-        found[j] += size * abs(load[j])
-        return found
-
-    return Effect("load_dependent_friction", j, size, dry=dry)
+    name: str
+    joint: int | None
+    make: Callable[[float], Effect]
+    most: float = 20.0
 
 
-def friction_change(arm: Arm, rng: np.random.Generator) -> Effect:
-    """Dry friction of one joint that has become larger."""
-    j, size = _joint(arm, rng), float(rng.uniform(0.3, 0.6))
-
-    def dry(base: Array, dq: Array, load: Array) -> Array:
-        found = base.copy()
-        found[j] *= 1.0 + size
-        return found
-
-    return Effect("friction_change", j, size, dry=dry)
+Draw = Callable[[Arm, int, np.random.Generator], Sized]
 
 
-def stribeck(arm: Arm, rng: np.random.Generator) -> Effect:
-    """More dry friction at low speed."""
-    j = _joint(arm, rng)
-    size = float(rng.uniform(0.6, 1.0)) * arm.links[j].coulomb
-    slow = float(rng.uniform(0.1, 0.2))
-
-    def dry(base: Array, dq: Array, load: Array) -> Array:
-        found = base.copy()
-        found[j] += size * np.exp(-((dq[j] / slow) ** 2))
-        return found
-
-    return Effect("stribeck", j, size, dry=dry)
+def only(arm: Arm, joint: int, value: float) -> Array:
+    """A value at one joint, zero at the others: (n,)."""
+    found = np.zeros(arm.n)
+    found[joint] = value
+    return found
 
 
-def torque_bias(arm: Arm, rng: np.random.Generator) -> Effect:
-    """A current sensor with an offset."""
-    j = _joint(arm, rng)
-    size = float(rng.uniform(0.3, 0.6)) * arm.links[j].coulomb
-
-    def told(tau: Array) -> Array:
-        found = tau.copy()
-        found[:, j] += size
-        return found
-
-    return Effect("torque_bias", j, size, torque=told)
-
-
-def external_contact(arm: Arm, rng: np.random.Generator) -> Effect:
-    """Somebody pushes for half a second."""
-    j, start = _joint(arm, rng), float(rng.uniform(3.0, 6.0))
-    size = 4.0 * arm.links[j].coulomb
-
-    def push(t: float) -> Array:
-        found = np.zeros(len(arm.links))
-        found[j] = size * np.sin(np.pi * np.clip((t - start) / 0.5, 0.0, 1.0))
-        return found
-
-    return Effect("external_contact", j, size, push=push)
-
-
-KINDS: Mapping[str, Draw] = {
-    draw.__name__: draw
-    for draw in (
-        spring,
-        payload,
-        load_dependent_friction,
-        friction_change,
-        stribeck,
-        torque_bias,
-        external_contact,
-    )
-}
+def found(root: ET.Element, path: str) -> ET.Element:
+    """The element of an MJCF that must be there."""
+    element = root.find(path)
+    assert element is not None, path
+    return element

@@ -2,80 +2,166 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.outside.arms import Arm, mjcf
-from tests.outside.motions import STEP_S
+from tests.outside.arms import Arm
+from tests.outside.effects import Effect, State
+from tests.outside.robotfiles import STEP_S, mjcf
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Effect:
-    """What the model lacks: how it acts on the simulated arm.
-
-    `model` changes it once, `dry` gives dry friction (n,) from (friction, dq, load), `torque`
-    changes what is logged of the torques (N, n) over time, `push` adds a torque (n,) at a moment.
-    """
-
-    name: str = "clean"
-    joint: int | None = None
-    size: float = 0.0
-    model: Callable[[mujoco.MjModel], None] | None = None
-    dry: Callable[[Array, Array, Array], Array] | None = None
-    torque: Callable[[Array], Array] | None = None
-    push: Callable[[float], Array] | None = None
-
-
-NOTHING = Effect()
+DAMPING = 0.8  # of the position loop
 
 
 @dataclass(frozen=True)
 class Log:
-    """What was logged: t (N,) s, q (N, n) rad, current (N, n) A; and the true torque (N, n) N m."""
+    """What was logged, and the truth beside it.
+
+    t (N,) s, q (N, n) rad, torque (N, n) N m, temperature (N, n) degC, per IMU its accelerometers
+    (N, K) m/s^2 and its gyro (N, 3) rad/s; true_torque (N, n) N m is the motors'.
+    """
 
     t: Array
     q: Array
-    current: Array
+    torque: Array
+    temperature: Array
+    accelerometers: dict[str, Array]
+    gyros: dict[str, Array]
     true_torque: Array
 
 
-def simulate(arm: Arm, reference: Array, seed: int, effect: Effect = NOTHING) -> Log:
-    """Follow a motion (N, n) at 1 kHz with a PD controller and the weight fed forward."""
-    model = mujoco.MjModel.from_xml_string(mjcf(arm))
-    if effect.model:
-        effect.model(model)
+def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
+    """The arm with what the effects change of it."""
+    root = mjcf(arm)
+    for effect in effects:
+        if effect.xml:
+            effect.xml(root)
+    return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+
+
+def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """Degrees of freedom of the motors and of the links that they move."""
+    kinds = mujoco.mjtObj.mjOBJ_JOINT
+    links = [mujoco.mj_name2id(model, kinds, name) for name in arm.names]
+    motors = [mujoco.mj_name2id(model, kinds, f"{name}_motor") for name in arm.names]
+    dof = model.jnt_dofadr
+    return (
+        [int(dof[m if m >= 0 else j]) for m, j in zip(motors, links, strict=True)],
+        [int(dof[j]) for j in links],
+    )
+
+
+def _felt_inertia(arm: Arm) -> Array:
+    """Inertia (n,) that the controller was tuned to: the plain arm's in the middle."""
+    model = built(arm)
     data = mujoco.MjData(model)
-    data.qpos[:] = reference[0]
+    data.qpos[:] = [link.middle for link in arm.links[: arm.n]]
     mujoco.mj_forward(model, data)
-    felt = 1.0 / model.dof_invweight0
-    kp, kd = felt * 40.0**2, felt * 2.0 * 0.8 * 40.0
-    speed = np.gradient(reference, STEP_S, axis=0)
+    full = np.zeros((arm.n, arm.n))
+    mujoco.mj_fullM(model, data, full)
+    return np.diag(full).copy()
+
+
+def simulate(
+    arm: Arm, reference: Array, seed: int, effects: Sequence[Effect] = (), start: float = 0.0
+) -> Log:
+    """Follow a motion (N, n) at 1 kHz: PD, with weight and inertia fed forward.
+
+    `start` [s] is when in the session the log begins.
+    """
+    model = built(arm, effects)
+    data = mujoco.MjData(model)
+    motor, link = _motors(arm, model)
+    for dofs in (motor, link):
+        data.qpos[dofs] = reference[0]
+    mujoco.mj_forward(model, data)
+    felt = _felt_inertia(arm)
+    kp, kd = felt * arm.bandwidth**2, felt * 2.0 * DAMPING * arm.bandwidth
+    rate = np.gradient(reference, STEP_S, axis=0)
+    forward = felt * np.gradient(rate, STEP_S, axis=0)
+    times = start + np.arange(len(reference)) * STEP_S
+    warmth = np.array([d.rise * -np.expm1(-times / d.warm_s) for d in arm.drives]).T
+    coulomb, waviness, phase = (arm.of(k) for k in ("coulomb", "waviness", "phase"))
     q, tau = np.empty_like(reference), np.empty_like(reference)
-    for k, (wanted, rate) in enumerate(zip(reference, speed, strict=True)):
-        base = np.array([x.friction(y) for x, y in zip(arm.links, data.qpos, strict=True)])
-        load = data.qfrc_bias.copy()
-        model.dof_frictionloss[:] = effect.dry(base, data.qvel, load) if effect.dry else base
-        torque = kp * (wanted - data.qpos) + kd * (rate - data.qvel) + load
-        q[k], tau[k] = data.qpos, torque
-        data.qfrc_applied[:] = torque + (effect.push(k * STEP_S) if effect.push else 0.0)
+    sensed = np.empty((len(reference), model.nsensordata))
+    state = State(start, reference[0], np.zeros(arm.n), data.qfrc_bias[link].copy(), warmth[0])
+    flange = next((e.flange for e in effects if e.flange), None)
+    for k in range(len(reference)):
+        state.t, state.warmth = times[k], warmth[k]
+        state.q, state.dq = data.qpos[motor], data.qvel[motor]
+        dry = coulomb * (1.0 + waviness * np.sin(state.q + phase))
+        said = state.q
+        for effect in effects:
+            said = effect.angle(said) if effect.angle else said
+            dry = effect.dry(dry, state) if effect.dry else dry
+        weight = data.qfrc_bias[link]
+        torque = kp * (reference[k] - said) + kd * (rate[k] - state.dq) + weight + forward[k]
+        acting = torque
+        for effect in effects:
+            acting = effect.drive(acting, state) if effect.drive else acting
+            acting = acting + effect.push(state) if effect.push else acting
+        q[k], tau[k] = said, torque
+        model.dof_frictionloss[motor] = dry
+        data.qfrc_applied[motor] = acting
+        if flange:
+            data.xfrc_applied[-1, :3] = flange(times[k] - start)
         mujoco.mj_step(model, data)
-    return _logged(arm, q, tau, seed, effect)
+        sensed[k] = data.sensordata
+        _load(model, data, motor, state)
+    return _logged(arm, times, (q, tau, warmth, sensed), seed, effects)
 
 
-def _logged(arm: Arm, q: Array, tau: Array, seed: int, effect: Effect) -> Log:
+def _load(model: mujoco.MjModel, data: mujoco.MjData, motor: list[int], state: State) -> None:
+    """What the gears pass on: motor torque, less friction and the rotors' inertia."""
+    state.load = (
+        data.qfrc_applied + data.qfrc_constraint + data.qfrc_passive - model.dof_armature * data.qacc
+    )[motor]
+
+
+def _logged(
+    arm: Arm,
+    times: Array,
+    truth: tuple[Array, Array, Array, Array],
+    seed: int,
+    effects: Sequence[Effect],
+) -> Log:
     rng = np.random.default_rng([seed, 5])
-    every = round(1.0 / (STEP_S * arm.rate_hz))
-    told = effect.torque(tau) if effect.torque else tau
-    coulomb = np.array([link.coulomb for link in arm.links])
-    told = told + rng.normal(size=told.shape) * arm.noise * coulomb
-    counts = np.array([link.count for link in arm.links])
-    constants = np.array([link.constant for link in arm.links])
-    rows = slice(None, None, every)
-    t = np.arange(len(q))[rows] * STEP_S
-    return Log(t, counts * np.round(q[rows] / counts), told[rows] / constants, tau[rows])
+    q, tau, warmth, sensed = truth
+    told = tau
+    for effect in effects:
+        told = effect.told(told, times) if effect.told else told
+    rows = slice(None, None, round(1.0 / (STEP_S * arm.rate_hz)))
+    noise = arm.noise * arm.of("coulomb") * rng.normal(size=told[rows].shape)
+    counts = arm.of("count")
+    accelerometers, gyros = _imus(arm, sensed[rows], rng)
+    return Log(
+        times[rows],
+        counts * np.round(q[rows] / counts),
+        told[rows] + noise,
+        np.round(2.0 * (25.0 + warmth[rows])) / 2.0,
+        accelerometers,
+        gyros,
+        tau[rows],
+    )
+
+
+def _imus(
+    arm: Arm, sensed: Array, rng: np.random.Generator
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Split the sensors' numbers (N, S) by IMU, with bias and noise."""
+    accelerometers, gyros, at = {}, {}, 0
+    for k, imu in enumerate(arm.imus):
+        count = 3 * len(imu.corners)
+        clean = sensed[:, at : at + count]
+        noise = imu.noise * rng.normal(size=clean.shape)
+        accelerometers[f"imu{k}"] = clean + imu.bias[:count] + noise
+        at += count
+        if imu.gyro:
+            gyros[f"imu{k}"] = sensed[:, at : at + 3] + 0.002 * rng.normal(size=(len(sensed), 3))
+            at += 3
+    return accelerometers, gyros

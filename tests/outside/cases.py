@@ -37,11 +37,11 @@ class Recorder:
     def record(self, motion: Array, effects: Sequence[Effect]) -> Path:
         """Simulate a motion and write the log."""
         case, self.count = self.case, self.count + 1
-        log = simulate(case.arm, motion, 100 * case.seed + self.count, effects, self.clock)
+        log = simulate(case.arm, motion, 100 * case.outline.seed + self.count, effects, self.clock)
         start, self.clock = self.clock, self.clock + len(motion) * 1e-3 + 5.0
-        suffix = "mcap" if case.mcap else "parquet"
+        suffix = "mcap" if case.outline.mcap else "parquet"
         path = self.folder / f"log_{self.count:02}.{suffix}"
-        write(path, case.arm, log, log.t + EPOCH_S if case.clock else log.t - start)
+        write(path, case.arm, log, log.t + EPOCH_S if case.outline.clock else log.t - start)
         return path
 
     def moves(self, count: int, seconds: float, effects: Sequence[Effect]) -> list[Path]:
@@ -57,8 +57,7 @@ class Recorder:
         n = self.case.arm.n
         posture = self.rng.uniform(-0.6, 0.6, n)
         return [
-            self.record(motions.trial(self.case.arm, j, posture, speeds), effects)
-            for j in range(n)
+            self.record(motions.trial(self.case.arm, j, posture, speeds), effects) for j in range(n)
         ]
 
 
@@ -69,7 +68,9 @@ def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
     effort = log.torque / scale if arm.currents else log.torque
     if path.suffix == ".mcap":
         t0 = int(t[0]) * 10**9
-        write_mcap(path, t - int(t[0]), arm.names, log.q, encoding="cdr", effort=effort, t0_ns=t0, **own)
+        write_mcap(
+            path, t - int(t[0]), arm.names, log.q, encoding="cdr", effort=effort, t0_ns=t0, **own
+        )
         return
     own["current" if arm.currents else "torque"] = effort
     own["temperature"] = log.temperature if arm.temperatures else None
@@ -94,11 +95,11 @@ def run_case(seed: int, folder: Path) -> tuple[dict[str, Any], DiagnosisFile | N
 def _truth(case: Case) -> dict[str, Any]:
     names = case.arm.names
     return {
-        "seed": case.seed,
+        "seed": case.outline.seed,
         "kinds": [effect.name for effect in case.effects],
         "joints": ["" if e.joint is None else names[e.joint] for e in case.effects],
         "shares": list(case.shares),
-        "flow": case.flow,
+        "flow": case.outline.flow,
         "arm": case.arm.label,
         "n": case.arm.n,
         "imu": bool(case.arm.imus),
@@ -133,11 +134,11 @@ def _answer(case: Case, folder: Path) -> tuple[str, DiagnosisFile]:
     robot = folder / "robot.toml"
     robot.write_text(robot_toml(case.arm))
     (folder / "arm.urdf").write_text(urdf(case.arm))
-    recorder = Recorder(case, folder, np.random.default_rng([case.seed, 6]))
-    if case.flow == "single":
+    recorder = Recorder(case, folder, np.random.default_rng([case.outline.seed, 6]))
+    if case.outline.flow == "single":
         logs = recorder.moves(1, 20.0, case.effects)
         file, poor = _one_step(case, robot, logs, folder)
-    elif case.flow.startswith("step"):
+    elif case.outline.flow.startswith("step"):
         file, poor = _one_step(case, robot, recorder.moves(3, 20.0, case.before), folder)
         logs = recorder.moves(2, 16.0, case.effects)
     else:

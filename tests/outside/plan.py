@@ -64,25 +64,37 @@ COMES_LATER = {
     "external_contact",
 }
 FLOWS: tuple[Flow, ...] = ("late", "early", "late", "step_late", "early", "step_early", "single")
+MANY = 5  # joints; more would take minutes a case, and with IMUs even these do
 PUBLISHED = ("ur5", "panda", "so101", "ur10", "jaco", "xarm7", "z1")
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What a case is, without numbers: `label` and `n` as in `drawn_arm`."""
+
+    seed: int
+    kinds: tuple[str, ...]
+    flow: Flow
+    label: str
+    n: int
+    imus: bool
+    mcap: bool
+    clock: bool  # the logs share one
 
 
 @dataclass(frozen=True)
 class Case:
     """One case; `shares` are the effects' parts of the torque's RMS where they act most."""
 
-    seed: int
+    outline: Outline
     arm: Arm
     effects: tuple[Effect, ...]
     shares: tuple[float, ...]
-    flow: Flow
-    mcap: bool
-    clock: bool  # the logs share one
 
     @property
     def before(self) -> Sequence[Effect]:
         """What is there while the model is identified."""
-        return () if self.flow in ("late", "step_late") else self.effects
+        return () if self.outline.flow in ("late", "step_late") else self.effects
 
 
 def kinds_of(seed: int) -> tuple[str, ...]:
@@ -97,8 +109,8 @@ def kinds_of(seed: int) -> tuple[str, ...]:
     return first, str(rng.choice([name for name in names if name != first]))
 
 
-def drawn(seed: int) -> Case:
-    """The case of a seed."""
+def outlined(seed: int) -> Outline:
+    """Which sort of case a seed is."""
     rng = np.random.default_rng([seed, 77])
     kinds = kinds_of(seed)
     flow = FLOWS[int(rng.integers(len(FLOWS)))]
@@ -106,21 +118,24 @@ def drawn(seed: int) -> Case:
         flow = "step_late" if flow.startswith("s") else "late"
     label, n = "drawn", int(rng.choice([1, 2, 2, 2, 2, 3]))
     if seed % 6 == 1:
-        label, n = PUBLISHED[(seed // 6) % len(PUBLISHED)], int(rng.choice([2, 3]))
+        label, n = PUBLISHED[(seed // 6) % len(PUBLISHED)], int(rng.choice([2, 3, 3, MANY]))
     if "transmission_coupling" in kinds:
         n = max(n, 2)
-    # Pan joints of published arms carry no weight, as they do not in life.
-    imus = bool(rng.random() < 0.5)
-    arm = drawn_arm(rng, label, n, imus)
+    imus, mcap = bool(rng.random() < 0.5) and n < MANY, bool(rng.random() < 0.3)
+    clock = mcap or bool(rng.random() < 0.5)
+    return Outline(seed, kinds, flow, label, n, imus, mcap, clock)
+
+
+def drawn(seed: int) -> Case:
+    """The case of a seed."""
+    outline, rng = outlined(seed), np.random.default_rng([seed, 78])
+    arm = drawn_arm(rng, outline.label, outline.n, outline.imus)
     effects, shares = [], []
-    for kind in kinds:
-        effect, share = sized(arm, KINDS[kind](arm, int(rng.integers(n)), rng), rng)
+    for kind in outline.kinds:
+        effect, share = sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng)
         effects.append(effect)
         shares.append(share)
-    mcap = bool(rng.random() < 0.3)
-    return Case(
-        seed, arm, tuple(effects), tuple(shares), flow, mcap, clock=mcap or bool(rng.random() < 0.5)
-    )
+    return Case(outline, arm, tuple(effects), tuple(shares))
 
 
 def sized(arm: Arm, effect: Sized, rng: np.random.Generator) -> tuple[Effect, float]:

@@ -119,7 +119,10 @@ def simulate(
 def _load(model: mujoco.MjModel, data: mujoco.MjData, motor: list[int], state: State) -> None:
     """What the gears pass on: motor torque, less friction and the rotors' inertia."""
     state.load = (
-        data.qfrc_applied + data.qfrc_constraint + data.qfrc_passive - model.dof_armature * data.qacc
+        data.qfrc_applied
+        + data.qfrc_constraint
+        + data.qfrc_passive
+        - model.dof_armature * data.qacc
     )[motor]
 
 

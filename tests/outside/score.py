@@ -1,0 +1,140 @@
+"""How an answer is judged against what was hidden: names, families, quantities, certainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+Row = Mapping[str, Any]
+Label = Literal["right", "alike", "family", "quantity", "other", "little left", "silent"]
+SURE = 0.9  # confidence from which a wrong name is stated with certainty
+LITTLE = 1.25  # noise floors: less is left at a joint where nothing is to be found
+
+# Effects of one group do nearly the same to a torque; an effect may be in several.
+FAMILIES: tuple[frozenset[str], ...] = tuple(
+    frozenset(names.split())
+    for names in (
+        "stribeck presliding_hysteresis nonlinear_viscous",
+        "quadratic_drag nonlinear_viscous",
+        "load_dependent_friction gear_efficiency torque_saturation",
+        "torque_constant torque_saturation rotor_inertia payload",
+        "friction_change thermal_friction position_dependent_friction",
+        "asymmetric_friction torque_bias drift",
+        "torque_bias spring",
+        "spring base_tilt payload",
+        "time_skew actuator_lag joint_elasticity",
+        "joint_elasticity backlash presliding_hysteresis",
+        "torque_ripple encoder_eccentricity",
+        "transmission_coupling friction_change",
+        "external_contact drift",
+    )
+)
+QUANTITIES: Mapping[str, str] = {  # that an unexplained residual may rightly be said to depend on
+    "stribeck": "velocity direction",
+    "asymmetric_friction": "direction",
+    "load_dependent_friction": "load",
+    "gear_efficiency": "load",
+    "friction_change": "direction velocity",
+    "position_dependent_friction": "position",
+    "thermal_friction": "temperature time velocity",
+    "quadratic_drag": "velocity",
+    "nonlinear_viscous": "velocity",
+    "presliding_hysteresis": "velocity direction",
+    "spring": "position",
+    "payload": "position load acceleration",
+    "base_tilt": "position",
+    "rotor_inertia": "acceleration",
+    "transmission_coupling": "other_joint",
+    "joint_elasticity": "acceleration load",
+    "backlash": "load acceleration",
+    "torque_ripple": "position",
+    "external_contact": "time",
+    "torque_constant": "load acceleration",
+    "torque_saturation": "load",
+    "torque_bias": "time",
+    "drift": "time",
+    "periodic_disturbance": "time_frequency time",
+    "time_skew": "acceleration",
+    "actuator_lag": "acceleration",
+    "encoder_eccentricity": "position",
+}
+
+
+def one_step(row: Row) -> bool:
+    """Whether the model has no friction over position, which every arm has."""
+    return str(row["flow"]).startswith("s")
+
+
+def related(name: str, kind: str) -> bool:
+    """Whether two effects are of one family."""
+    return name == kind or any({name, kind} <= group for group in FAMILIES)
+
+
+def _here(told: str, hidden: str) -> bool:
+    return not told or not hidden or told == hidden
+
+
+def _hidden(row: Row) -> list[tuple[str, str]]:
+    return list(zip(row["kinds"], row["joints"], strict=True))
+
+
+def finding_is(
+    row: Row, finding: Mapping[str, Any]
+) -> Literal["right", "alike", "family", "wrong"]:
+    """What one finding is worth: its name, a name told as like it, or its family at the joint."""
+    kinds = [kind for kind, joint in _hidden(row) if _here(finding["joint"], joint)]
+    if one_step(row):
+        kinds.append("position_dependent_friction")
+    if finding["effect"] in kinds:
+        return "right"
+    if set(finding["alike"]) & set(kinds):
+        return "alike"
+    return "family" if any(related(finding["effect"], kind) for kind in kinds) else "wrong"
+
+
+def surely_wrong(row: Row) -> bool:
+    """Whether a name that is not even of a hidden effect's family is stated with certainty."""
+    return any(
+        finding["confidence"] >= SURE and finding_is(row, finding) == "wrong"
+        for finding in row.get("findings", ())
+    )
+
+
+def _of_position(row: Row, depends_on: Sequence[str]) -> bool:
+    """What a one-step model rightly lacks: friction over position."""
+    return one_step(row) and set(depends_on) <= {"position", "direction"}
+
+
+def silent(row: Row) -> bool:
+    """Whether nothing is told beyond the friction over position that a one-step model lacks."""
+    told = [entry for entry in row["unexplained"] if not _of_position(row, entry[1])]
+    return not row["findings"] and not told and not row["events"]
+
+
+def label(row: Row, number: int) -> Label:
+    """How well one hidden effect was found."""
+    kind, joint = _hidden(row)[number]
+    near = [item for item in row["findings"] if _here(item["joint"], joint)]
+    names = {item["effect"] for item in near}
+    pushed = kind == "external_contact" and row["events"]
+    if kind in names or pushed:
+        return "right"
+    if any(kind in item["alike"] for item in near):
+        return "alike"
+    if any(related(name, kind) for name in names):
+        return "family"
+    unexplained = [entry[1] for entry in row["unexplained"] if _here(entry[0], joint)]
+    if kind != "position_dependent_friction":
+        unexplained = [each for each in unexplained if not _of_position(row, each)]
+    asked = set(QUANTITIES[kind].split())
+    if any(asked & {quantity.partition(":")[0] for quantity in each} for each in unexplained):
+        return "quantity"
+    if near or unexplained:
+        return "other"
+    return "little left" if _left(row, joint) < LITTLE else "silent"
+
+
+def _left(row: Row, joint: str) -> float:
+    """RMSE in noise floors, at a joint or at the worst of all."""
+    chosen = [entry for name, entry in row["residuals"].items() if _here(name, joint)]
+    return max((rmse / floor for rmse, floor, _ in chosen if rmse and floor), default=0.0)

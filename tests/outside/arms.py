@@ -98,7 +98,9 @@ def published_links(name: str) -> tuple[Link, ...]:
     rows = json.loads(PUBLISHED.read_text(encoding="utf-8"))["arms"][name]
     return tuple(
         Link(
-            *(np.array(row[key]) for key in ("place", "turn", "axis")),
+            place=np.array(row["place"]),
+            turn=np.array(row["turn"]),
+            axis=np.array(row["axis"]),
             mass=row["mass"],
             centre=np.array(row["centre"]),
             inertia=np.array(row["inertia"])[np.array(SHAPE)],

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from tests.outside.arms import Arm, Drive, Link, drawn_arm
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def pendulum(mass: float = 2.0, centre: float = 0.4, coulomb: float = 0.0) -> Arm:
@@ -32,8 +33,8 @@ def quiet_arm(seed: int, n: int = 2, imus: bool = False) -> Arm:
     return replace(arm, noise=0.0, rate_hz=500.0)
 
 
-def sweeps(t: Array, q: Array, speed: float, at: float, width: float = 0.05) -> tuple[Array, Array]:
+def sweeps(t: Array, q: Array, speed: float, at: float, width: float = 0.05) -> tuple[Mask, Mask]:
     """Rows on the way up and on the way down at a speed and near a place, accelerating nowhere."""
     v = np.gradient(q, t)
-    near = (np.abs(q - at) < width) & (np.abs(np.abs(v) - speed) < 0.1 * speed)
+    near: Mask = (np.abs(q - at) < width) & (np.abs(np.abs(v) - speed) < 0.1 * speed)
     return near & (v > 0), near & (v < 0)

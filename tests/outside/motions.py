@@ -21,7 +21,7 @@ def _times(seconds: float) -> Array:
 
 def _rounded(line: Array, width: int) -> Array:
     window = np.hanning(width) / np.hanning(width).sum()
-    return np.convolve(np.pad(line, width // 2, mode="edge"), window, "valid")
+    return np.asarray(np.convolve(np.pad(line, width // 2, mode="edge"), window, "valid"))
 
 
 def fitted(arm: Arm, unit: Array) -> Array:

@@ -82,16 +82,16 @@ def urdf(arm: Arm) -> str:
         pairs = zip(names, values, strict=True)
         ET.SubElement(body, "inertia", {name: repr(float(value)) for name, value in pairs})
         moves = k < arm.n
-        kind = {"type": "revolute" if moves else "fixed"}
-        joint = ET.SubElement(root, "joint", name=arm.names[k] if moves else f"lock{k}", **kind)
+        name = arm.names[k] if moves else f"lock{k}"
+        joint = ET.SubElement(root, "joint", name=name, type="revolute" if moves else "fixed")
         ET.SubElement(joint, "parent", link=f"l{k - 1}" if k else "base")
         ET.SubElement(joint, "child", link=f"l{k}")
         ET.SubElement(joint, "origin", xyz=row(link.place), rpy=row(link.turn))
         if moves:
             ET.SubElement(joint, "axis", xyz=row(link.axis))
             lower, upper = link.middle - 2.0 * link.reach, link.middle + 2.0 * link.reach
-            ends = {"lower": repr(lower), "upper": repr(upper)}
-            ET.SubElement(joint, "limit", velocity=repr(1.5 * link.speed), effort="1e4", **ends)
+            limit = ET.SubElement(joint, "limit", lower=repr(lower), upper=repr(upper))
+            limit.attrib |= {"velocity": repr(1.5 * link.speed), "effort": "1e4"}
     return ET.tostring(root, encoding="unicode")
 
 

@@ -179,7 +179,7 @@ def test_what_sensors_say() -> None:
 def test_a_lagging_drive_follows_in_its_time_constant() -> None:
     drive = made("actuator_lag", pendulum()).drive
     assert drive is not None
-    state = State(0.0, *(np.zeros(1) for _ in range(4)))
+    state = State(0.0, np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
     drive(np.zeros(1), state)
     acting = [drive(np.ones(1), state)[0] for _ in range(3)]
     assert acting[-1] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-9)

@@ -112,12 +112,18 @@ def silent(row: Row) -> bool:
 
 
 def label(row: Row, number: int) -> Label:
-    """How well one hidden effect was found."""
-    kind, joint = _hidden(row)[number]
-    near = [item for item in row["findings"] if _here(item["joint"], joint)]
+    """How well one hidden effect was found; what names the other one does not count."""
+    hidden = _hidden(row)
+    kind, joint = hidden[number]
+    rest = [*hidden[:number], *hidden[number + 1 :]]
+    near = [
+        item
+        for item in row["findings"]
+        if _here(item["joint"], joint)
+        and not any(item["effect"] == name and _here(item["joint"], at) for name, at in rest)
+    ]
     names = {item["effect"] for item in near}
-    pushed = kind == "external_contact" and row["events"]
-    if kind in names or pushed:
+    if kind in names or (kind == "external_contact" and row["events"]):
         return "right"
     if any(kind in item["alike"] for item in near):
         return "alike"

@@ -78,6 +78,14 @@ def test_an_answer_is_worth_its_best_part(changed: dict[str, Any], expected: str
     assert label(answer(**changed), 0) == expected
 
 
+def test_the_name_of_one_effect_is_no_answer_about_the_other() -> None:
+    both = {"kinds": ["stribeck", "spring"], "joints": ["j2", "j2"], "shares": [0.1, 0.1]}
+    row = answer(findings=[finding("stribeck")], **both)
+    assert [label(row, k) for k in range(2)] == ["right", "silent"]
+    row = answer(findings=[finding("stribeck"), finding("torque_bias")], **both)
+    assert [label(row, k) for k in range(2)] == ["right", "family"]
+
+
 def test_a_wrong_name_counts_where_it_is_sure() -> None:
     assert surely_wrong(answer(findings=[finding("payload", "")]))
     assert not surely_wrong(answer(findings=[finding("payload", "", 0.5)]))

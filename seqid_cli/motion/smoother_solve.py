@@ -83,6 +83,8 @@ class Solution:
 
 def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
     """Inverse of a lower band's Cholesky factor, or of its transpose, times `right` (Kn, m)."""
+    if not right.size:  # LAPACK would write into memory that is not its own
+        return right
     x, _ = dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")
     return np.asarray(x)
 

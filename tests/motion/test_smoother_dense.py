@@ -20,10 +20,11 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.motion import smoother_solve
 from seqid_cli.motion.smoother_chunk import CELL_S, Chunk, Mounted
 from seqid_cli.motion.smoother_encoder import encoder_view
 from seqid_cli.motion.smoother_imus import mounted_imus, read
-from seqid_cli.motion.smoother_solve import Solution, encoder_motion, renewed
+from seqid_cli.motion.smoother_solve import Solution, encoder_motion, halved, renewed
 from seqid_cli.motion.smoother_system import linearised
 from seqid_cli.motion.smoother_terms import Jerk
 from seqid_cli.params.schema import ImuCalibration, ImuStage
@@ -308,3 +309,14 @@ def test_stated_errors_are_those_of_the_dense_solution(encoder: str) -> None:
     off_c = np.abs(constants - theirs) / np.outer(scale[count:], scale[count:])
     assert off.max() < TOLERANCE
     assert off_c.max() < TOLERANCE
+
+
+def test_nothing_to_solve_for_is_kept_from_lapack(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where constants move the motion in no direction, `dtbtrs` would corrupt memory."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("LAPACK was asked for no columns")
+
+    monkeypatch.setattr(smoother_solve, "dtbtrs", refuse)
+    for transposed in (False, True):
+        assert halved(np.ones((4, 50)), np.zeros((50, 0)), transposed=transposed).shape == (50, 0)

@@ -74,6 +74,7 @@ class Arm:
     rate_hz: float
     noise: float  # of the torque, as a share of each joint's Coulomb friction
     bandwidth: float  # rad/s of the position loop
+    forward: float  # share of the rigid arm's torque that is fed forward
     currents: bool  # logged instead of torques
     temperatures: bool  # logged as well
     imus: tuple[Imu, ...] = ()
@@ -208,6 +209,7 @@ def drawn_arm(
         rate_hz=float(rng.choice([125.0, 250.0, 500.0])),
         noise=float(rng.uniform(0.02, 0.08)),
         bandwidth=float(rng.uniform(40.0, 90.0)),
+        forward=float(rng.uniform(0.7, 1.0)),
         currents=bool(rng.random() < 0.5),
         temperatures=bool(rng.random() < 0.4),
         imus=drawn_imus(rng, n) if imus else (),

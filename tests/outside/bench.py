@@ -24,7 +24,7 @@ def pendulum(mass: float = 2.0, centre: float = 0.4, coulomb: float = 0.0) -> Ar
         inertia=np.diag([0.02, 0.02, 0.01]),
     )
     drive = Drive(0.1, coulomb, 0.1, 0.0, 0.0, 50.0, 0.1, 1e-6, rise=10.0, warm_s=100.0)
-    return Arm("drawn", (link,), (drive,), 500.0, 0.0, 60.0, True, False)
+    return Arm("drawn", (link,), (drive,), 500.0, 0.0, 60.0, 1.0, True, False)
 
 
 def quiet_arm(seed: int, n: int = 2, imus: bool = False) -> Arm:

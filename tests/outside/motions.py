@@ -12,7 +12,7 @@ from tests.outside.arms import Arm
 from tests.outside.robotfiles import STEP_S
 
 Array = NDArray[np.float64]
-SLOWEST, FASTEST = 0.08, 0.8  # of a joint's speed limit, in trials
+REST_S = 0.4  # at the start and the end of every log
 
 
 def _times(seconds: float) -> Array:
@@ -20,8 +20,10 @@ def _times(seconds: float) -> Array:
 
 
 def _rounded(line: Array, width: int) -> Array:
+    """A line (N,) with rests before and after it, and corners of `width` samples."""
     window = np.hanning(width) / np.hanning(width).sum()
-    return np.asarray(np.convolve(np.pad(line, width // 2, mode="edge"), window, "valid"))
+    rested = np.pad(line, round(REST_S / STEP_S) + width // 2, mode="edge")
+    return np.asarray(np.convolve(rested, window, "valid"))
 
 
 def fitted(arm: Arm, unit: Array) -> Array:
@@ -44,7 +46,7 @@ def trial(arm: Arm, joint: int, posture: Array, speeds: Array) -> Array:
         for side in (1.0, -1.0):
             moments.append(moments[-1] + 2.0 / float(speed))
             knots.append(side)
-    line = _rounded(np.interp(_times(moments[-1]), moments, knots), 151)
+    line = _rounded(np.interp(_times(moments[-1]), moments, knots), 301)
     middles, reaches = (np.array([getattr(x, k) for x in arm.links]) for k in ("middle", "reach"))
     q = np.tile((middles + reaches * np.resize(posture, len(arm.links)))[: arm.n], (len(line), 1))
     q[:, joint] = link.middle + link.reach * line
@@ -67,8 +69,8 @@ def points(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
     """Moves of all joints at once between drawn points, with pauses; no overshoot."""
     moments = np.cumsum(np.tile([1.2, 0.4], int(seconds / 1.6)))
     goals = rng.uniform(-0.9, 0.9, (len(moments) // 2, arm.n))
-    knots = np.vstack([np.zeros(arm.n), np.repeat(goals, 2, axis=0)])
-    line = PchipInterpolator(np.concatenate([[0.0], moments]), knots)
+    knots = np.vstack([np.zeros((2, arm.n)), np.repeat(goals, 2, axis=0)])
+    line = PchipInterpolator(np.concatenate([[0.0, REST_S], REST_S + moments]), knots)
     return fitted(arm, np.asarray(line(_times(moments[-1]))))
 
 

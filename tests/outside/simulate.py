@@ -56,21 +56,30 @@ def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     )
 
 
-def _felt_inertia(arm: Arm) -> Array:
-    """Inertia (n,) that the controller was tuned to: the plain arm's in the middle."""
+def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
+    """Inertia (n,) that the loops are tuned to, and what is fed forward (N, n).
+
+    Both are of the plain arm: nobody has told the controller what changed.
+    """
     model = built(arm)
+    model.dof_frictionloss[:] = 0.0
     data = mujoco.MjData(model)
     data.qpos[:] = [link.middle for link in arm.links[: arm.n]]
     mujoco.mj_forward(model, data)
     full = np.zeros((arm.n, arm.n))
     mujoco.mj_fullM(model, data, full)
-    return np.diag(full).copy()
+    torque = np.empty_like(reference)
+    motion = zip(reference, rate, np.gradient(rate, STEP_S, axis=0), strict=True)
+    for k, (data.qpos[:], data.qvel[:], data.qacc[:]) in enumerate(motion):
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse
+    return np.diag(full).copy(), arm.forward * torque
 
 
 def simulate(
     arm: Arm, reference: Array, seed: int, effects: Sequence[Effect] = (), start: float = 0.0
 ) -> Log:
-    """Follow a motion (N, n) at 1 kHz: PD, with weight and inertia fed forward.
+    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward.
 
     `start` [s] is when in the session the log begins.
     """
@@ -80,10 +89,9 @@ def simulate(
     for dofs in (motor, link):
         data.qpos[dofs] = reference[0]
     mujoco.mj_forward(model, data)
-    felt = _felt_inertia(arm)
-    kp, kd = felt * arm.bandwidth**2, felt * 2.0 * DAMPING * arm.bandwidth
     rate = np.gradient(reference, STEP_S, axis=0)
-    forward = felt * np.gradient(rate, STEP_S, axis=0)
+    felt, forward = _controller(arm, reference, rate)
+    kp, kd = felt * arm.bandwidth**2, felt * 2.0 * DAMPING * arm.bandwidth
     times = start + np.arange(len(reference)) * STEP_S
     warmth = np.array([d.rise * -np.expm1(-times / d.warm_s) for d in arm.drives]).T
     coulomb, waviness, phase = (arm.of(k) for k in ("coulomb", "waviness", "phase"))
@@ -99,8 +107,7 @@ def simulate(
         for effect in effects:
             said = effect.angle(said) if effect.angle else said
             dry = effect.dry(dry, state) if effect.dry else dry
-        weight = data.qfrc_bias[link]
-        torque = kp * (reference[k] - said) + kd * (rate[k] - state.dq) + weight + forward[k]
+        torque = kp * (reference[k] - said) + kd * (rate[k] - state.dq) + forward[k]
         acting = torque
         for effect in effects:
             acting = effect.drive(acting, state) if effect.drive else acting

@@ -124,6 +124,17 @@ def test_motions_keep_ranges_and_speeds(sort: str) -> None:
         assert np.abs(line - link.middle).max() <= link.reach + 1e-9
         assert np.abs(np.diff(line)).max() <= 1e-3 * link.speed * 1.001
         assert np.ptp(line) > 0.2 * link.reach
+    speed = np.abs(q[1] - q[0]) / 1e-3
+    assert np.all(speed < [0.01 * link.speed for link in arm.links[:3]])  # no jolt
+
+
+def test_trials_begin_at_rest() -> None:
+    arm = drawn_arm(np.random.default_rng(2), "drawn", 2, imus=False)
+    q = motions.trial(arm, 1, np.zeros(2), SPEEDS)
+    assert np.abs(np.diff(q[:50], axis=0)).max() == 0.0
+    speeds = np.abs(np.diff(q[:, 1])) / 1e-3 / arm.links[1].speed
+    for speed in SPEEDS:
+        assert np.mean(np.abs(speeds - speed) < 1e-3) * len(speeds) * 1e-3 > 1.0
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "mcap"])
@@ -153,7 +164,9 @@ def test_a_clean_pendulum_is_identified_to_within_its_errors(tmp_path: Path, suf
 
 def test_a_held_joint_that_another_shakes_is_not_judged(tmp_path: Path) -> None:
     """Its torque is the controller's law, -k_p (q - q_0) - k_d dq, whatever its friction."""
-    arm = replace(drawn_arm(np.random.default_rng(2), "drawn", 3, imus=False), bandwidth=12.0)
+    arm = replace(
+        drawn_arm(np.random.default_rng(2), "drawn", 3, imus=False), bandwidth=12.0, forward=0.3
+    )
     (tmp_path / "robot.toml").write_text(robot_toml(arm))
     (tmp_path / "arm.urdf").write_text(urdf(arm))
     log = simulate(arm, motions.trial(arm, 0, np.array([0.4, -0.3, 0.2]), SPEEDS[2:]), seed=1)

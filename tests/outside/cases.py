@@ -97,7 +97,9 @@ def _truth(case: Case) -> dict[str, Any]:
     return {
         "seed": case.outline.seed,
         "kinds": [effect.name for effect in case.effects],
-        "joints": ["" if e.joint is None else names[e.joint] for e in case.effects],
+        "joints": [
+            " ".join(names[j] for j in (e.joint, e.partner) if j is not None) for e in case.effects
+        ],
         "shares": list(case.shares),
         "flow": case.outline.flow,
         "arm": case.arm.label,

@@ -34,6 +34,7 @@ class Effect:
     would be, `push` adds a torque (n,) at the joints, `flange` a force (3,) at the last body, and
     `drive` makes of the torque that is told (n,) the one that acts. `told` changes what is logged
     of the torques (N, n) at times (N,), `angle` what the encoders say of angles (..., n).
+    `partner` is the other joint of a pair: either may give the name.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Effect:
     drive: Callable[[Array, State], Array] | None = None
     told: Callable[[Array, Array], Array] | None = None
     angle: Callable[[Array], Array] | None = None
+    partner: int | None = None
 
 
 @dataclass(frozen=True)

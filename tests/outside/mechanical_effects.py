@@ -102,7 +102,7 @@ def transmission_coupling(arm: Arm, j: int, rng: np.random.Generator) -> Sized:
         def dry(base: Array, state: State) -> Array:
             return base - only(arm, j, part * float(base[j]))
 
-        return Effect("transmission_coupling", j, xml=xml, dry=dry)
+        return Effect("transmission_coupling", j, xml=xml, dry=dry, partner=other)
 
     return Sized("transmission_coupling", j, make, most=1.0)
 

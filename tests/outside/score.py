@@ -71,7 +71,8 @@ def related(name: str, kind: str) -> bool:
 
 
 def _here(told: str, hidden: str) -> bool:
-    return not told or not hidden or told == hidden
+    """Whether a joint that is told is the hidden one, or one of two; empty is the whole arm."""
+    return not told or not hidden or told in hidden.split()
 
 
 def _hidden(row: Row) -> list[tuple[str, str]]:

@@ -67,6 +67,7 @@ def test_a_seed_is_one_case() -> None:
         ({"findings": [finding("presliding_hysteresis", alike=["stribeck"])]}, "alike"),
         ({"findings": [finding("presliding_hysteresis")]}, "family"),
         ({"findings": [finding("payload", "")]}, "other"),
+        ({"findings": [finding("stribeck", "j1")], "joints": ["j2 j1"]}, "right"),
         ({"unexplained": [["j2", ["velocity"]]]}, "quantity"),
         ({"unexplained": [["j2", ["position", "direction"]]]}, "quantity"),
         ({"unexplained": [["j2", ["position", "direction"]]], "flow": "single"}, "silent"),

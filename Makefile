@@ -74,7 +74,7 @@ study-planted: $(DEV) ## which stage says which planted fault, into docs/planted
 
 .PHONY: study-outside
 study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20 s a case)
-	$(BIN)/python -m tests.outside --set tuning --seeds 0:80 --cache $(OUT)/outside --write
+	$(BIN)/python -m tests.outside --set tuning --seeds 0:110 --cache $(OUT)/outside --write
 
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)

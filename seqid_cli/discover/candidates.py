@@ -44,6 +44,12 @@ class Candidate:
         return self.effect.name, self.joint
 
     @property
+    def kind(self) -> tuple[float, ...]:
+        """Its settings that are not searched between the grid's values."""
+        specs = self.effect.settings
+        return tuple(self.settings[s.name] for s in specs if not s.continuous and not s.then)
+
+    @property
     def freedom(self) -> int:
         """Number of parameters that are fitted: coefficients and what is searched."""
         coefficients = self.effect.coefficients(self.settings)

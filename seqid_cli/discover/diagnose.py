@@ -7,7 +7,7 @@ is not understood, and is said to be so.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from seqid_cli.discover.dependence import Dependence
 from seqid_cli.discover.doubtful import WORSE
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.gates import SMOOTH
-from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.investigate import Investigation, Named, investigate
 from seqid_cli.discover.loud import expected, looks_like, louder_joints
 from seqid_cli.discover.notes import (
     file_notes,
@@ -43,6 +43,7 @@ from seqid_cli.discover.results import (
 )
 from seqid_cli.discover.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.discover.search import ENOUGH_S, SHAPE, Search
+from seqid_cli.discover.select.investigation import investigate_by_evidence
 from seqid_cli.discover.stationary import beyond_chance
 from seqid_cli.discover.system import Trial
 from seqid_cli.discover.usable import usable_logs
@@ -98,7 +99,8 @@ def diagnose(
         ]
         for some in (kept, aside)
     )
-    investigation = investigate(logs, robot, stages, options)
+    look = investigate_by_evidence if options.by_evidence else investigate
+    investigation = look(logs, robot, stages, options)
     apart = events_aside(investigation, others, robot, stages, options)
     found = described(investigation, robot, apart)
     return replace(found, notes=(*notes, *found.notes))
@@ -248,8 +250,7 @@ def _finding(found: Investigation, robot: Robot, tried: Tried, wider: Array) -> 
     again = search.stage.try_all(system, [tried.candidate])[0]
     stated = _with_errors_of_the_file(others, again)
     touched = [j for j in tried.columns if j < robot.n]
-    every = tuple(CATALOGUE.values())
-    rivals = rivalries(again, others.ranked(every, system, near=touched, doubtful=True))
+    named = found.named.get(tried.candidate.key) or _named(found, others, again, touched)
     candidate, trial = tried.candidate, again.trial
     effect = candidate.effect
     joint = None if candidate.joint is None else robot.joint_names[candidate.joint]
@@ -257,27 +258,32 @@ def _finding(found: Investigation, robot: Robot, tried: Tried, wider: Array) -> 
     values = effect.reported(
         robot, candidate.joint, candidate.settings, stated.coefficients, covariance
     )
-    clear_of_gate = 1.0 - float(np.exp(-trial.relative / found.gates.least_of(again)))
-    others_than_these = [r for r in rivals if not r.confusable]
     return Finding(
         effect=effect.name,
         joint=joint,
-        confidence=certainty(others_than_these) * clear_of_gate,
-        name_confidence=certainty(rivals) * clear_of_gate,
+        confidence=named.confidence,
+        name_confidence=named.by_itself,
         explains=_explains(found, tried),
-        confusable_with=tuple(
-            dict.fromkeys(
-                r.tried.candidate.effect.name
-                for r in rivals
-                if r.confusable and r.tried.candidate.effect.name != effect.name
-            )
-        ),
+        confusable_with=named.others,
         separate_by=effect.separate_by,
         gain=trial.relative,
         clean_gain=found.gates.clean.get(effect.name, 0.0),
         parameters=tuple(values),
         settings=candidate.settings,
         note=effect.lacking(robot, candidate.joint),
+    )
+
+
+def _named(found: Investigation, others: Search, tried: Tried, touched: Collection[int]) -> Named:
+    """How sure the name of an accepted effect is beside all others."""
+    every = tuple(CATALOGUE.values())
+    rivals = rivalries(tried, others.ranked(every, others.system(), near=touched, doubtful=True))
+    clear_of_gate = 1.0 - float(np.exp(-tried.trial.relative / found.gates.least_of(tried)))
+    names = dict.fromkeys(r.tried.candidate.effect.name for r in rivals if r.confusable)
+    return Named(
+        certainty([r for r in rivals if not r.confusable]) * clear_of_gate,
+        certainty(rivals) * clear_of_gate,
+        tuple(name for name in names if name != tried.candidate.effect.name),
     )
 
 

@@ -13,8 +13,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,15 @@ class Searched:
 
 
 @dataclass(frozen=True)
+class Named:
+    """How sure a name is: it or one of `others`, and it by itself."""
+
+    confidence: float
+    by_itself: float
+    others: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Investigation:
     """Everything that a diagnosis is made from.
 
@@ -80,6 +89,7 @@ class Investigation:
     dependences: tuple[Dependence, ...]
     events: tuple[Interval, ...]
     outside: tuple[Dependence, ...]
+    named: Mapping[tuple[str, int | None], Named] = field(default_factory=dict)
 
     @property
     def search(self) -> Search:
@@ -117,7 +127,7 @@ def investigate(
             t.candidate for t in result.search.accepted
         ]
         dependences = _dependences(result.search, gates, dependences if same else ())
-    floor = _floor(logs, result.search, events)
+    floor = floor_of(logs, result.search, events)
     count = len(result.search.accepted)
     take_back_doubtful(result.search, floor.rms)
     outside = _outside(result.search, gates)
@@ -125,7 +135,7 @@ def investigate(
         result = _beside(result.search, outside, gates, options)
         dependences = _dependences(result.search, gates)
     if outside or len(result.search.accepted) < count:
-        floor = _floor(logs, result.search, events)
+        floor = floor_of(logs, result.search, events)
     return Investigation(
         tuple(logs),
         result,
@@ -138,7 +148,7 @@ def investigate(
     )
 
 
-def _floor(logs: Sequence[Recording], search: Search, events: Sequence[Interval]) -> NoiseFloor:
+def floor_of(logs: Sequence[Recording], search: Search, events: Sequence[Interval]) -> NoiseFloor:
     """Noise floor with all that was found taken out."""
     stage, system = search.stage, search.system()
     apart = event_masks(stage.rows, events)
@@ -157,7 +167,7 @@ def _judged(
 ) -> tuple[Searched, list[Interval], Gates]:
     """Hold what was found against clean data; what is found instead, too."""
     gates = calibrated(logs, result.search, smooth, stages, options, events)
-    if events and (min(e.score for e in events) < gates.event or not _stand_out(events, gates)):
+    if events and (min(e.score for e in events) < gates.event or not stand_out(events, gates)):
         broad = result.search.broad
         result, events = _without_events(rows, stages, gates, options, broad=broad)
     result = _again(result.search, gates, options)
@@ -194,8 +204,8 @@ def _without_events(
         rows, result = sure, search(sure)
     left = result.search.system().left_out()[: rows.n]
     events = find_events(rows, left, gate=gates.event)
-    events = _not_of_shape(result.search, events)
-    if not _stand_out(events, gates):
+    events = not_of_shape(result.search, events)
+    if not stand_out(events, gates):
         return result, []
     quiet = rows.without(event_masks(rows, events))
     return search(quiet), events
@@ -212,12 +222,12 @@ def guessed(search: Search) -> list[Mask]:
     return masks
 
 
-def _stand_out(events: Sequence[Interval], gates: Gates) -> bool:
+def stand_out(events: Sequence[Interval], gates: Gates) -> bool:
     """Whether the strongest event is so strong that all of them are believed."""
     return max((event.score for event in events), default=0.0) >= STANDS_OUT * gates.event
 
 
-def _not_of_shape(search: Search, events: list[Interval]) -> list[Interval]:
+def not_of_shape(search: Search, events: list[Interval]) -> list[Interval]:
     """Events without those where accepted effects, large there, may only not have quite the shape.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect

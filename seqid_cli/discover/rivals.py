@@ -97,6 +97,14 @@ class Rival:
         return int(self.mixing.shape[1])
 
     @property
+    def bending(self) -> Array:
+        """How much each column (k,) bends: its place among the smoothest; waves are all alike."""
+        if isinstance(self.source, Line) or not all(axis.knots for axis in self.source.axes):
+            return np.ones(self.size)
+        place = np.arange(1.0, self.size + 1.0)
+        return np.sqrt(place) if len(self.source.axes) > 1 else place
+
+    @property
     def single(self) -> bool:
         """Whether one quantity is all."""
         return len(self.quantities) == 1

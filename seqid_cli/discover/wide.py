@@ -37,8 +37,8 @@ class HighBand:
     ----------
     used : tuple of (N, n) masks
         Per scene, at the log's own rate.
-    fold : tuple of (M_j,) index arrays
-        Fold of each row of each joint.
+    fold, block : tuple of (M_j,) index arrays
+        Fold and block of each row of each joint.
     y : tuple of (M_j,) arrays
         Measured torque above the cut-off [N m].
     weight : (n,) array
@@ -47,6 +47,7 @@ class HighBand:
 
     used: tuple[Mask, ...]
     fold: tuple[Index, ...]
+    block: tuple[Index, ...]
     y: tuple[Array, ...]
     weight: Array
 
@@ -60,7 +61,7 @@ def high_band(rows: Rows) -> HighBand:
 
     Of long logs some of these blocks, so that memory is bounded.
     """
-    used, folds, high = [], [], []
+    used, blocks, high = [], [], []
     thin = max(1, -(-sum(_full(scene).samples for scene in rows.scenes) // MOST_SAMPLES))
     parts = zip(rows.scenes, rows.picked, rows.used, rows.block, strict=True)
     for scene, picked, counts, block in parts:
@@ -77,13 +78,14 @@ def high_band(rows: Rows) -> HighBand:
         counting = full.slides & kept[:, None] & counts.any(axis=0)
         high.append(_above(full))
         used.append(counting & ~_bursts(high[-1], counting, full))
-        folds.append(rows.fold[block[nearest]])
+        blocks.append(block[nearest])
     masks = tuple(used)
     joints = range(rows.n)
-    fold = [np.concatenate([f[u[:, j]] for f, u in zip(folds, masks, strict=True)]) for j in joints]
+    own = [np.concatenate([b[u[:, j]] for b, u in zip(blocks, masks, strict=True)]) for j in joints]
     y = [np.concatenate([h[u[:, j], j] for h, u in zip(high, masks, strict=True)]) for j in joints]
     weight = [np.sqrt(max(len(y[j]), 1) / max(rows.count(j), 1)) for j in joints]
-    return HighBand(masks, tuple(fold), tuple(y), np.array(weight))
+    fold = tuple(rows.fold[b] for b in own)
+    return HighBand(masks, fold, tuple(own), tuple(y), np.array(weight))
 
 
 def both_bands(

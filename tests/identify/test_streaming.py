@@ -27,9 +27,7 @@ from seqid_cli.robot.types import Robot
 from tests.bench.arm import known_friction, write_arm, write_log
 
 SAMPLES = 12_000
-OPTIONS = InertiaOptions(
-    source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=()
-)
+OPTIONS = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=())
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,352 @@
+"""A Gaussian linear model of all rows, its evidence, and how well it foretells blocks left out.
+
+Rows y of a channel (a joint's torque below the cut-off, or above it) are
+
+    y = B theta + e,   theta ~ N(0, P^-1),   e ~ N(0, 1 / w),
+
+with the precision w of each row. A term with columns X and coefficients a ~ N(0, Q^-1) raises the
+log evidence by
+
+    E = d' (Q + D)^-1 d / 2 - log det(I + Q^-1 D) / 2,
+    D = X'wX - X'wB M^-1 B'wX,   d = X'w (y - B M^-1 B'wy),   M = P + B'wB,
+
+and the log density that all other blocks foretell for block b by E - E without b. All of it follows
+from products block by block: no fit is repeated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Channels = Mapping[int, Array]  # channel -> its rows of some columns (M_c, k)
+
+RIDGE = 1e-10  # of a scaled column's square
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What is to be explained.
+
+    Attributes
+    ----------
+    y : tuple of (M_c,) arrays
+        Torque of every channel [N m; N where prismatic].
+    block : tuple of (M_c,) index arrays
+        Block of time of every row, ascending.
+    blocks : int
+        Number of blocks.
+    """
+
+    y: tuple[Array, ...]
+    block: tuple[Index, ...]
+    blocks: int
+
+    @cached_property
+    def at(self) -> tuple[tuple[slice, ...], ...]:
+        """The rows of every block, channel by channel."""
+        every = np.arange(self.blocks + 1)
+        edges = [np.searchsorted(block, every) for block in self.block]
+        return tuple(tuple(slice(int(a), int(b)) for a, b in pairwise(edge)) for edge in edges)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Columns that are fitted together, and the precision (k, k) that their coefficients had."""
+
+    columns: Channels
+    precision: Array
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return len(self.precision)
+
+
+@dataclass(frozen=True)
+class Gained:
+    """What one term does to a model that does not have it.
+
+    `evidence` is the log Bayes factor; `coefficients` (k,) and their `covariance`; `visible` the
+    share of the columns' square that the model does not absorb.
+    """
+
+    evidence: float
+    coefficients: Array
+    covariance: Array
+    visible: float
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """What one term does to blocks that were left out, (blocks,) each.
+
+    `density` is the gain in log predictive density, `squares` the weighted squared error that it
+    takes away at its channels, `loss` what there was.
+    """
+
+    density: Array
+    squares: Array
+    loss: Array
+
+    @property
+    def total(self) -> float:
+        """Gain of all blocks."""
+        return float(self.density.sum())
+
+    @property
+    def error(self) -> float:
+        """Standard error of `total`, from the scatter over blocks."""
+        return scatter(self.density)
+
+    @property
+    def share(self) -> float:
+        """Share of the squared error that goes."""
+        return float(self.squares.sum() / max(float(self.loss.sum()), 1e-300))
+
+
+def scatter(values: Array) -> float:
+    """Standard error of the sum of independent values (blocks,)."""
+    if len(values) < 2:
+        return np.inf
+    return float(np.std(values, ddof=1) * np.sqrt(len(values)))
+
+
+class Linear:
+    """Parts of a model, fitted to weighted rows.
+
+    Parameters
+    ----------
+    rows : Rows
+    parts : sequence of Part
+    weight : sequence of (M_c,) arrays
+        Precision of each row [1 / (N m)^2].
+    """
+
+    def __init__(self, rows: Rows, parts: Sequence[Part], weight: Sequence[Array]) -> None:
+        self.rows, self.parts, self.weight = rows, tuple(parts), tuple(weight)
+        edges = np.cumsum([0, *(part.size for part in self.parts)])
+        self.where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        self.size = int(edges[-1])
+        self._root = [np.sqrt(w) for w in self.weight]
+        self._y = [y * root for y, root in zip(rows.y, self._root, strict=True)]
+        self._own = [self._of_channel(c) for c in range(len(rows.y))]
+
+    def _of_channel(self, channel: int) -> tuple[Index, Array]:
+        """Parameters (p_c,) that a channel knows, and its weighted columns (M_c, p_c)."""
+        index, columns = [np.zeros(0, dtype=np.intp)], [np.zeros((len(self.rows.y[channel]), 0))]
+        for part, where in zip(self.parts, self.where, strict=True):
+            if channel in part.columns:
+                index.append(np.arange(where.start, where.stop))
+                columns.append(part.columns[channel])
+        return np.concatenate(index), np.hstack(columns) * self._root[channel][:, None]
+
+    @cached_property
+    def prior(self) -> Array:
+        """Precision (p, p) of all parameters beforehand."""
+        P = np.zeros((self.size, self.size))
+        for part, where in zip(self.parts, self.where, strict=True):
+            P[where, where] = part.precision
+        return P
+
+    @cached_property
+    def _products(self) -> tuple[Array, Array]:
+        """B'wB (blocks, p, p) and B'wy (blocks, p)."""
+        A = np.zeros((self.rows.blocks, self.size, self.size))
+        b = np.zeros((self.rows.blocks, self.size))
+        for (index, B), y, at in zip(self._own, self._y, self.rows.at, strict=True):
+            square = np.ix_(index, index)
+            for k, here in enumerate(at):
+                A[k][square] += B[here].T @ B[here]
+                b[k, index] += B[here].T @ y[here]
+        return A, b
+
+    @cached_property
+    def _scale(self) -> Array:
+        diagonal = np.diag(self.prior) + np.einsum("bpp->p", self._products[0])
+        return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
+
+    def _factor(self, A: Array) -> tuple[Array, bool]:
+        scaled = (A + self.prior) * np.outer(self._scale, self._scale)
+        scaled[np.diag_indices(self.size)] += RIDGE
+        return cho_factor(scaled, check_finite=False)
+
+    def _solved(self, factor: tuple[Array, bool], right: Array) -> Array:
+        scale = self._scale[:, None] if right.ndim == 2 else self._scale
+        solved: Array = cho_solve(factor, right * scale, check_finite=False) * scale
+        return solved
+
+    @cached_property
+    def _whole(self) -> tuple[tuple[Array, bool], Array]:
+        A, b = self._products
+        factor = self._factor(A.sum(axis=0))
+        return factor, self._solved(factor, b.sum(axis=0))
+
+    @cached_property
+    def _without(self) -> list[tuple[tuple[Array, bool], Array]]:
+        """Factor and solution (p,) without each block."""
+        A, b = self._products
+        factors = [self._factor(A.sum(axis=0) - own) for own in A]
+        total = b.sum(axis=0)
+        return [(f, self._solved(f, total - own)) for f, own in zip(factors, b, strict=True)]
+
+    @property
+    def theta(self) -> Array:
+        """Parameters (p,) given all rows."""
+        return self._whole[1]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of `theta`."""
+        return self._solved(self._whole[0], np.eye(self.size))
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log density of the rows, their weights' part aside."""
+        factor, theta = self._whole
+        squares = sum(float(y @ y) for y in self._y)
+        logarithms = 2.0 * float(np.sum(np.log(np.diag(factor[0])) - np.log(self._scale)))
+        scaled = self.prior * np.outer(self._scale, self._scale)
+        scaled[np.diag_indices(self.size)] += RIDGE
+        before = 2.0 * float(np.sum(np.log(np.diag(cho_factor(scaled)[0])) - np.log(self._scale)))
+        return 0.5 * (float(self._products[1].sum(axis=0) @ theta) - logarithms + before - squares)
+
+    def residual(self) -> list[Array]:
+        """What is left (M_c,) N m of every channel."""
+        return [self._left(c, slice(None), self.theta) for c in range(len(self._y))]
+
+    def left_out(self) -> list[Array]:
+        """The same of every block where the model is fitted to all others."""
+        return [
+            np.concatenate(
+                [self._left(c, here, t) for here, (_, t) in zip(at, self._without, strict=True)]
+            )
+            for c, at in enumerate(self.rows.at)
+        ]
+
+    def _left(self, channel: int, at: slice, theta: Array) -> Array:
+        index, B = self._own[channel]
+        left: Array = (self._y[channel][at] - B[at] @ theta[index]) / self._root[channel][at]
+        return left
+
+    def gained(self, terms: Sequence[Part]) -> list[Gained]:
+        """Try each term by itself."""
+        if not terms:
+            return []
+        crossed = _Crossed.of(terms, self.size, 1)
+        for c, (index, B) in enumerate(self._own):
+            crossed.add(0, c, index, B, self._y[c], self._root[c])
+        factor, theta = self._whole
+        C, d = crossed.C[0], crossed.d[0]
+        Z, left = self._solved(factor, C), d - C.T @ theta
+        found = []
+        for term, at, D in zip(terms, crossed.where, crossed.D, strict=True):
+            S = D[0] - C[:, at].T @ Z[:, at]
+            value, a, covariance = bayes_factor(S, left[at], term.precision)
+            visible = float(np.trace(S) / max(float(np.trace(D[0])), 1e-300))
+            found.append(Gained(value, a, covariance, max(visible, 0.0)))
+        return found
+
+    def foretold(self, terms: Sequence[Part]) -> list[Foretold]:
+        """Try each term by itself on every block, all fitted to the other blocks."""
+        if not terms:
+            return []
+        blocks = self.rows.blocks
+        crossed = _Crossed.of(terms, self.size, blocks)
+        for c, (index, B) in enumerate(self._own):
+            for k, here in enumerate(self.rows.at[c]):
+                crossed.add(k, c, index, B[here], self._y[c][here], self._root[c][here], here)
+        every = [gained.evidence for gained in self.gained(terms)]
+        density, squares = np.zeros((2, len(terms), blocks))
+        C, d, (A, b) = crossed.C.sum(axis=0), crossed.d.sum(axis=0), self._products
+        for k, (factor, theta) in enumerate(self._without):
+            Ck = crossed.C[k]
+            rest = C - Ck
+            Z, left = self._solved(factor, rest), d - crossed.d[k] - rest.T @ theta
+            score = b[k] - A[k] @ theta
+            AZ = A[k] @ Z
+            for i, (term, at) in enumerate(zip(terms, crossed.where, strict=True)):
+                own, z = crossed.D[i][k], Z[:, at]
+                S = crossed.D[i].sum(axis=0) - own - rest[:, at].T @ z
+                value, a, _ = bayes_factor(S, left[at], term.precision)
+                slope = crossed.d[k][at] - Ck[:, at].T @ theta - z.T @ score
+                cross = Ck[:, at].T @ z
+                density[i, k] = every[i] - value
+                squares[i, k] = 2 * a @ slope - a @ (own - cross - cross.T + z.T @ AZ[:, at]) @ a
+        loss = self._loss
+        return [
+            Foretold(density[i], squares[i], loss[:, sorted(term.columns)].sum(axis=1))
+            for i, term in enumerate(terms)
+        ]
+
+    @cached_property
+    def _loss(self) -> Array:
+        """Weighted squared error (blocks, channels) of blocks that were left out."""
+        left = [x * root for x, root in zip(self.left_out(), self._root, strict=True)]
+        sums = [
+            np.bincount(block, weights=x**2, minlength=self.rows.blocks)
+            for x, block in zip(left, self.rows.block, strict=True)
+        ]
+        return np.stack(sums, axis=1)
+
+
+@dataclass(frozen=True)
+class _Crossed:
+    """Products of terms with the model's columns, the rows and themselves, block by block."""
+
+    terms: Sequence[Part]
+    where: list[slice]
+    C: Array  # (blocks, p, m)
+    d: Array  # (blocks, m)
+    D: list[Array]  # (blocks, k, k) of each term
+
+    @classmethod
+    def of(cls, terms: Sequence[Part], size: int, blocks: int) -> _Crossed:
+        edges = np.cumsum([0, *(term.size for term in terms)])
+        where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        wide = int(edges[-1])
+        own = [np.zeros((blocks, term.size, term.size)) for term in terms]
+        return cls(terms, where, np.zeros((blocks, size, wide)), np.zeros((blocks, wide)), own)
+
+    def add(
+        self,
+        block: int,
+        channel: int,
+        index: Index,
+        B: Array,
+        y: Array,
+        root: Array,
+        at: slice = slice(None),
+    ) -> None:
+        """Add the products of some weighted rows."""
+        here = [i for i, term in enumerate(self.terms) if channel in term.columns]
+        if not here or not len(y):
+            return
+        X = np.hstack([self.terms[i].columns[channel][at] for i in here]) * root[:, None]
+        columns = np.concatenate([np.arange(self.where[i].start, self.where[i].stop) for i in here])
+        self.C[block][np.ix_(index, columns)] += B.T @ X
+        self.d[block, columns] += X.T @ y
+        first = 0
+        for i in here:
+            part = X[:, first : first + self.terms[i].size]
+            self.D[i][block] += part.T @ part
+            first += part.shape[1]
+
+
+def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[float, Array, Array]:
+    """Log Bayes factor, coefficients (k,) and covariance (k, k); `precision` is diagonal."""
+    size = 1.0 / np.sqrt(np.diag(precision))
+    value, vector = np.linalg.eigh(D * np.outer(size, size))
+    value = np.maximum(value, 0.0)
+    u = vector.T @ (d * size)
+    gain = 0.5 * float(np.sum(u**2 / (1.0 + value)) - np.sum(np.log1p(value)))
+    inverse = (vector / (1.0 + value)) @ vector.T
+    return gain, size * (inverse @ (d * size)), inverse * np.outer(size, size)

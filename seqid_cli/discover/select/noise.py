@@ -1,0 +1,132 @@
+"""How precise rows are: each joint's noise, and where residuals are larger than noise makes them.
+
+Residuals have long tails, near reversals above all, and a Gaussian likelihood takes those for
+evidence. Over `WINDOW_S` rows share a weight as under Student's distribution (K. L. Lange, R. J. A.
+Little, J. M. G. Taylor, "Robust statistical modeling using the t distribution", JASA 84, 1989):
+(NU + 1) / (NU + m), m their mean square in units of the noise. Rows of low-passed signals tell
+partly the same: `ALIKE` of them count as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.candidates import Stage
+from seqid_cli.discover.select.linear import Linear, Part, Rows
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+ALIKE = 2.5
+NU = 4.0
+WINDOW_S = 0.3
+ROUNDS = 3
+INNER = 5
+SLOW = 0.3  # of a joint's noise: what of it is slower than `WAVES` half periods of a log
+WAVES = 4
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation (channels,) N m, and the precision [1 / (N m)^2] of each row."""
+
+    sigma: Array
+    weight: tuple[Array, ...]
+
+    def level(self, joints: int) -> float:
+        """Mean logarithm of the joints' noise below the cut-off."""
+        return float(np.mean(np.log(self.sigma[:joints])))
+
+    def slow(self, stage: Stage) -> list[Part]:
+        """What of it is slower than a block of time, by joint."""
+        joints = range(stage.rows.n)
+        return [slow_noise(stage, j, self.sigma[j]) for j in joints if stage.rows.count(j)]
+
+
+def settled(
+    stage: Stage, rows: Rows, size: Array, parts: Sequence[Part], start: Noise | None = None
+) -> tuple[Linear, Noise]:
+    """Fit a model and its noise in turn."""
+    windows = _windows(stage)
+    noise = start or Noise(
+        size, tuple(np.full(len(y), 1.0 / s**2) for y, s in zip(rows.y, size, strict=True))
+    )
+    linear = Linear(rows, parts, noise.weight)
+    for _ in range(ROUNDS):
+        noise = _of_residual(linear.residual(), noise.sigma, windows, stage.high.weight)
+        linear = Linear(rows, [*parts, *noise.slow(stage)], noise.weight)
+    return linear, noise
+
+
+def _of_residual(
+    left: Sequence[Array], sigma: Array, windows: Sequence[Index], above: Array
+) -> Noise:
+    n, found, weight = len(windows), sigma.copy(), []
+    for c, r in enumerate(left):
+        if not len(r):
+            weight.append(r)
+            continue
+        shared = np.ones(len(r))
+        if c < n:
+            found[c], shared = _student(r, sigma[c], windows[c])
+        else:
+            found[c] = max(float(np.sqrt(np.mean(r**2))), 1e-12)
+        own = found[c] if c < n else found[c] * above[c - n]
+        weight.append(shared / (ALIKE * own**2))
+    return Noise(found, tuple(weight))
+
+
+def _student(r: Array, sigma: float, window: Index) -> tuple[float, Array]:
+    """Scale of Student's distribution and the weights (M,)."""
+    count = np.maximum(np.bincount(window), 1)
+    square = np.bincount(window, weights=r**2) / count
+    weight = np.ones(len(r))
+    for _ in range(INNER):
+        weight = ((NU + 1.0) / (NU + square / sigma**2))[window]
+        sigma = max(float(np.sqrt(np.mean(weight * r**2))), 1e-12)
+    return sigma, weight
+
+
+def slow_noise(stage: Stage, joint: int, size: float) -> Part:
+    """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
+
+    Each log has its own. Blocks that are left out tell nothing of it, and a function of time would
+    pass for an effect.
+
+    Parameters
+    ----------
+    stage : Stage
+    joint : int
+    size : float
+        Standard deviation [N m] of the joint's noise, of which it is `SLOW`.
+    """
+    rows = stage.rows
+    order = np.arange(WAVES)
+    wide = np.zeros((rows.count(joint), WAVES * len(rows.scenes)))
+    first = 0
+    for number, scene in enumerate(rows.scenes):
+        t = scene.motion.t[rows.picked[number][rows.used[number][:, joint]]]
+        at = slice(number * WAVES, (number + 1) * WAVES)
+        length = float(scene.motion.t[-1])
+        wide[first : first + len(t), at] = np.cos(np.pi * np.outer(t / length, order))
+        first += len(t)
+    power = 1.0 / np.maximum(order, 0.5)
+    variance = 2.0 * (SLOW * size) ** 2 * power / np.sum(power)
+    return Part({joint: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))
+
+
+def _windows(stage: Stage) -> list[Index]:
+    """Window (M_j,) of every row of a joint."""
+    rows, result = stage.rows, []
+    for j in range(rows.n):
+        parts, first = [np.zeros(0, dtype=np.intp)], 0
+        for scene, picked, used in zip(rows.scenes, rows.picked, rows.used, strict=True):
+            own = (scene.motion.t[picked[used[:, j]]] / WINDOW_S).astype(np.intp)
+            parts.append(own + first)
+            first += int(scene.motion.t[-1] / WINDOW_S) + 1
+        result.append(np.concatenate(parts))
+    return result

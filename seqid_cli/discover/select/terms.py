@@ -1,0 +1,108 @@
+"""What a model may lack as terms of one list: effects with settings, and smooth functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.rivals import Filtered, Rival, lasting
+from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.select.linear import Channels, Part
+
+Array = NDArray[np.float64]
+
+LIKELY = 2.0  # of a term's torque beforehand, over what the file leaves
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """An effect at a joint with its settings, or a smooth function, and its columns.
+
+    `joint` is None for an effect of the whole arm.
+    """
+
+    what: Candidate | Rival
+    part: Part
+
+    @property
+    def joint(self) -> int | None:
+        """Whose it is."""
+        return self.what.joint
+
+    @property
+    def smooth(self) -> bool:
+        """Whether it is no effect of the catalogue."""
+        return isinstance(self.what, Rival)
+
+    @cached_property
+    def name(self) -> str:
+        """Effect, or what the function depends on."""
+        return self.what.label if isinstance(self.what, Rival) else self.what.effect.name
+
+    @property
+    def key(self) -> tuple[str, int | None]:
+        """What it is, whatever the settings."""
+        return self.name, self.joint
+
+    @property
+    def channels(self) -> frozenset[int]:
+        """Channels that it touches."""
+        return frozenset(self.part.columns)
+
+
+def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[Term]:
+    """Make terms of candidates; those without columns are left out.
+
+    Parameters
+    ----------
+    stage : Stage
+    candidates : sequence of Candidate
+    size : (channels,) array
+        RMS [N m] of what the file leaves: no term is likely to be much more.
+    """
+    made = zip(candidates, stage.columns(candidates), strict=True)
+    return [
+        Term(candidate, Part(columns, np.diag(_precision(columns, size))))
+        for candidate, columns in made
+        if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values()))
+    ]
+
+
+def smooth_functions(rows: Rows, size: Array) -> list[Term]:
+    """Smooth functions of everything measured, by joint.
+
+    Of each quantity the largest basis; what bends more is smaller beforehand.
+    """
+    key = "smooth terms"
+    if key not in rows.made:
+        rows.made[key] = [
+            t for j in range(rows.n) if rows.count(j) for t in _of_joint(rows, j, size)
+        ]
+    found = rows.made[key]
+    assert isinstance(found, list)
+    return found
+
+
+def _of_joint(rows: Rows, joint: int, size: Array) -> list[Term]:
+    filtered, largest = Filtered.of(rows), dict[str, Rival]()
+    for rival in lasting(rows, joint):
+        if rival.label not in largest or rival.size > largest[rival.label].size:
+            largest[rival.label] = rival
+    found = []
+    for rival in largest.values():
+        columns = filtered.columns(rival)
+        bend = rival.bending
+        found.append(Term(rival, Part(columns, np.diag(_precision(columns, size) * bend**2))))
+    return found
+
+
+def _precision(columns: Channels, size: Array) -> Array:
+    """Inverse variance (k,) of coefficients whose torque is about `LIKELY` times `size`."""
+    there = {c: X for c, X in columns.items() if len(X)}
+    squares = [np.mean(X**2, axis=0) / (LIKELY * size[c]) ** 2 for c, X in there.items()]
+    return np.asarray(np.maximum(np.max(squares, axis=0), 1e-300))

@@ -1,0 +1,151 @@
+"""Settings of an effect between the grid's values: those of the largest evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.select.linear import Gained, Linear
+from seqid_cli.discover.select.terms import Term, effects
+from seqid_cli.model.effects.effect import Setting
+
+Array = NDArray[np.float64]
+
+GOLDEN = 0.381966
+STEPS = 8
+SPACING = 2.5  # ratio to the grid's next value
+NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
+SHARPENED = 3  # times that settings are moved to where the coefficients say
+USUAL = 2.0  # log evidence that another value than the usual one must gain
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A term and what it gains."""
+
+    term: Term
+    gained: Gained
+
+    @property
+    def evidence(self) -> float:
+        """Log Bayes factor."""
+        return self.gained.evidence
+
+    @property
+    def candidate(self) -> Candidate:
+        """The effect and its settings."""
+        assert isinstance(self.term.what, Candidate)
+        return self.term.what
+
+
+@dataclass(frozen=True)
+class Tuner:
+    """Where settings are searched: a model that has all other terms."""
+
+    stage: Stage
+    linear: Linear
+    size: Array
+
+    def tried(self, candidates: Sequence[Candidate]) -> list[Tried]:
+        """Try candidates; those whose coefficients are not physical are left out."""
+        terms = effects(self.stage, candidates, self.size)
+        gained = self.linear.gained([term.part for term in terms])
+        every = [Tried(t, g) for t, g in zip(terms, gained, strict=True)]
+        return [one for one in every if self._plausible(one)]
+
+    def _plausible(self, tried: Tried) -> bool:
+        c = tried.candidate
+        found = tried.gained.coefficients
+        return c.effect.plausible(self.stage.scenes, c.joint, c.settings, found)
+
+    def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
+        """Search the continuous settings, then follow those that have more values."""
+        best = tried
+        for setting in tried.candidate.effect.settings:
+            if setting.continuous:
+                best = self._usual(self._searched(best, setting, spacing), setting)
+        return self._sharpened(self._followed(best))
+
+    def _moved(self, tried: Tried, **settings: float) -> Tried | None:
+        c = tried.candidate
+        found = self.tried([replace(c, settings={**c.settings, **settings})])
+        return found[0] if found else None
+
+    def _searched(self, tried: Tried, setting: Setting, spacing: float) -> Tried:
+        """Golden-section search over one setting, by ratio where it is logarithmic."""
+        best = tried
+
+        def gain(x: float) -> float:
+            nonlocal best
+            at = float(np.exp(x)) if setting.logarithmic else float(x)
+            found = self._moved(tried, **{setting.name: at})
+            if found is None:
+                return -np.inf
+            best = max(best, found, key=lambda one: one.evidence)
+            return found.evidence
+
+        a, b = _bracket(setting, tried.candidate.settings[setting.name], spacing)
+        x, y = a + GOLDEN * (b - a), b - GOLDEN * (b - a)
+        at_x, at_y = gain(x), gain(y)
+        for _ in range(STEPS):
+            if at_x > at_y:
+                b, y, at_y = y, x, at_x
+                x = a + GOLDEN * (b - a)
+                at_x = gain(x)
+            else:
+                a, x, at_x = x, y, at_y
+                y = b - GOLDEN * (b - a)
+                at_y = gain(y)
+        return best
+
+    def _usual(self, tried: Tried, setting: Setting) -> Tried:
+        """The same with a usual value of a setting, where no other does clearly better."""
+        every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
+        near = [one for one in every if one and one.evidence > tried.evidence - USUAL]
+        return max(near, key=lambda one: one.evidence, default=tried)
+
+    def _followed(self, tried: Tried) -> Tried:
+        """Take the next values of settings that have some while the evidence grows."""
+        best, specs = tried, tried.candidate.effect.settings
+        for setting in specs:
+            now = tried.candidate.settings.get(setting.name)
+            first = setting.then.index(now) + 1 if now in setting.then else 0
+            for value in setting.then[first:]:
+                found = self._moved(best, **{setting.name: value})
+                for other in specs if found else ():
+                    if other.continuous and found:
+                        found = self._searched(found, other, NEAR)
+                if found is None or found.evidence <= best.evidence:
+                    break
+                best = found
+        return best
+
+    def _sharpened(self, tried: Tried) -> Tried:
+        """Move settings to where the coefficients say.
+
+        Of effects that are looked for to first order the first step stands though it gains less: a
+        lag would pass for a delay.
+        """
+        best = tried
+        for number in range(SHARPENED):
+            c = best.candidate
+            settings = c.effect.sharpened(c.settings, best.gained.coefficients)
+            found = None if settings is None else self._moved(best, **settings)
+            stands = number == 0 and c.effect.first_order
+            if found is None or (found.evidence <= best.evidence and not stands):
+                return best
+            best = found
+        return best
+
+
+def _bracket(setting: Setting, value: float, spacing: float) -> tuple[float, float]:
+    """Interval about a value; in logarithms where the setting is searched by ratio."""
+    if setting.logarithmic:
+        low, high = max(value / spacing, setting.low, 1e-12), min(value * spacing, setting.high)
+        return float(np.log(low)), float(np.log(high))
+    reach = 0.5 * max(abs(value), 1e-3)
+    return max(value - reach, setting.low), min(value + reach, setting.high)

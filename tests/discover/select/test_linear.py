@@ -1,0 +1,120 @@
+"""The linear model against densities written out in full."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal
+
+from seqid_cli.discover.select.linear import Linear, Part, Rows
+
+Array = NDArray[np.float64]
+
+BLOCKS = 4
+LENGTHS = (24, 17)  # rows of two channels
+
+
+@pytest.fixture
+def rows() -> Rows:
+    """Two channels in four blocks of time."""
+    rng = np.random.default_rng(1)
+    block = tuple(np.sort(rng.integers(0, BLOCKS, m)).astype(np.intp) for m in LENGTHS)
+    return Rows(tuple(rng.standard_normal(m) for m in LENGTHS), block, BLOCKS)
+
+
+@pytest.fixture
+def base() -> list[Part]:
+    """Three parameters that both channels share, and two of the first channel's own."""
+    rng = np.random.default_rng(2)
+    shared = {c: rng.standard_normal((m, 3)) for c, m in enumerate(LENGTHS)}
+    own = {0: rng.standard_normal((LENGTHS[0], 2))}
+    return [Part(shared, np.diag([1.0, 2.0, 0.5])), Part(own, np.diag([0.3, 4.0]))]
+
+
+@pytest.fixture
+def term() -> Part:
+    """Two columns at both channels."""
+    rng = np.random.default_rng(3)
+    columns = {c: rng.standard_normal((m, 2)) for c, m in enumerate(LENGTHS)}
+    return Part(columns, np.diag([0.7, 1.5]))
+
+
+@pytest.fixture
+def weight() -> list[Array]:
+    """Precision of every row."""
+    rng = np.random.default_rng(4)
+    return [rng.uniform(0.5, 2.0, m) for m in LENGTHS]
+
+
+def log_density(rows: Rows, parts: list[Part], weight: list[Array], kept: Array) -> float:
+    """Log density of the kept rows with all parameters integrated out."""
+    y = np.concatenate(rows.y)
+    covariance = np.diag(1.0 / np.concatenate(weight))
+    for part in parts:
+        X = np.vstack(
+            [part.columns.get(c, np.zeros((m, part.size))) for c, m in enumerate(LENGTHS)]
+        )
+        covariance += X @ np.linalg.inv(part.precision) @ X.T
+    at = np.flatnonzero(kept)
+    return float(multivariate_normal.logpdf(y[at], cov=covariance[np.ix_(at, at)]))
+
+
+def test_evidence_is_the_ratio_of_two_densities(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array]
+) -> None:
+    every = np.ones(sum(LENGTHS), dtype=bool)
+    without, with_it = (log_density(rows, parts, weight, every) for parts in (base, [*base, term]))
+    gained = Linear(rows, base, weight).gained([term])[0]
+    assert gained.evidence == pytest.approx(with_it - without, abs=1e-6)
+    models = [Linear(rows, parts, weight).evidence for parts in (base, [*base, term])]
+    assert models[1] - models[0] == pytest.approx(with_it - without, abs=1e-6)
+
+
+def test_gain_of_a_block_is_that_of_its_density_given_all_others(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array]
+) -> None:
+    block = np.concatenate(rows.block)
+    every = np.ones(sum(LENGTHS), dtype=bool)
+    told = Linear(rows, base, weight).foretold([term])[0]
+    for b in range(BLOCKS):
+        given = [
+            log_density(rows, parts, weight, every) - log_density(rows, parts, weight, block != b)
+            for parts in (base, [*base, term])
+        ]
+        assert told.density[b] == pytest.approx(given[1] - given[0], abs=1e-6)
+
+
+def test_squares_are_those_of_fits_without_the_block(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array]
+) -> None:
+    told = Linear(rows, base, weight).foretold([term])[0]
+    before, after = (Linear(rows, parts, weight).left_out() for parts in (base, [*base, term]))
+    for b in range(BLOCKS):
+        squares = [
+            sum(
+                float(w[at == b] @ r[at == b] ** 2)
+                for w, r, at in zip(weight, left, rows.block, strict=True)
+            )
+            for left in (before, after)
+        ]
+        assert told.loss[b] == pytest.approx(squares[0], rel=1e-7)
+        assert told.squares[b] == pytest.approx(squares[0] - squares[1], rel=1e-6, abs=1e-7)
+
+
+def test_coefficients_and_errors_are_the_models_own(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array]
+) -> None:
+    gained = Linear(rows, base, weight).gained([term])[0]
+    whole = Linear(rows, [*base, term], weight)
+    at = whole.where[-1]
+    np.testing.assert_allclose(gained.coefficients, whole.theta[at], rtol=1e-6)
+    np.testing.assert_allclose(gained.covariance, whole.covariance[at, at], rtol=1e-6)
+
+
+def test_left_is_what_the_parameters_leave(
+    rows: Rows, base: list[Part], weight: list[Array]
+) -> None:
+    linear = Linear(rows, base, weight)
+    shown = base[0].columns[0] @ linear.theta[:3] + base[1].columns[0] @ linear.theta[3:]
+    np.testing.assert_allclose(linear.residual()[0], rows.y[0] - shown, atol=1e-12)

@@ -157,7 +157,7 @@ def told_model(
     rows = rows_of(scenes)
     search = Search.begin(Stage(rows), base_of(rows, stages), kept=late, broad=not late)
     for truth in truths:
-        ranked = search.ranked([EFFECTS[str(truth.kind)]], search.system())
+        ranked = search.ranked([EFFECTS[str(truth.kind)]], search.system(), doubtful=True)
         names = material.robot.joint_names
         here = [
             t

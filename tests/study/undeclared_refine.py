@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Stage
+from seqid_cli.discover.candidates import Stage, candidates_of, refined
 from seqid_cli.discover.loop import with_effects
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.reidentify import Material, Refitted, refitted
@@ -157,16 +157,18 @@ def told_model(
     rows = rows_of(scenes)
     search = Search.begin(Stage(rows), base_of(rows, stages), kept=late, broad=not late)
     for truth in truths:
-        ranked = search.ranked([EFFECTS[str(truth.kind)]], search.system(), doubtful=True)
-        names = material.robot.joint_names
+        system, names = search.system(), material.robot.joint_names
+        effect = EFFECTS[str(truth.kind)]
+        every = list(candidates_of(scenes, [effect], search.residual(system)))
         here = [
             t
-            for t in ranked
+            for t in search.stage.try_all(system, every)
             if (None if t.candidate.joint is None else names[t.candidate.joint]) in truth.joints
         ]
         if not here:
             return None
-        search.add(here[0])
+        best = max(here, key=lambda t: t.trial.total)
+        search.add(refined(search.stage, system, best))
     candidates = [t.candidate for t in search.accepted]
     came = frozenset(c.key for c in candidates) if late else frozenset()
     start = Refitted(stages, (), came)

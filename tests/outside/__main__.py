@@ -31,6 +31,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--seeds", default="0:80", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
     parser.add_argument("--keep", action="store_true", help="keep the logs and files in the cache")
+    parser.add_argument("--coarser", type=float, default=1.0, help="counts of the encoders, times")
     parser.add_argument("--write", action="store_true", help="write the tables into the document")
     chosen = parser.parse_args(arguments)
     first, _, last = chosen.seeds.partition(":")
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str]) -> int:
     if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in seeds):
         parser.error(f"tuning seeds are below {RESERVED}, reserved ones are not")
     chosen.cache.mkdir(parents=True, exist_ok=True)
-    text = tables([answered(seed, chosen.cache, chosen.keep) for seed in seeds])
+    text = tables([answered(seed, chosen.cache, chosen.keep, chosen.coarser) for seed in seeds])
     sys.stdout.write(text + "\n")
     if chosen.write:
         document = DOCUMENT.read_text(encoding="utf-8")
@@ -46,14 +47,14 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def answered(seed: int, cache: Path, keep: bool) -> Row:
-    """The answer to a case, from the cache or run."""
+def answered(seed: int, cache: Path, keep: bool, coarser: float = 1.0) -> Row:
+    """The answer to a case, from the cache or run; `coarser` needs a cache of its own."""
     file = cache / f"{seed}.json"
     if not file.exists():
         with tempfile.TemporaryDirectory() as name:
             folder = cache / f"logs_{seed}" if keep else Path(name)
             folder.mkdir(exist_ok=True)
-            row, found = run_case(seed, folder)
+            row, found = run_case(seed, folder, coarser)
         if found is not None:
             (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))
         file.write_text(json.dumps(row), encoding="utf-8")

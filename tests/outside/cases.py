@@ -77,9 +77,11 @@ def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
     write_parquet(path, t, arm.names, log.q, **own)
 
 
-def run_case(seed: int, folder: Path) -> tuple[dict[str, Any], DiagnosisFile | None]:
+def run_case(
+    seed: int, folder: Path, coarser: float = 1.0
+) -> tuple[dict[str, Any], DiagnosisFile | None]:
     """Record, identify, record on, diagnose: what was hidden and what was found."""
-    case = drawn(seed)
+    case = drawn(seed, coarser)
     start, found, row = time.process_time(), None, _truth(case)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", api.SeqidWarning)

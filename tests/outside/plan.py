@@ -126,10 +126,12 @@ def outlined(seed: int) -> Outline:
     return Outline(seed, kinds, flow, label, n, imus, mcap, clock)
 
 
-def drawn(seed: int) -> Case:
-    """The case of a seed."""
+def drawn(seed: int, coarser: float = 1.0) -> Case:
+    """The case of a seed, with encoders that many times as coarse as drawn."""
     outline, rng = outlined(seed), np.random.default_rng([seed, 78])
     arm = drawn_arm(rng, outline.label, outline.n, outline.imus)
+    drives = tuple(replace(drive, count=coarser * drive.count) for drive in arm.drives)
+    arm = replace(arm, drives=drives)
     effects, shares = [], []
     for kind in outline.kinds:
         effect, share = sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -49,6 +50,8 @@ def test_a_seed_is_one_case() -> None:
     assert first.outline == again.outline
     assert first.arm.drives == again.arm.drives
     assert first.shares == again.shares
+    coarse = drawn(11, coarser=3.0)
+    np.testing.assert_allclose(coarse.arm.of("count"), 3.0 * first.arm.of("count"))
     outlines = [outlined(seed) for seed in range(100)]
     flows = {"late", "early", "step_late", "step_early", "single"}
     assert {each.flow for each in outlines} == flows

@@ -22,12 +22,13 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate, Tried
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.heldout import LEAST_GAIN, Gain, gain, gain_of
-from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.left_out import FOLDS, STRETCH_S, Folds
 from seqid_cli.discover.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of
 from seqid_cli.discover.results import Round
+from seqid_cli.discover.select.investigation import investigate_by_evidence
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.identify.prediction import slides_from
 from seqid_cli.logs.recording import Recording
@@ -139,7 +140,9 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 def _investigated(loop: Loop) -> Investigation:
     """What the model, with its effects, lacks on the training logs."""
     material, model = loop.material, loop.model
-    return investigate(material.now(model), material.robot, model.stages, material.options)
+    return investigate_by_evidence(
+        material.now(model), material.robot, model.stages, material.options
+    )
 
 
 def _round(loop: Loop) -> bool:

@@ -49,14 +49,14 @@ def investigate_by_evidence(
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     stage, base, gates = Stage(rows), base_of(rows, stages), Gates()
-    found = select(Ground.of(stage, base, Options(most=options.max_effects)))
+    found = select(Ground.of(stage, base, Options()))
     search = _search_of(found, stage, base)
     left = search.system().left_out()[: rows.n]
     events = not_of_shape(search, find_events(rows, left, gate=gates.event))
     if stand_out(events, gates):
         rows = rows.without(event_masks(rows, events))
         stage, base = Stage(rows), base_of(rows, stages)
-        found = select(Ground.of(stage, base, Options(most=options.max_effects)))
+        found = select(Ground.of(stage, base, Options()))
         search = _search_of(found, stage, base)
     else:
         events = []

@@ -61,9 +61,9 @@ class Options:
     certain: float = 2.0
     improvement: float = 0.04
     chance: float = 6.0
-    law: float = 0.2
+    law: float = 0.03
     tie: float = 0.04
-    most: int = 4
+    most: int = 8
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ class _Search:
         """Whether a term is worth it, and no error of a larger one's law."""
         options, told = self.ground.options, one.foretold
         sure = one.gained.evidence > options.chance and told.total > options.certain * told.error
-        return sure and told.share > options.improvement and not self._of_a_law(one)
+        return sure and told.share > options.improvement
 
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it takes away no more than the error of a taken term's law may leave."""
@@ -350,13 +350,13 @@ class _Search:
     def selected(self) -> Selected:
         """What was taken, each term with its rivals."""
         self.taken = [self._again(one) for one in self.taken]
-        rivals = []
-        for one in self.taken:
+        told, rivals = [one for one in self.taken if not self._of_a_law(one)], []
+        for one in told:
             linear = self._beside([x for x in self.taken if x is not one])
             others = self._ranked(linear, [one.term.key], one.term.channels)
             others = [x for x in others if x.term.channels & one.term.channels]
             rivals.append(tuple(sorted([one, *others], key=lambda x: -x.foretold.total)))
-        return Selected(self.shape, tuple(self.taken), self.linear, self.noise, tuple(rivals))
+        return Selected(self.shape, tuple(told), self.linear, self.noise, tuple(rivals))
 
 
 def add_torque(

@@ -30,7 +30,7 @@ from tests.study.undeclared_refine import NEAR, file_of, told_model
 from tests.study.undeclared_run import append
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "closed_loop_study.md"
-SEEDS = (11, 12, 13, 14)  # nothing was set on these
+SEEDS = (15, 16, 17, 18)  # nothing was set on these; 11 to 14 were looked at
 SIX_SEEDS = (11,)
 
 

@@ -18,6 +18,7 @@ from seqid_cli.identify.friction_summary import (
 )
 from seqid_cli.identify.gravity_of_trials import GravityFit, fit_gravity
 from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.posterior import constants_note
 from seqid_cli.identify.ramps import without_acceleration
 from seqid_cli.identify.surface_data import Orders, SpeedData, edges_of, reduce_trials
 from seqid_cli.identify.surface_errors import joined, left_out_errors
@@ -100,6 +101,7 @@ def identify_friction(
         notes += fit.notes
     if not joints and last is not None:
         raise last
+    notes += constants_note(robot)
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 

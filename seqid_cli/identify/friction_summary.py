@@ -82,6 +82,7 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
         positive=surface.positive.tolist(),
         negative=surface.negative.tolist(),
         covariance=surface.entry_covariance.tolist(),
+        torque_constant_error=robot.joints[j].torque_constant_error,
         gravity=[
             GravityOfTrial(
                 configuration=group.configuration.tolist(),
@@ -94,8 +95,12 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
         unit="N" if robot.joints[j].prismatic else "N m",
     )
     name = robot.joints[j].name
+    verdict = _verdict(name, joint, unseen, surface.scaling)
+    error = robot.joints[j].torque_constant_error
+    for level in joint.speeds:
+        level.std_error = float(np.hypot(level.std_error, error * level.friction))
     notes = _notes(name, joint, gravity.asymmetry, unpaired)
-    return JointFit(joint, _verdict(name, joint, unseen, surface.scaling), notes)
+    return JointFit(joint, verdict, notes)
 
 
 def _temperature(gravity: GravityFit) -> float | None:

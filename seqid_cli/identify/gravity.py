@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.least_squares import Accumulator, Solution, solve
-from seqid_cli.identify.posterior import Sensitivity, as_matrices, friction_covariance
+from seqid_cli.identify.posterior import (
+    Posterior,
+    Sensitivity,
+    as_lists,
+    as_matrices,
+    constant_moves,
+    friction_covariance,
+)
 from seqid_cli.identify.ramps import without_acceleration
 from seqid_cli.identify.rigid_stage import (
     empty_stage,
@@ -202,6 +209,8 @@ def _stage(robot: Robot, basis: Basis, solution: Solution, rows: GravityRows) ->
     sensitivity = rows.sensitivity(solution)
     covariance = solution.covariance + rows.acceleration_part(solution)
     covariance += friction_covariance(sensitivity, rows.surfaces, rows.size)
+    moves = constant_moves(solution, robot.torque_constant_errors, {})
+    posterior = Posterior(covariance, sensitivity, moves)
     indices = np.arange(rows.size)
     determined = indices[solution.determined]
     theta = np.zeros(basis.size)
@@ -218,13 +227,14 @@ def _stage(robot: Robot, basis: Basis, solution: Solution, rows: GravityRows) ->
     good = not missing and solution.condition < POOR_CONDITION
     reason = f"rank {solution.rank} of {rows.size}, condition {solution.condition:.3g}"
     return RigidStage(
-        parameters=parameters_of(robot, basis, determined, theta, covariance),
+        parameters=parameters_of(robot, basis, determined, theta, posterior.stated),
         condition=solution.condition,
         rank=solution.rank,
         structural_rank=rows.size,
         representative=representative_of(basis, theta, np.zeros(robot.n)),
         covariance=covariance[np.ix_(determined, determined)].tolist(),
         friction_sensitivity=as_matrices(sensitivity, determined, robot.joint_names),
+        torque_constant_moves=as_lists(moves, determined, robot.joint_names),
         not_excited=missing,
         rmse={},
         verdicts=[Verdict(good=good, reason=reason)],

@@ -32,7 +32,14 @@ from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.parts import reduced
-from seqid_cli.identify.posterior import Posterior, as_matrices, sensitivity_of
+from seqid_cli.identify.posterior import (
+    Posterior,
+    as_lists,
+    as_matrices,
+    constant_moves,
+    moves_of,
+    sensitivity_of,
+)
 from seqid_cli.identify.rigid_stage import (
     not_excited,
     parameters_of,
@@ -220,6 +227,8 @@ class InertiaEquations:
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
+        scaled = robot.torque_constant_errors > 0.0
+        self._rotor_torque = np.where(scaled, gear_ratios(robot) ** 2 * self.rotors, 0.0)
         coupling = np.full((robot.n, 1), bool(self.rotors.any()))
         self._loaded = np.hstack([loaded_columns(robot, basis), coupling])
         self._start()
@@ -312,6 +321,8 @@ class InertiaEquations:
             self.torque_squares[j] += float(np.sum(motion.tau[rows, j] ** 2))
             some = np.flatnonzero(rows)[::every]
             F = every * surface.columns(motion.q[some, j], motion.dq[some, j])
+            if self._rotor_torque[j]:
+                F = np.column_stack([F, every * self._rotor_torque[j] * motion.ddq[some, j]])
             crossed = self._cross.get(j, np.zeros((H.shape[2], F.shape[1])))
             self._cross[j] = crossed + H[some, j].T @ F
 
@@ -349,22 +360,30 @@ class InertiaEquations:
         directly and through gravity.
         """
         free = joints[0].size > self.basis.size
-        prior, through = gravity_prior(self.stages.gravity, self.basis), {}
+        prior, through, inherited = gravity_prior(self.stages.gravity, self.basis), {}, {}
         if prior is not None and self.stages.gravity is not None:
             told = sensitivity_of(self.stages.gravity, self.robot.joint_names)
             rows = whitened(np.array(self.stages.gravity.covariance))
             through = {j: rows @ S for j, S in told.items()}
+            told_moves = moves_of(self.stages.gravity, self.robot.joint_names)
+            inherited = {j: rows @ M for j, M in told_moves.items()}
         if free:
             prior = _wider(prior)
         share = self.independent_share
         solution = solve(joints, prior=prior, iterations=ROUNDS, independent=share)
         size = len(solution.theta)
-        direct = {
-            j: -share * solution.bread @ crossed[:size] / solution.sigma[j] ** 2
-            for j, crossed in self._cross.items()
+        crossed = {
+            j: -share * solution.bread @ sums[:size] / solution.sigma[j] ** 2
+            for j, sums in self._cross.items()
         }
         gain = solution.bread @ prior.A.T if prior is not None else np.zeros((size, 0))
-        return solution, Posterior.of(solution, self.surfaces, direct, gain, through)
+        known = {j: S[:, -1] for j, S in crossed.items() if self._rotor_torque[j]}
+        direct = {j: S[:, :-1] if j in known else S for j, S in crossed.items()}
+        posterior = Posterior.of(solution, self.surfaces, direct, gain, through)
+        by_gravity = {j: gain @ move for j, move in inherited.items()}
+        errors = self.robot.torque_constant_errors
+        moves = constant_moves(solution, errors, known, by_gravity)
+        return solution, replace(posterior, constants=moves)
 
     @property
     def independent_share(self) -> float:
@@ -379,7 +398,7 @@ class InertiaEquations:
         coupling: Coupling,
     ) -> RigidStage:
         robot, basis = self.robot, self.basis
-        covariance = posterior.covariance
+        covariance, stated = posterior.covariance, posterior.stated
         known = {p.name for p in self.stages.gravity.parameters} if self.stages.gravity else set()
         own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
         determined = own[solution.determined[own]]
@@ -391,13 +410,14 @@ class InertiaEquations:
             if joint.samples
         }
         return RigidStage(
-            parameters=parameters_of(robot, basis, determined, solution.theta, covariance),
+            parameters=parameters_of(robot, basis, determined, solution.theta, stated),
             condition=solution.condition,
             rank=solution.rank,
             structural_rank=basis.size,
             representative=representative_of(basis, solution.theta, self.rotors),
             covariance=covariance[np.ix_(determined, determined)].tolist(),
             friction_sensitivity=as_matrices(posterior.friction, determined, robot.joint_names),
+            torque_constant_moves=as_lists(posterior.constants, determined, robot.joint_names),
             not_excited=missing,
             rmse=rmse,
             rotor_coupling="gyroscopic" if coupling.used else "diagonal",

@@ -196,6 +196,7 @@ class Solution:
     bread: Array  # inverse of the weighted normal matrix
     left_open: Array
     moves: Array  # (G, p) by which the estimate moves without one block of time
+    shares: Array  # (n, p) of the estimate that come from each joint's right side
 
 
 def solve(
@@ -249,7 +250,11 @@ def solve(
     # A direction in which the blocks happen to agree is not known better than white noise allows.
     covariance += WHITE_FLOOR * bread
     determined = _determined(factor, basis)
-    return Solution(theta, covariance, determined, rank, condition, sigma, bread, left_open, moves)
+    shares = np.zeros((len(joints), size))
+    for k in used:
+        shares[k] = bread @ (totals[k][:, :-1].T @ totals[k][:, -1]) / scale[k] ** 2
+    found = theta, covariance, determined, rank, condition
+    return Solution(*found, sigma, bread, left_open, moves, shares)
 
 
 def _residual_rms(R: Array, samples: int, theta: Array) -> float:

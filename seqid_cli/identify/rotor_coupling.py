@@ -124,7 +124,7 @@ def _free(equations: Equations) -> _Share | None:
     free, posterior = equations.solved(equations.joints)
     if not free.determined[kappa]:
         return None
-    return _Share(float(free.theta[kappa]), float(np.sqrt(posterior.covariance[kappa, kappa])))
+    return _Share(float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa])))
 
 
 def _decided(used: bool) -> tuple[str, ...]:

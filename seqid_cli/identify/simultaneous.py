@@ -25,6 +25,7 @@ from seqid_cli.identify.equations import (
 )
 from seqid_cli.identify.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.motion_use import motion_use, source_text
+from seqid_cli.identify.posterior import Posterior, as_lists, constant_moves, constants_note
 from seqid_cli.identify.rigid_stage import not_excited, parameters_of, representative_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
@@ -131,6 +132,7 @@ class SimultaneousEquations:
         self.terms = TERMS if offset else TERMS[:2]
         size = basis.size + len(self.terms) * robot.n
         self.joints = [Accumulator(size) for _ in range(robot.n)]
+        self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
         self.width = width
         self.fastest = np.zeros(robot.n)
         self.position = np.array([[np.inf, -np.inf]] * robot.n)
@@ -145,9 +147,10 @@ class SimultaneousEquations:
         self._remember(motion)
         self.cutoffs.append(motion.cutoff.hz)
         usable = sliding(motion, SLIDES * self.width)
-        y = motion.tau - motion.filtered(
+        rotors = motion.filtered(
             gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * motion.ddq
         )
+        y = motion.tau - rotors
         friction = self._friction(motion)
         for rows in filtered_regressor(motion, self.robot, self.basis):
             part = rows.where
@@ -158,6 +161,7 @@ class SimultaneousEquations:
                     wide[:, : self.basis.size] = rows.H[block, j][kept]
                     wide[:, self._own(j)] = friction[part][block, j][kept]
                     joint.add(wide, y[part][block, j][kept])
+                    self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
 
     def _own(self, j: int) -> slice:
@@ -181,18 +185,30 @@ class SimultaneousEquations:
     def stages(self, options: MotionOptions) -> tuple[FrictionStage, RigidStage]:
         """Solve and describe the result."""
         solution = solve(self.joints)
+        posterior = self._posterior(solution)
         moved = [j for j in range(self.robot.n) if self.joints[j].samples]
-        friction = {self.robot.joint_names[j]: self._joint(j, solution) for j in moved}
+        friction = {self.robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved}
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
         note = f"{named} friction from one least squares with the rigid body (Eq. 5-6)"
         cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
         filtering = cutoff_note(self.cutoffs, options)
         stage = FrictionStage(
-            joints=friction, method="simultaneous", cutoff_hz=cutoff, notes=[note, filtering]
+            joints=friction,
+            method="simultaneous",
+            cutoff_hz=cutoff,
+            notes=[note, filtering, *constants_note(self.robot)],
         )
-        return stage, self._rigid(solution, cutoff)
+        return stage, self._rigid(solution, posterior, cutoff)
 
-    def _joint(self, j: int, solution: Solution) -> FrictionJoint:
+    def _posterior(self, solution: Solution) -> Posterior:
+        known = {
+            j: -solution.bread @ sums / solution.sigma[j] ** 2
+            for j, sums in enumerate(self._rotor_sums)
+        }
+        moves = constant_moves(solution, self.robot.torque_constant_errors, known)
+        return Posterior(solution.covariance, {}, moves)
+
+    def _joint(self, j: int, solution: Solution, posterior: Posterior) -> FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
         own = self._own(j)
         values = solution.theta[own]
@@ -202,7 +218,7 @@ class SimultaneousEquations:
         both = np.vstack([ahead, back]) if directional else ahead
         covariance = both @ solution.covariance[own, own] @ both.T
         sigma = float(solution.sigma[j])
-        errors = np.sqrt(np.maximum(np.diag(solution.covariance)[own], 0.0))
+        errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
         return FrictionJoint(
             position_order=0,
             velocity_order=1,
@@ -215,6 +231,7 @@ class SimultaneousEquations:
             positive=[(ahead @ values).tolist()],
             negative=[(back @ values).tolist()],
             covariance=covariance.tolist(),
+            torque_constant_error=self.robot.joints[j].torque_constant_error,
             speeds=[SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
                 Parameter(name=n, value=float(v), std_error=float(e), unit=u)
@@ -222,14 +239,14 @@ class SimultaneousEquations:
             ],
         )
 
-    def _rigid(self, solution: Solution, cutoff: float | None) -> RigidStage:
+    def _rigid(self, solution: Solution, posterior: Posterior, cutoff: float | None) -> RigidStage:
         basis, robot = self.basis, self.robot
         indices = np.arange(basis.size)
         own = indices[solution.determined[: basis.size]]
         missing = not_excited(basis, solution, indices)
         rank = solution.rank - len(self.terms) * sum(joint.samples > 0 for joint in self.joints)
         return RigidStage(
-            parameters=parameters_of(robot, basis, own, solution.theta, solution.covariance),
+            parameters=parameters_of(robot, basis, own, solution.theta, posterior.stated),
             condition=solution.condition,
             rank=rank,
             structural_rank=basis.size,
@@ -237,6 +254,7 @@ class SimultaneousEquations:
                 basis, solution.theta[: basis.size], known_rotors(robot)
             ),
             covariance=solution.covariance[np.ix_(own, own)].tolist(),
+            torque_constant_moves=as_lists(posterior.constants, own, robot.joint_names),
             not_excited=missing,
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
             method="simultaneous",

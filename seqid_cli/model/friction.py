@@ -61,6 +61,7 @@ class FrictionSurface:
     entry_covariance: Array
     directional: bool
     temperature: float | None = None
+    torque_constant_error: float = 0.0
 
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> FrictionSurface:
@@ -80,6 +81,7 @@ class FrictionSurface:
             entry_covariance=np.array(joint.covariance),
             directional=joint.directional,
             temperature=joint.temperature,
+            torque_constant_error=joint.torque_constant_error,
         )
 
     @property
@@ -145,6 +147,12 @@ class FrictionSurface:
             return np.zeros(len(q))
         variance = np.einsum("nk,kl,nl->n", X, self.covariance, X, optimize=True)
         error: Array = np.sqrt(np.maximum(variance, 0.0))
+        return error
+
+    def stated_error(self, q: Array, v: Array) -> Array:
+        """Standard error (N,) N m of the physical torque: with that of the torque constant."""
+        common = self.torque_constant_error * self.torque(q, v)
+        error: Array = np.hypot(self.std_error(q, v), common)
         return error
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:

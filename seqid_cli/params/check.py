@@ -71,6 +71,8 @@ def _friction(key: str, joint: FrictionJoint) -> Iterable[_Problem]:
     sizes = (rows * columns, 2 * rows * columns)
     if joint.covariance and not any(_has_shape(joint.covariance, n, n) for n in sizes):
         yield f"{key}.covariance", f"must be square with {sizes[0]} or {sizes[1]} rows"
+    if not 0.0 <= joint.torque_constant_error < 1.0:
+        yield f"{key}.torque_constant_error", "must be at least 0 and below 1"
 
 
 def _rigid(key: str, stage: RigidStage, joints: Sequence[str]) -> Iterable[_Problem]:
@@ -80,6 +82,10 @@ def _rigid(key: str, stage: RigidStage, joints: Sequence[str]) -> Iterable[_Prob
         yield from _known(f"{key}.parameters", parameter.joint, joints)
     if stage.covariance and not _has_shape(stage.covariance, count, count):
         yield f"{key}.covariance", f"must be square with {count} rows, one per parameter"
+    for joint, moves in stage.torque_constant_moves.items():
+        yield from _known(f"{key}.torque_constant_moves", joint, joints)
+        if len(moves) != count:
+            yield f"{key}.torque_constant_moves.{joint}", f"must be {count} numbers"
 
 
 def _imu(key: str, imu: ImuCalibration) -> Iterable[_Problem]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError, UsageError
@@ -128,10 +129,22 @@ def _rigid(name: str, a: RigidStage, b: RigidStage, rule: Rule) -> Iterator[Diff
         size = max(largest.get(parameter.unit, 0.0), abs(parameter.value))
         largest[parameter.unit] = size
     least = {unit: _LEAST_SIZE * size for unit, size in largest.items()}
-    yield from _parameters(name, a.parameters, b.parameters, rule, least)
+    one, other = (_torque_constants_held(stage) for stage in (a, b))
+    yield from _parameters(name, one, other, rule, least)
     if a.rotor_coupling != b.rotor_coupling and a.parameters and b.parameters:
         remark = f"rotors {a.rotor_coupling}, then {b.rotor_coupling}"
         yield unlike(name, "rotor coupling", "", remark)
+
+
+def _torque_constants_held(stage: RigidStage) -> list[Parameter]:
+    """Parameters without the errors of torque constants: both files have the same ones."""
+    if not stage.torque_constant_moves or not stage.covariance:
+        return stage.parameters
+    errors = np.sqrt(np.maximum(np.diag(np.array(stage.covariance)), 0.0))
+    return [
+        replace(parameter, std_error=float(error))
+        for parameter, error in zip(stage.parameters, errors, strict=True)
+    ]
 
 
 def _parameters(

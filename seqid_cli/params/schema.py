@@ -105,6 +105,9 @@ class FrictionJoint(Struct, kw_only=True):
     `rmse` is that of the surface's averages over a quarter of a trial. `held_out_rmse`,
     `max_abs_error` (N m) and `max_error` (of the friction) are of the same averages at speeds that
     were left out, and of the surface itself at the slowest and the fastest.
+
+    `torque_constant_error` is the relative error that the torque constant adds to every torque: all
+    entries move together. `covariance` is without it, the standard errors of `speeds` are with it.
     """
 
     position_order: int
@@ -120,6 +123,7 @@ class FrictionJoint(Struct, kw_only=True):
     positive: Matrix
     negative: Matrix
     covariance: Matrix  # of [positive, negative] (or of positive alone), row-major
+    torque_constant_error: float = 0.0
     held_out_rmse: float | None = None
     max_abs_error: float | None = None
     beta: float | None = None
@@ -168,7 +172,9 @@ class RigidStage(Struct, kw_only=True):
     logs been used with encoders alone (empty: they were, or it was not asked).
     `friction_sensitivity` holds, by joint, the change of every parameter (a row) per change of
     every entry of that joint's friction `covariance` (a column), through gravity as well: with the
-    covariances it gives that of everything identified with everything.
+    covariances it gives that of everything identified with everything. `torque_constant_moves`
+    holds, by joint, what one standard error of its torque constant moves every parameter by,
+    through gravity as well. `covariance` is without these moves, the standard errors are with them.
     """
 
     parameters: list[Parameter]
@@ -178,6 +184,7 @@ class RigidStage(Struct, kw_only=True):
     representative: dict[str, float] = {}
     covariance: Matrix = []
     friction_sensitivity: dict[str, Matrix] = {}
+    torque_constant_moves: dict[str, list[float]] = {}
     not_excited: list[str] = []
     rmse: dict[str, float] = {}
     method: str = "sequential"

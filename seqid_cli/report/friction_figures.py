@@ -47,7 +47,7 @@ def drawable(joint: FrictionJoint) -> bool:
     q, v = (np.linspace(low, high, 5) for low, high in (joint.position_range, joint.speed_range))
     with np.errstate(all="ignore"):
         surface, grid = FrictionSurface.from_stage(joint), (np.repeat(q, 5), np.tile(v, 5))
-        torque, error = surface.torque(*grid), surface.std_error(*grid)
+        torque, error = surface.torque(*grid), surface.stated_error(*grid)
         return bool(np.isfinite([torque, error]).all() and np.ptp(torque) < np.inf)
 
 
@@ -266,7 +266,7 @@ def _round(value: float, span: float) -> float:
 
 
 def _with_error(surface: FrictionSurface, q: Array, v: Array) -> tuple[Array, Array]:
-    return surface.torque(q, v), Z95 * surface.std_error(q, v)
+    return surface.torque(q, v), Z95 * surface.stated_error(q, v)
 
 
 def _points(x: Array, y: Array) -> list[tuple[float, float]]:

@@ -108,6 +108,7 @@ def _joint(entry: JointEntry, prismatic: bool) -> Joint:
         name=entry.name,
         prismatic=prismatic,
         torque_constant=entry.torque_constant,
+        torque_constant_error=entry.torque_constant_error,
         gear_ratio=entry.gear_ratio,
         rotor_inertia=entry.rotor_inertia,
         encoder_resolution=entry.encoder_resolution,

@@ -32,6 +32,7 @@ class JointEntry(Table, frozen=True):
     prismatic: bool = False
     dh: DhEntry | None = None
     torque_constant: float | None = None
+    torque_constant_error: float = 0.0
     gear_ratio: float | None = None
     rotor_inertia: float | None = None
     encoder_resolution: float | None = None

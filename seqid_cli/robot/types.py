@@ -16,11 +16,13 @@ class Joint:
     """One actuated joint of the chain (rad and N m; m and N where prismatic).
 
     `torque_constant` [N m/A] and `rotor_inertia` [kg m^2] are on the motor side.
+    `torque_constant_error` is the relative standard error of the joint's torque scale.
     """
 
     name: str
     prismatic: bool = False
     torque_constant: float | None = None
+    torque_constant_error: float = 0.0
     gear_ratio: float | None = None
     rotor_inertia: float | None = None
     encoder_resolution: float | None = None
@@ -105,6 +107,11 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def torque_constant_errors(self) -> Array:
+        """Relative standard errors (n,) of the joints' torque scales."""
+        return np.array([joint.torque_constant_error for joint in self.joints])
 
     @property
     def joint_names(self) -> tuple[str, ...]:

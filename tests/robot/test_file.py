@@ -103,6 +103,13 @@ CASES = {
     ),
     "gear zero": (ONE + "gear_ratio = 0\n", r"joint\[0\].gear_ratio \(joint 'one'\) is 0"),
     "kt negative": (ONE + "torque_constant = -1.0\n", r"joint\[0\].torque_constant .* above 0"),
+    "kt error negative": (
+        ONE + "torque_constant_error = -0.01\n",
+        r"joint\[0\].torque_constant_error .* below 1",
+    ),
+    "kt error one": (ONE + "torque_constant_error = 1.0\n", r"torque_constant_error .* below 1"),
+    "kt error nan": (ONE + "torque_constant_error = nan\n", r"torque_constant_error .* finite"),
+    "kt error text": (ONE + 'torque_constant_error = "2 %"\n', r"torque_constant_error: "),
     "resolution": (ONE + "encoder_resolution = 0.0\n", r"joint\[0\].encoder_resolution .* above 0"),
     "inertia": (ONE + "rotor_inertia = -1e-4\n", r"joint\[0\].rotor_inertia .* 0 or more"),
     "limits": (ONE + "position_limits = [1.0, 1.0]\n", r"joint\[0\].position_limits .* ascending"),

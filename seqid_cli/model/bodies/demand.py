@@ -139,6 +139,7 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parame
     """Parameters that the logs determined, inertia's word before gravity's, and covariance."""
     found: list[Parameter] = []
     blocks: list[Array] = []
+    moves: list[Array] = []
     for name, stage in (("inertia", stages.inertia), ("gravity", stages.gravity)):
         if stage is None:
             continue
@@ -149,13 +150,16 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parame
         full = np.array(stage.covariance) if stage.covariance else np.diag(errors**2)
         found += [stage.parameters[k] for k in own]
         blocks.append(full[np.ix_(own, own)])
+        told, none = stage.torque_constant_moves, [0.0] * len(errors)
+        moves.append(np.array([told.get(joint, none) for joint in robot.joint_names])[:, own])
     covariance = np.zeros((len(found), len(found)))
     start = 0
     for block in blocks:
         part = slice(start, start + len(block))
         covariance[part, part] = block
         start += len(block)
-    return found, covariance
+    common = np.hstack(moves) if moves else np.zeros((0, 0))  # one error per joint in all stages
+    return found, covariance + common.T @ common
 
 
 def _check(name: str, stage: RigidStage, basis: Basis, robot: Robot) -> None:

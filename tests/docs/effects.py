@@ -60,6 +60,10 @@ SYMPTOMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("grows with the torque, same in both directions", ("torque_constant", "torque_saturation")),
     ("larger in one direction", ("asymmetric_friction", "gear_efficiency", "torque_bias")),
     ("friction falls while the arm warms up", ("thermal_friction", "drift")),
+    (
+        "changes sign with the direction, its size goes with the position",
+        ("position_dependent_friction", "load_dependent_friction", "torque_ripple"),
+    ),
     ("friction is another than weeks ago", ("friction_change", "thermal_friction")),
     ("constant, also at rest", ("torque_bias", "payload", "base_tilt")),
     ("creeps over minutes", ("drift", "thermal_friction")),

@@ -42,7 +42,7 @@ def test_seeds_cover_the_catalogue_and_clean_arms() -> None:
     assert {name for names in kinds for name in names} == set(KINDS)
     assert sum(not names for names in kinds) == 40
     assert sum(len(names) == 2 for names in kinds) == 40
-    assert set(KINDS) == set(CATALOGUE) | {"position_dependent_friction"} == set(QUANTITIES)
+    assert set(KINDS) == set(CATALOGUE) == set(QUANTITIES)
 
 
 def test_a_seed_is_one_case() -> None:

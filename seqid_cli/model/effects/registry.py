@@ -19,6 +19,7 @@ from seqid_cli.model.effects.load_dependent_friction import LoadDependentFrictio
 from seqid_cli.model.effects.nonlinear_viscous import NonlinearViscous
 from seqid_cli.model.effects.payload import Payload
 from seqid_cli.model.effects.periodic_disturbance import PeriodicDisturbance
+from seqid_cli.model.effects.position_dependent_friction import PositionDependentFriction
 from seqid_cli.model.effects.presliding_hysteresis import PreslidingHysteresis
 from seqid_cli.model.effects.quadratic_drag import QuadraticDrag
 from seqid_cli.model.effects.rotor_inertia import RotorInertia
@@ -42,6 +43,7 @@ _ALL: tuple[Effect, ...] = (
     NonlinearViscous(),
     PreslidingHysteresis(),
     FrictionChange(),
+    PositionDependentFriction(),
     TorqueConstant(),
     TorqueSaturation(),
     TorqueBias(),

@@ -33,7 +33,7 @@ CONTRACT = {
     *("torque_constant", "torque_saturation", "torque_bias", "time_skew", "actuator_lag"),
     *("periodic_disturbance", "drift", "external_contact"),
 }
-ADDED = {"friction_change"}
+ADDED = {"friction_change", "position_dependent_friction"}
 ELEMENTARY = {"torque_bias", "drift", "time_skew", "periodic_disturbance"}  # what their names say
 WITHOUT_TORQUE = {"external_contact"}
 

@@ -1,0 +1,67 @@
+"""Dry friction that is larger at some places than at others.
+
+    tau = s(v) sum_k [a_k cos(2 pi k q / p) + b_k sin(2 pi k q / p)],   k = 1 .. `waves`
+
+a_k, b_k [N m], p the `period`: a turn of the joint (2 pi rad), as a bent bearing or a gear out of
+round has it; at a sliding joint twice the travel. A friction stage whose orders in position suffice
+holds it already. Popovic, Goldenberg, "Modeling of friction using spectral analysis", IEEE Trans.
+Robotics and Automation 14(1), 1998.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import moves, travel
+from seqid_cli.model.effects.scene import Scene
+
+WAVES = (1.0, 2.0, 3.0, 5.0)  # per turn of the joint
+
+
+class PositionDependentFriction(Effect):
+    """Friction in waves over the position."""
+
+    name = "position_dependent_friction"
+    family = "friction"
+    settings = (
+        Setting("period", "rad", low=0.0, continuous=False),
+        Setting("waves", "1", low=1.0, continuous=False),
+    )
+    alike = ("friction_change", "torque_ripple", "load_dependent_friction")
+    separate_by = (
+        "constant speeds of this joint both ways over its whole range, at three speeds and with "
+        "the load on it turned round: friction over the position stays, that of the load does not"
+    )
+
+    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Ask that the joint moves."""
+        return joint is not None and moves(scenes, joint)
+
+    def searched(self, settings: Settings) -> int:
+        """Return 1: the number of waves."""
+        return 1
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return cosine and sine of every wave."""
+        orders = range(1, round(settings["waves"]) + 1)
+        return tuple(
+            Coefficient(f"{part}_{k}", "N m") for k in orders for part in ("cosine", "sine")
+        )
+
+    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+        """A turn of the joint with one wave or more; twice the travel of a sliding joint."""
+        assert joint is not None
+        slides = scenes[0].robot.joints[joint].prismatic
+        period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi
+        return {"period": (period,), "waves": WAVES}
+
+    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+        """Direction of motion times cosines and sines."""
+        assert joint is not None
+        order = np.arange(1, round(settings["waves"]) + 1)
+        phase = 2.0 * np.pi / settings["period"] * np.outer(scene.motion.q[:, joint], order)
+        waves: Array = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
+        return {joint: scene.sign[:, [joint]] * waves}

@@ -26,6 +26,7 @@ from seqid_cli.commands.show_motion import announced, show_motion
 from seqid_cli.commands.stages import tell_output, tell_remedies
 from seqid_cli.params.diagnosis_schema import (
     DIAGNOSIS_SCHEMA,
+    ClosestEffect,
     Curve,
     DiagnosisFile,
     EffectParameter,
@@ -178,7 +179,6 @@ def _finding(finding: Finding) -> FindingEntry:
         confusable_with=list(finding.confusable_with),
         separate_by=finding.separate_by,
         gain=finding.gain,
-        clean_gain=finding.clean_gain,
         parameters=[
             EffectParameter(
                 name=value.name, value=value.value, std_error=value.std_error, unit=value.unit
@@ -201,8 +201,13 @@ def _unexplained(part: Unexplained, robot: Robot) -> UnexplainedPart:
             x=list(part.curve[0]),
             torque=list(part.curve[1]),
         )
+    near = part.closest
     return UnexplainedPart(
-        joint=part.joint, depends_on=list(part.depends_on), share=part.share, curve=curve
+        joint=part.joint,
+        depends_on=list(part.depends_on),
+        share=part.share,
+        curve=curve,
+        closest=ClosestEffect(effect=near.effect, share=near.share) if near else None,
     )
 
 

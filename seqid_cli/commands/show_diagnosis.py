@@ -114,8 +114,12 @@ def _unit(unit: str) -> str:
 
 
 def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart]) -> None:
-    rows = [(part.joint, _quantities(part.depends_on), percent(part.share)) for part in parts]
-    screen.table(("joint", "unexplained, depends on", "share"), rows)
+    columns = ("joint", "unexplained, depends on", "share", "closest effect, share of its gain")
+    rows = [
+        (part.joint, _quantities(part.depends_on), percent(part.share), _closest(part))
+        for part in parts
+    ]
+    screen.table(columns, rows)
     for part in parts:
         curve = part.curve
         if curve is None:
@@ -128,6 +132,11 @@ def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart]) -> None:
         )
         for line in lines:
             screen.result(line)
+
+
+def _closest(part: UnexplainedPart) -> str:
+    near = part.closest
+    return "none" if near is None else f"{near.effect}, {percent(near.share)}"
 
 
 def _quantities(names: Sequence[str]) -> str:

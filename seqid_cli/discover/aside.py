@@ -23,14 +23,13 @@ from seqid_cli.discover.event_windows import (
     tracks_of,
     windows_of_tracks,
 )
-from seqid_cli.discover.events import LENGTHS_S, Interval, events_of_scene, scores
-from seqid_cli.discover.gates import Gates, calibrated
-from seqid_cli.discover.investigate import STANDS_OUT, Investigation, of_shape
+from seqid_cli.discover.events import GATE, LENGTHS_S, Interval, events_of_scene, scores
+from seqid_cli.discover.investigate import STANDS_OUT, Investigation, no_push
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Event
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, extrapolated, rows_of
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.search import Search
+from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
@@ -69,19 +68,15 @@ def events_aside(
     """
     if not aside:
         return []
-    search = found.search
-    rows, left = search.stage.rows, search.system().left_out()[: search.stage.rows.n]
-    others, top = tracks_of(rows, residual_series(rows, left)), top_speeds(rows)
+    rows, model = found.ground.stage.rows, found.model
+    scaled = model.linear.left_out()[: rows.n]
+    scaled = [r / s for r, s in zip(scaled, model.noise.sigma, strict=False)]
+    others, top = tracks_of(rows, residual_series(rows, scaled)), top_speeds(rows)
     looks = [_Look.of(piece, found, robot, stages, options) for piece in aside]
-    gates = found.gates
-    places = [look.places(others, top, STANDS_OUT * gates.event) for look in looks]
-    if any(places) and gates == Gates():
-        gates = calibrated(found.logs, search, (), stages, options)
     return [
-        look.told(place, gates.event, robot)
-        for look, own in zip(looks, places, strict=True)
-        for place in own
-        if place.score >= STANDS_OUT * gates.event
+        look.told(place, robot)
+        for look in looks
+        for place in look.places(others, top, STANDS_OUT * GATE)
     ]
 
 
@@ -91,7 +86,7 @@ class _Look:
 
     recording: Recording
     scene: Scene
-    search: Search
+    model: Model
     left: Array
     shown: Array
 
@@ -104,22 +99,21 @@ class _Look:
         stages: Stages,
         options: DiscoverOptions,
     ) -> _Look:
-        search = found.search
         scene = scenes_of([recording], robot, stages, options=options.motion)[0]
         scene = _beside(scene, recording, found)
         rows = rows_of([scene])
-        there = replace(search, stage=Stage(rows), base=base_of(rows, stages))
-        system = search.system()
-        return cls(recording, scene, there, there.residual(system)[0], there.shown(system)[0])
+        there = Ground.of(Stage(rows), base_of(rows, stages))
+        model = found.model
+        return cls(recording, scene, model, model.left(there)[0], model.shown([scene])[0])
 
     def places(self, others: Sequence[Track], top: Array, gate: float) -> list[Interval]:
         """Places (scene 0 is this one) that stand out beside other logs."""
         tracks = [self.track(), *others]
         windows = [windows_of_tracks(tracks, top, length) for length in LENGTHS_S]
         events = events_of_scene(0, [(w, scores(w)) for w in windows], gate)
-        if not self.search.accepted:
-            return events
-        return [e for e in events if not of_shape(self.search, e, self.left, self.shown)]
+        return [
+            e for e in events if not no_push(self.model, e, self.scene, [self.left], [self.shown])
+        ]
 
     def track(self) -> Track:
         """The piece's kept samples, with the residual in units of the noise."""
@@ -139,9 +133,9 @@ class _Look:
 
     def scaled(self) -> Array:
         """The residual (N, n) in units of each joint's noise."""
-        return self.left / self.search.noise[: self.left.shape[1]]
+        return self.left / self.model.noise.sigma[: self.left.shape[1]]
 
-    def told(self, place: Interval, gate: float, robot: Robot) -> EventAside:
+    def told(self, place: Interval, robot: Robot) -> EventAside:
         """Describe an event."""
         motion = self.scene.motion
         at = (motion.t >= place.start) & (motion.t <= place.end)
@@ -154,12 +148,12 @@ class _Look:
             end=begun + place.end,
             joints=tuple(robot.joint_names[j] for j in place.joints),
         )
-        return EventAside(event, place.score / gate, energy)
+        return EventAside(event, place.score / GATE, energy)
 
 
 def _beside(scene: Scene, recording: Recording, found: Investigation) -> Scene:
     """The scene on the clock of those that were searched, with the model that they have."""
-    logs, scenes = found.logs, found.search.stage.scenes
+    logs, scenes = found.logs, found.ground.stage.scenes
     known = scenes[0]
     before = [
         k

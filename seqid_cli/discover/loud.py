@@ -1,7 +1,7 @@
 """Joints whose residual is louder than noise and encoder make it, whatever it depends on.
 
-An effect that nothing here foretells, in a single quick move say, passes no gate; but then what is
-left is more than what a right model would leave, which clean data of these logs tell (see `clean`).
+An effect that nothing here foretells, in a single quick move say, is not selected; but then what is
+left is more than what a right model would leave.
 """
 
 from __future__ import annotations
@@ -11,16 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.dependence import dependence
 from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise import DETAIL
-from seqid_cli.discover.stationary import goes_with_motion
+from seqid_cli.discover.select.smooth import SmoothFunction
+from seqid_cli.discover.select.terms import smooth_terms
 
 Array = NDArray[np.float64]
 
-LOUDER = 1.6  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
-LOUD = 2.5  # from which it is worth a word
+LOUD = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 
 
 @dataclass(frozen=True)
@@ -29,11 +28,6 @@ class Loud:
 
     joint: int
     times: float
-
-    @property
-    def told(self) -> bool:
-        """Whether it is too much to be passed over."""
-        return self.times > LOUD
 
     @property
     def share(self) -> float:
@@ -46,8 +40,8 @@ def expected(found: Investigation) -> Array:
 
     The noise floor, and a detail of the torque itself.
     """
-    rows, scenes = found.search.stage.rows, found.search.stage.scenes
-    torque = [scene.motion.filtered(scene.modelled) for scene in scenes]
+    rows = found.ground.stage.rows
+    torque = [scene.motion.filtered(scene.modelled) for scene in rows.scenes]
     detail = [DETAIL * rms(rows.torque(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
     return np.hypot(found.floor.rms, detail)
 
@@ -55,22 +49,19 @@ def expected(found: Investigation) -> Array:
 def louder_joints(found: Investigation, ordinary: Array) -> tuple[Loud, ...]:
     """Joints that are louder than `ordinary` (n,) N m after all that was found, the loudest first.
 
-    Not those that the file alone fits as well as expected, nor those whose residual goes on alike
-    whatever the arm does: torque noise may be slower than what can be seen of it elsewhere.
+    Not those that the file alone fits as well as expected.
     """
-    search = found.search
-    left = np.minimum(search.rms(), found.start)
+    left = np.minimum(found.model.rms(), found.start)
     times = left / np.maximum(ordinary, 1e-12)
-    residual = search.system().residual()
-    louder = [
-        Loud(j, float(times[j]))
-        for j in np.flatnonzero(times > LOUDER).tolist()
-        if goes_with_motion(search.stage.rows, residual[j], j)
-    ]
+    louder = [Loud(j, float(times[j])) for j in np.flatnonzero(times > LOUD).tolist()]
     return tuple(sorted(louder, key=lambda one: -one.times))
 
 
 def looks_like(found: Investigation, joint: int) -> tuple[str, ...]:
     """Quantities that a joint's residual depends on most, however little that foretells."""
-    system = found.search.system()
-    return dependence(system, joint, least_gain=0.0, most=1).quantities
+    ground = found.ground
+    terms = [t for t in smooth_terms(ground.stage.rows, ground.size) if t.joint == joint]
+    gained = found.model.linear.gained([term.part for term in terms])
+    best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
+    what = best[0].what if best else None
+    return what.quantities if isinstance(what, SmoothFunction) else ()

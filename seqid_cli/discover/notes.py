@@ -37,9 +37,8 @@ def file_notes(
 
     Those that findings touch or that are `named` elsewhere are not among them.
     """
-    search, notes = found.search, []
-    touched = {j for tried in search.accepted for j in tried.columns}
-    for j, left in enumerate(np.minimum(search.rms(), found.start)):
+    notes, touched = [], _touched(found)
+    for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
         name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
         if times <= LOUD or j in touched or name in named:
             continue
@@ -57,12 +56,11 @@ def file_notes(
 
 def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints without a finding that a model fitted to these logs predicts worse than the file's."""
-    search = found.search
-    touched = {j for tried in search.accepted for j in tried.columns}
+    touched = _touched(found)
     worse = [
         f"{name} ({free:.3g} against {start:.3g} N m)"
         for j, (name, free, start) in enumerate(
-            zip(robot.joint_names, search.rms(), found.start, strict=True)
+            zip(robot.joint_names, found.model.rms(), found.start, strict=True)
         )
         if free > start and j not in touched
     ]
@@ -79,11 +77,10 @@ def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[
 
     No effect is looked for there; `ordinary` (n,) N m is what a right model leaves.
     """
-    search = found.search
-    scenes, shown = search.stage.scenes, search.shown(search.system())
+    scenes, shown = found.ground.stage.scenes, found.model.shown()
     sliding = np.concatenate([scene.slides for scene in scenes])
     outside = np.concatenate(extrapolated(scenes)) & sliding
-    parts = zip(search.base.whole, shown, strict=True)
+    parts = zip(found.ground.base.whole, shown, strict=True)
     left = np.concatenate([whole.residual - effects for whole, effects in parts])
     notes = []
     for j, name in enumerate(robot.joint_names):
@@ -116,10 +113,14 @@ def offset_notes(offsets: Mapping[int, float], robot: Robot) -> tuple[str, ...]:
 
 def shown_offsets(found: Investigation) -> dict[int, float]:
     """Time offsets s of the base by joint, where they show."""
-    search, shown = found.search, {}
-    for j, offset in enumerate(search.offsets(search.system())):
-        X = search.base.timing[j]
-        size = abs(offset) * rms(X)
-        if search.timed[j] and size > OFFSET_SHOWS * float(search.noise[j]):
+    model, shown = found.model, {}
+    for j, offset in enumerate(model.offsets):
+        size = abs(offset) * rms(found.ground.base.timing[j])
+        if model.timed[j] and size > OFFSET_SHOWS * float(model.noise.sigma[j]):
             shown[j] = offset
     return shown
+
+
+def _touched(found: Investigation) -> set[int]:
+    """Joints that something was found at."""
+    return {c for taken in found.found.taken for c in taken.term.channels}

@@ -11,15 +11,10 @@ from seqid_cli.identify.options import InertiaOptions
 class DiscoverOptions:
     """How effects are looked for.
 
-    `seed` fixes all random numbers; `clean_runs` is the number of clean data sets of this kind that
-    gains are compared with; at most `max_effects` effects are found or added; `with_unexplained`
-    lets refinement add a smooth term where no effect of the catalogue explains a residual;
-    `by_evidence` takes the selection of `discover.select` in place of the search's rules.
+    Refinement adds at most `max_effects`; `with_unexplained` lets it add a smooth term where no
+    effect of the catalogue explains a residual.
     """
 
     motion: InertiaOptions = field(default_factory=lambda: InertiaOptions(source="needed"))
-    seed: int = 0
-    clean_runs: int = 4
     max_effects: int = 4
     with_unexplained: bool = False
-    by_evidence: bool = False

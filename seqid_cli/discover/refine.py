@@ -19,16 +19,17 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from seqid_cli.discover.candidates import Candidate, Tried
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.events import Interval
 from seqid_cli.discover.heldout import LEAST_GAIN, Gain, gain, gain_of
-from seqid_cli.discover.investigate import Investigation
+from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.left_out import FOLDS, STRETCH_S, Folds
 from seqid_cli.discover.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of
 from seqid_cli.discover.results import Round
-from seqid_cli.discover.select.investigation import investigate_by_evidence
+from seqid_cli.discover.select.selection import Taken
+from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.identify.prediction import slides_from
 from seqid_cli.logs.recording import Recording
@@ -140,25 +141,24 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 def _investigated(loop: Loop) -> Investigation:
     """What the model, with its effects, lacks on the training logs."""
     material, model = loop.material, loop.model
-    return investigate_by_evidence(
-        material.now(model), material.robot, model.stages, material.options
-    )
+    return investigate(material.now(model), material.robot, model.stages, material.options)
 
 
 def _round(loop: Loop) -> bool:
     """Look for effects and try each; returns whether one was added."""
     found = _investigated(loop)
-    search = found.search
-    ordered = sorted(search.accepted, key=lambda t: -search.energies[t.candidate.key])
+    ordered = sorted(found.found.effects, key=lambda taken: -taken.one.foretold.total)
     added, seen = False, loop.material
     if found.events:
         loop.material = replace(seen, training=quiet(seen.training, found.events))
-    for tried in ordered:
-        if loop.added < loop.refused.get(tried.candidate.key, 0) or _had(loop, tried.candidate):
+    for taken in ordered:
+        what = taken.term.what
+        assert isinstance(what, Candidate)
+        if loop.added < loop.refused.get(what.key, 0) or _had(loop, what):
             continue
         if loop.added >= loop.material.options.max_effects:
             break
-        added |= _try(loop, tried)
+        added |= _try(loop, what, taken.term.channels)
     loop.material = seen
     return added
 
@@ -206,12 +206,12 @@ class Outcome:
         return self.change.certain and self.whole.value > 0.0
 
 
-def _try(loop: Loop, tried: Tried) -> bool:
+def _try(loop: Loop, candidate: Candidate, channels: frozenset[int]) -> bool:
     """Fit the models of the folds with one effect more; keep it if left-out blocks agree."""
-    accounts = _accounts(loop, tried.candidate)
-    outcomes = [(_outcome(loop, account, tried), account) for account in accounts]
+    accounts = _accounts(loop, candidate)
+    outcomes = [(_outcome(loop, account, channels), account) for account in accounts]
     outcome, account = next((both for both in outcomes if both[0].accepted), outcomes[0])
-    told = _told(loop, tried.candidate, account, outcome)
+    told = _told(loop, candidate, account, outcome)
     same = [r for r in loop.rounds if (r.effect, r.joint) == (told.effect, told.joint)]
     loop.rounds = [r for r in loop.rounds if r.accepted or r not in same]
     if outcome.accepted:
@@ -219,7 +219,7 @@ def _try(loop: Loop, tried: Tried) -> bool:
     else:
         loop.rounds.append(told)
         # A joint that loses may only lack an effect of its own: worth another try beside that.
-        loop.refused[tried.candidate.key] = loop.added + 1 if outcome.helps else np.inf
+        loop.refused[candidate.key] = loop.added + 1 if outcome.helps else np.inf
     return outcome.accepted
 
 
@@ -238,10 +238,10 @@ def _accounts(loop: Loop, candidate: Candidate) -> list[Account]:
     return [after, early] if change.value > 0.0 else [early, after]
 
 
-def _outcome(loop: Loop, account: Account, tried: Tried) -> Outcome:
+def _outcome(loop: Loop, account: Account, channels: frozenset[int]) -> Outcome:
     before, after = loop.error_of(loop.best), loop.error_of(account)
     n = loop.material.robot.n
-    change = gain(before, after, [j for j in tried.columns if j < n])
+    change = gain(before, after, [j for j in channels if j < n])
     tolerated = max(TOLERATED, EXCHANGE * change.value)
     each = [gain(before, after, [j]) for j in range(n)]
     losing = tuple(j for j, g in enumerate(each) if g.loses and g.value < -tolerated)
@@ -277,22 +277,25 @@ def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcom
 
 def _add_smooth(loop: Loop) -> None:
     """Add smooth terms of no known cause where they foretell what was left out."""
-    found = _investigated(loop)
-    for smooth in (*found.outside, *(d for d in found.dependences if d.quantities)):
-        trial = smooth.trials[0]
-        term = smooth.rivals[0].term(trial.coefficients)
-        if term is None:
-            continue
-        change = gain_of(trial.loss, trial.loss - trial.gain)
-        told = Round(
-            effect="unexplained",
-            joint=loop.material.robot.joint_names[smooth.joint],
-            accepted=change.certain,
-            training_gain=change.value,
-            training_interval=(change.low, change.high),
-            reason="" if change.certain else "does not certainly predict left-out blocks better",
-        )
+    for taken in _investigated(loop).found.smooth:
+        told = _told_smooth(loop, taken)
         loop.rounds.append(told)
-        if change.certain:
-            model = loop.model
-            loop.steps.append(replace(model, effects=(*model.effects, FittedTerm(term))))
+        if told.accepted:
+            what, model = taken.term.what, loop.model
+            assert isinstance(what, SmoothFunction)
+            term = FittedTerm(what.term(taken.one.gained.coefficients))
+            loop.steps.append(replace(model, effects=(*model.effects, term)))
+
+
+def _told_smooth(loop: Loop, taken: Taken) -> Round:
+    told, joint = taken.one.foretold, taken.term.joint
+    assert joint is not None
+    change = gain_of(told.loss, told.loss - told.squares)
+    return Round(
+        effect="unexplained",
+        joint=loop.material.robot.joint_names[joint],
+        accepted=change.certain,
+        training_gain=change.value,
+        training_interval=(change.low, change.high),
+        reason="" if change.certain else "does not certainly predict left-out blocks better",
+    )

@@ -25,8 +25,7 @@ from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of, shared_starts
-from seqid_cli.discover.search import Search
-from seqid_cli.discover.system import System
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
 from seqid_cli.identify.friction import identify_friction
 from seqid_cli.identify.gravity import identify_gravity
 from seqid_cli.identify.inertia import identify_inertia
@@ -44,7 +43,6 @@ Array = NDArray[np.float64]
 
 LOOSE = 3.0  # variance of a direction over that of its parameters, from which it may be held
 CLEAR = 2.0  # standard errors, that such a direction must move by to leave the file
-FIRM = 0.1  # standard errors of the file, by which its base may move while effects are written
 TURNS = 6  # of effects and stages, at most
 SETTLED = 0.3  # standard errors, that coefficients still move by when they have settled
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
@@ -145,18 +143,18 @@ def refitted(
     """
     stages, effects = model.stages, list[FittedEffect]()
     for turn in range(0 if kept else TURNS):
-        search = _fitted_search(material, stages, candidates, kept=False)
-        before, effects = effects, _effects_of(material, search)
-        stages = _stages(material, Refitted(stages, tuple(effects), late), search)
-        candidates = [t.candidate for t in search.accepted]
+        fit = _fitted(material, stages, candidates, FREE)
+        before, effects = effects, _effects_of(material, fit)
+        stages = _stages(material, Refitted(stages, tuple(effects), late), fit)
+        candidates = fit.candidates
         if not candidates or (turn > 0 and _settled(before, effects)):
             break
-    search = _fitted_search(material, stages, candidates, kept=True)
+    fit = _fitted(material, stages, candidates, HELD)
     # Their errors are beside a base that may move; but it is the file's that they are written to.
-    effects = _effects_of(material, search)
-    search.inflation = min(search.inflation, FIRM)
-    search.settle()
-    values = [x.coefficients for x in _effects_of(material, search)]
+    effects = _effects_of(material, fit)
+    fit.hold = FIRM
+    fit.settle()
+    values = [x.coefficients for x in _effects_of(material, fit)]
     pairs = zip(effects, values, strict=True)
     return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
 
@@ -172,46 +170,35 @@ def _settled(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> b
     )
 
 
-def _fitted_search(
-    material: Material,
-    stages: Stages,
-    candidates: Sequence[Candidate],
-    *,
-    kept: bool,
-) -> Search:
-    """Base and effects fitted to the training logs, settings searched once more.
-
-    A base that is not kept is free in the broad terms of friction as well (see `search`).
-    """
+def _fitted(
+    material: Material, stages: Stages, candidates: Sequence[Candidate], hold: Hold
+) -> Model:
+    """Base and effects fitted to the training logs, settings searched once more."""
     scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
     rows = rows_of(scenes)
-    search = Search.begin(Stage(rows), base_of(rows, stages), kept=kept, broad=not kept)
-    for candidate in candidates:
-        search.add(search.stage.try_all(search.system(), [candidate])[0])
-    search.polish()
-    return search
+    fit = Model(Ground.of(Stage(rows), base_of(rows, stages)), hold)
+    fit.add(candidates)
+    return fit
 
 
-def _effects_of(material: Material, search: Search) -> list[FittedEffect]:
-    """The accepted effects with their coefficients, and errors that autocorrelation widens."""
-    system = search.system()
-    covariance = system.block_covariance()
+def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
+    """The effects with their coefficients, and errors no narrower than the scatter over blocks."""
     starts, shared = shared_starts(material.training)
     session = session_of(material.training, starts, shared)
     return [
         FittedEffect(
-            t.candidate.effect,
-            t.candidate.joint,
-            t.candidate.settings,
-            system.theta[at],
-            covariance[at, at],
+            what.effect,
+            what.joint,
+            what.settings,
+            fit.linear.theta[fit.where(term)],
+            fit.covariance(term),
             session,
         )
-        for t, at in search.placed(system)
+        for term, what in zip(fit.terms, fit.candidates, strict=True)
     ]
 
 
-def _stages(material: Material, model: Refitted, search: Search) -> Stages:
+def _stages(material: Material, model: Refitted, fit: Model) -> Stages:
     """Every stage again, on logs without the effects."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     friction, earlier = stages.friction, material.earlier
@@ -220,11 +207,11 @@ def _stages(material: Material, model: Refitted, search: Search) -> Stages:
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
         new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
-        return held(found, stages, search) if material.known else found
+        return held(found, stages, fit) if material.known else found
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
     if all(earlier.get(stage) for stage in needed):
         return _sequential(material, model)
-    return moved(stages, search, search.system())
+    return moved(stages, fit, fit.linear.theta)
 
 
 def _sequential(material: Material, model: Refitted) -> Stages:
@@ -284,58 +271,57 @@ def identity(log: Recording) -> tuple[str, str]:
     return log.sha256, str(log.path)
 
 
-def held(new: Stages, old: Stages, search: Search) -> Stages:
+def held(new: Stages, old: Stages, fit: Model) -> Stages:
     """Simultaneous stages without what moved by less than its error, where logs hardly tell it.
 
-    Directions that these logs leave loose would wander with every effect that is added. `search` is
-    of the same logs, and `old` are the stages before.
+    Directions that these logs leave loose would wander with every effect that is added. `fit` is of
+    the same logs, and `old` are the stages before.
     """
-    system = search.system()
-    before, after = (_values(stages, search, system) for stages in (old, new))
+    before, after = (_values(stages, fit) for stages in (old, new))
     error = after[1]
     at = np.flatnonzero((error > 0.0) & (before[1] > 0.0))
     if not len(at):
         return new
-    white = system.covariance[np.ix_(at, at)]
+    white = fit.linear.covariance[np.ix_(at, at)].copy()
     white *= float(np.median(error[at] ** 2 / np.diag(white)))
     scale = np.sqrt(np.diag(white))
     variance, direction = np.linalg.eigh(white / np.outer(scale, scale))
     change = direction.T @ ((after[0] - before[0])[at] / scale)
     undone = np.where((change**2 < CLEAR**2 * variance) & (variance > LOOSE), change, 0.0)
-    theta = np.zeros(system.size)
+    theta = np.zeros(fit.linear.size)
     theta[at] = -scale * (direction @ undone)
-    return moved(new, search, system, theta)
+    return moved(new, fit, theta)
 
 
-def _values(stages: Stages, search: Search, system: System) -> tuple[Array, Array]:
+def _values(stages: Stages, fit: Model) -> tuple[Array, Array]:
     """Values and standard errors of simultaneous stages, as the base's columns are ordered."""
-    names = search.stage.scenes[0].robot.joint_names
-    values, errors = np.zeros((2, system.where[len(names)].stop))
+    names, where = fit.ground.stage.scenes[0].robot.joint_names, fit.linear.where
+    values, errors = np.zeros((2, where[len(names)].stop))
     rigid = {p.name: p for p in (stages.inertia.parameters if stages.inertia else ())}
-    for k, name in enumerate(search.base.basis.names):
+    for k, name in enumerate(fit.ground.base.basis.names):
         if name in rigid:
             values[k], errors[k] = rigid[name].value, rigid[name].std_error
-    for name, where in zip(names, system.where[1:], strict=False):
+    for name, own in zip(names, where[1:], strict=False):
         joint = stages.friction.joints.get(name) if stages.friction else None
         if joint is not None and joint.parameters:
-            values[where] = [p.value for p in joint.parameters]
-            errors[where] = [p.std_error for p in joint.parameters]
+            values[own] = [p.value for p in joint.parameters]
+            errors[own] = [p.std_error for p in joint.parameters]
     return values, errors
 
 
-def moved(stages: Stages, search: Search, system: System, theta: Array | None = None) -> Stages:
-    """The stages with the base's deviations, or others, added to what they say."""
-    robot = search.stage.scenes[0].robot
-    theta, n = system.theta if theta is None else theta, robot.n
+def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
+    """The stages with deviations of the base, ordered as `fit` has them, added to what they say."""
+    robot, where = fit.ground.stage.scenes[0].robot, fit.linear.where
+    n = robot.n
     friction = None
     if stages.friction is not None:
         joints = dict(stages.friction.joints)
         for j, name in enumerate(robot.joint_names):
             if name in joints:
-                joints[name] = _moved_friction(joints[name], theta[system.where[1 + j]])
+                joints[name] = _moved_friction(joints[name], theta[where[1 + j]])
         friction = msgspec.structs.replace(stages.friction, joints=joints)
-    rigid = search.base.basis
-    change = theta[system.where[0]]
+    rigid = fit.ground.base.basis
+    change = theta[where[0]]
     result = Stages(friction=friction, imu=stages.imu)
     values = dict(zip(rigid.names, change, strict=True))
     for name in ("gravity", "inertia"):

@@ -18,8 +18,8 @@ class Finding:
     `joint` is None for an effect of the whole arm. `confidence` is the probability that it is this
     effect or one of `confusable_with`, `name_confidence` that it is this one. `explains` is the
     share of the held-out residual variance above the noise floor that it takes away; `gain` the
-    share of the residual's variance itself, `clean_gain` the largest such share seen on clean data
-    of this kind. `parameters` is empty where these logs do not determine them.
+    share of the residual's variance itself. `parameters` is empty where these logs do not determine
+    them.
     """
 
     effect: str
@@ -29,11 +29,18 @@ class Finding:
     confusable_with: tuple[str, ...]
     separate_by: str
     gain: float
-    clean_gain: float
     name_confidence: float
     parameters: tuple[Value, ...] = ()
     settings: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The effect that comes nearest to something unexplained, and the share of its gain."""
+
+    effect: str
+    share: float
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,7 @@ class Unexplained:
     depends_on: tuple[str, ...]
     share: float
     curve: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    closest: Closest | None = None
 
 
 @dataclass(frozen=True)

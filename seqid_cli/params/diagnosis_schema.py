@@ -26,9 +26,8 @@ class FindingEntry(Struct, kw_only=True):
     `confidence` is the probability that it is this effect or one of `confusable_with`, which these
     logs do not tell from it; `name_confidence` that it is this one. `separate_by` is what to record
     to tell. `explains` is the share of the held-out residual variance above the noise floor that
-    the effect takes away, `gain` the share of the residual variance itself, `clean_gain` the
-    largest such share on clean data of this kind. `parameters` is empty where the logs do not
-    determine them; `settings` are what the effect's torque is not linear in.
+    the effect takes away, `gain` the share of the residual variance itself. `parameters` is empty
+    where the logs do not determine them; `settings` are what the effect's torque is not linear in.
     """
 
     effect: str
@@ -38,7 +37,6 @@ class FindingEntry(Struct, kw_only=True):
     confusable_with: list[str]
     separate_by: str
     gain: float
-    clean_gain: float
     name_confidence: float | None = None  # null: written before it was known
     parameters: list[EffectParameter] = []
     settings: dict[str, float] = {}
@@ -54,18 +52,27 @@ class Curve(Struct, kw_only=True):
     torque: list[float]  # N m (N where prismatic)
 
 
+class ClosestEffect(Struct, kw_only=True):
+    """The effect that comes nearest to an unexplained part, and the `share` of its gain."""
+
+    effect: str
+    share: float
+
+
 class UnexplainedPart(Struct, kw_only=True):
     """A part of a joint's residual that depends on quantities, but on no effect of the catalogue.
 
     `depends_on` names the strongest first, out of position, velocity, direction, acceleration,
     load, temperature, time, time_frequency, other_joint:<name>; `share` is of the residual variance
-    above the noise floor.
+    above the noise floor. `closest` is null where no effect comes near, and in files of before it
+    was known.
     """
 
     joint: str
     depends_on: list[str]
     share: float
     curve: Curve | None = None
+    closest: ClosestEffect | None = None
 
 
 class ResidualEntry(Struct, kw_only=True):

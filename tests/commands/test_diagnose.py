@@ -46,7 +46,6 @@ STRIBECK = Finding(
     confusable_with=("presliding_hysteresis", "quadratic_drag"),
     separate_by="slow reversals at two accelerations",
     gain=0.7,
-    clean_gain=0.01,
     parameters=(Value("stribeck_torque", 1.5, 0.05, "N m"),),
     settings={"stribeck_speed": 0.05, "exponent": 2.0},
     note="a remark on it",
@@ -60,7 +59,6 @@ PAYLOAD = Finding(
     confusable_with=(),
     separate_by="",
     gain=0.05,
-    clean_gain=0.02,
 )
 CURVE = Unexplained(
     joint="shoulder",

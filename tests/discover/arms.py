@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.rows import Rows, rows_of
-from seqid_cli.discover.search import Search
-from seqid_cli.discover.system import Joints
+from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.select.model import FREE, Ground, Hold, Model
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import Parameter, RigidStage, Stages
+from seqid_cli.robot.base import free_basis
 from tests.model.effects.scenes import scene_of, torque_model, two_joint_robot, wander
 
 Array = NDArray[np.float64]
@@ -67,12 +67,15 @@ def at_joint(joint: int, torque: Callable[[Scene], Array]) -> Extra:
     return extra
 
 
-def search_in(
-    scenes: Sequence[Scene], stages: Stages | None = None, *, kept: bool = False
-) -> Search:
-    """Begin a search in scenes."""
+def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None) -> Model:
+    """Return a model without terms, fitted to scenes."""
+    return Model(ground_of(scenes, stages), hold)
+
+
+def ground_of(scenes: Sequence[Scene], stages: Stages | None = None) -> Ground:
+    """Return the rows of scenes, and what they have to be explained by."""
     rows = rows_of(scenes)
-    return Search.begin(Stage(rows), base_of(rows, stages or Stages()), kept=kept)
+    return Ground.of(Stage(rows), base_of(rows, stages or Stages()))
 
 
 def candidate(name: str, joint: int | None, **settings: float) -> Candidate:
@@ -80,7 +83,15 @@ def candidate(name: str, joint: int | None, **settings: float) -> Candidate:
     return Candidate(CATALOGUE[name], joint, settings)
 
 
-def random_columns(rows: Rows, joints: Sequence[int], width: int, seed: int) -> Joints:
-    """Return columns of white noise (M_j, width) on some joints' rows."""
-    rng = np.random.default_rng(seed)
-    return {j: rng.normal(size=(rows.count(j), width)) for j in joints}
+def file_of(scene: Scene) -> Stages:
+    """Return a parameter file whose rigid body is known to a part in a thousand."""
+    basis = free_basis(scene.robot)
+    parameters = [
+        Parameter(name=name, value=0.0, std_error=1e-3, unit=basis.unit(k))
+        for k, name in enumerate(basis.names)
+    ]
+    covariance = (1e-6 * np.eye(basis.size)).tolist()
+    inertia = RigidStage(
+        parameters=parameters, condition=1.0, rank=basis.size, covariance=covariance
+    )
+    return Stages(inertia=inertia)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 
@@ -13,20 +14,19 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.dependence import dependence
-from seqid_cli.discover.diagnose import _mended, described, diagnose, share_above
+from seqid_cli.discover.diagnose import described, diagnose, share_above
 from seqid_cli.discover.floor import NoiseFloor
-from seqid_cli.discover.investigate import Investigation, Searched, investigate
+from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, louder_joints
 from seqid_cli.discover.notes import file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
+from seqid_cli.discover.select.model import Ground
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from tests.discover.arms import arm_scenes, search_in
 from tests.model.effects.scenes import friction_surface
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.laws import Extra, Stribeck
@@ -36,7 +36,7 @@ from tests.study.lab import recording_of, robot_of
 
 Array = NDArray[np.float64]
 
-OPTIONS = DiscoverOptions(clean_runs=1)
+OPTIONS = DiscoverOptions()
 SECONDS = 11.0
 RIG = "vertical_two_joint"
 
@@ -113,7 +113,7 @@ def test_an_effect_is_found_at_its_joint() -> None:
     assert (first.effect, first.joint) == ("stribeck", "elbow")
     assert first.confidence > 0.8
     assert first.explains > 0.8
-    assert first.gain > 0.5 > 2 * first.clean_gain >= 0.0
+    assert first.gain > 0.5
     assert first.effect not in first.confusable_with
     assert "constant speeds" in first.separate_by
     assert not [f for f in found.findings if f.joint == "shoulder"]
@@ -265,9 +265,11 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     """A hump that no effect is allowed to explain."""
     logs = humped()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
-    (tried,) = found.search.accepted
     assert louder_joints(found, expected(found)) == ()
-    bare = replace(found, result=Searched(found.search.without(tried), ()), dependences=())
+    (taken,) = found.found.taken
+    found.model.terms.remove(taken.term)
+    found.model.settle()
+    bare = replace(found, found=replace(found.found, taken=()))
     said = described(bare, logs.robot)
     assert said.verdict == "unexplained"
     assert said.unexplained[0].joint == "elbow"
@@ -278,7 +280,7 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
 def test_clean_logs_are_as_loud_as_expected() -> None:
     logs = clean()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
-    np.testing.assert_allclose(found.search.rms() / expected(found), 1.2, atol=0.4)
+    np.testing.assert_allclose(found.model.rms() / expected(found), 1.2, atol=0.4)
 
 
 def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
@@ -287,7 +289,7 @@ def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
     assert not any("doubtful" in note for note in described(found, logs.robot).notes)
     times = np.array([0.5, 3.0])
     parts = (found.floor.rms, found.floor.low, found.floor.high)
-    low = found.search.rms() / found.floor.low
+    low = found.model.rms() / found.floor.low
     floor = NoiseFloor(*(times * part * low for part in parts), found.floor.ways)
     said = described(replace(found, floor=floor), logs.robot)
     (note,) = [note for note in said.notes if "doubtful" in note]
@@ -309,7 +311,7 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
     ordinary = expected(found)
     assert file_notes(found, logs.robot, ordinary, ()) == ()
-    off = replace(found, start=found.start * np.array([1.0, 10.0]))
+    off = started(found, found.start * np.array([1.0, 10.0]))
     (note,) = file_notes(off, logs.robot, ordinary, ())
     assert "elbow" in note
     assert "identify" in note
@@ -319,24 +321,35 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     assert "go with the motion" in slow
 
 
+def started(found: Investigation, start: Array) -> Investigation:
+    """The same where the file leaves `start` (n,) N m."""
+    return on(found, replace(found.ground, base=replace(found.ground.base, start=start)))
+
+
+def on(found: Investigation, ground: Ground) -> Investigation:
+    """The same with its fitted model in other scenes, or beside another file."""
+    model = copy(found.model)
+    model.ground = ground
+    return replace(found, found=replace(found.found, model=model))
+
+
 def beyond_friction(found: Investigation, times: float) -> Investigation:
     """Say that friction of the elbow was identified in half its range of speed alone.
 
     Beyond it the file leaves `times` what it does.
     """
-    search = found.search
-    rows, scene = search.stage.rows, search.stage.scenes[0]
+    ground = found.ground
+    rows, scene = ground.stage.rows, ground.stage.scenes[0]
     top = float(np.max([np.abs(s.motion.dq[:, 1]).max() for s in rows.scenes]))
     curve = friction_surface(1.0, 0.5, top=0.5 * top, order=2, variance=1e-6)
     model = replace(scene.model, surfaces=(scene.model.surfaces[0], curve))
     scenes = tuple(replace(s, model=model) for s in rows.scenes)
     whole = []
-    for scene, part in zip(scenes, search.base.whole, strict=True):
+    for scene, part in zip(scenes, ground.base.whole, strict=True):
         fast = np.abs(scene.motion.dq[:, 1:]) > 0.5 * top
         whole.append(replace(part, residual=part.residual * np.where(fast, times, 1.0)))
     stage = Stage(replace(rows, scenes=scenes))
-    base = replace(search.base, whole=tuple(whole))
-    return replace(found, result=Searched(replace(search, stage=stage, base=base), ()))
+    return on(found, replace(ground, stage=stage, base=replace(ground.base, whole=tuple(whole))))
 
 
 def test_what_is_left_beyond_the_identified_friction_is_said() -> None:
@@ -348,16 +361,3 @@ def test_what_is_left_beyond_the_identified_friction_is_said() -> None:
     (note,) = outside_notes(beyond_friction(found, 20.0), logs.robot, ordinary)
     assert note.startswith("joint elbow: ")
     assert "friction was not identified" in note
-
-
-def test_a_dependence_is_worth_what_it_mends_of_the_file() -> None:
-    """Of few rows a free base foretells badly, and much seems to help it."""
-    search = search_in(arm_scenes(logs=1, seconds=8.0))
-    ratios = search.rms() / search.base.start
-    ratio = float(ratios.max())
-    assert ratio > 1.1
-    some = dependence(search.system(), int(ratios.argmax()), least_gain=0.0, most=1)
-    little, much = (replace(some, relative=1.0 - (x / ratio) ** 2) for x in (1.05, 0.95))
-    assert _mended(search, little) == pytest.approx(1.0 - 1.05**2)
-    assert _mended(search, much) == pytest.approx(1.0 - 0.95**2)
-    assert much.relative > 1.5 * _mended(search, much)

@@ -25,7 +25,7 @@ from tests.discover.long_logs import BEGUN, Files, LongCase, long_case
 
 Array = NDArray[np.float64]
 
-OPTIONS = DiscoverOptions(clean_runs=1)
+OPTIONS = DiscoverOptions()
 MOST = 68_000  # as MOST_VALUES counts: a good half of the log
 PUSHED = 30.0  # s, in no piece of the clean log
 

@@ -49,7 +49,7 @@ def diagnosed(
     given = list(read_recordings([folder / log for log in logs], robot))
     train = list(read_recordings([folder / log for log in fitted], robot)) or given
     friction, inertia = identify_simultaneous(train, robot, options=motion, offset=True)
-    options = DiscoverOptions(InertiaOptions(motion), clean_runs=1, max_effects=most)
+    options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
     return diagnose(given, robot, Stages(friction=friction, inertia=inertia), options=options)
 
 

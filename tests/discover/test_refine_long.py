@@ -23,7 +23,7 @@ from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, Stages
 from tests.discover.long_logs import Files, LongCase, long_case
 
-OPTIONS = DiscoverOptions(clean_runs=1, max_effects=1)
+OPTIONS = DiscoverOptions(max_effects=1)
 MOST = 68_000
 HUMP = ("stribeck", 1, 1.0)
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.candidates import candidates_of
-from seqid_cli.discover.gates import Gates
+from seqid_cli.discover.candidates import Candidate, candidates_of
 from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.select.linear import Part
+from seqid_cli.discover.select.selection import Selected, select
 from seqid_cli.discover.wide import both_bands, full_residual, high_band
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from tests.discover.arms import arm_scenes, at_joint, measuring, search_in
+from tests.discover.arms import Extra, arm_scenes, at_joint, ground_of, measuring
 from tests.model.effects.scenes import CUTOFF_HZ
 
 Array = NDArray[np.float64]
@@ -30,40 +31,47 @@ def ripple(scene: Scene) -> Array:
     return RIPPLE * np.cos(ORDER * scene.gear[JOINT] * scene.motion.q[:, JOINT])
 
 
+def found_of(extra: Extra | None, *names: str, seed: int = 0) -> Selected:
+    ground = ground_of(arm_scenes(extra, seed=seed))
+    return select(ground, None, [CATALOGUE[name] for name in names])
+
+
 def test_a_line_above_the_cutoff_is_found() -> None:
-    search = search_in(arm_scenes(at_joint(JOINT, line)))
-    best = search.ranked([CATALOGUE["periodic_disturbance"]], search.system())[0]
-    assert best.candidate.joint == JOINT
-    assert best.candidate.settings["frequency"] == pytest.approx(LINE_HZ, abs=2e-3)
-    assert float(np.hypot(*best.trial.coefficients)) == pytest.approx(LINE, rel=0.05)
-    assert best.trial.relative > 0.5
+    found = found_of(at_joint(JOINT, line), "periodic_disturbance")
+    (taken,) = found.taken
+    what = taken.term.what
+    assert isinstance(what, Candidate)
+    assert what.joint == JOINT
+    assert what.settings["frequency"] == pytest.approx(LINE_HZ, abs=2e-3)
+    amplitude = np.hypot(*taken.one.gained.coefficients)
+    assert float(amplitude) == pytest.approx(LINE, rel=0.05)
+    assert taken.one.foretold.share > 0.5
 
 
 def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
     """At slow speeds it lies in the band, at fast ones above; one order and size for both."""
-    scenes = arm_scenes(at_joint(JOINT, ripple))
-    search = search_in(scenes)
-    best = search.ranked([CATALOGUE["torque_ripple"]], search.system())[0]
-    assert best.candidate.joint == JOINT
-    assert best.candidate.settings["order"] == pytest.approx(ORDER, abs=1e-2)
-    assert best.candidate.settings["law"] == 0.0
-    a, b = best.trial.coefficients
+    found = found_of(at_joint(JOINT, ripple), "torque_ripple")
+    (taken,) = found.taken
+    what = taken.term.what
+    assert isinstance(what, Candidate)
+    assert what.joint == JOINT
+    assert what.settings["order"] == pytest.approx(ORDER, abs=1e-2)
+    assert what.settings["law"] == 0.0
+    a, b = taken.one.gained.coefficients
     assert (a, b) == (pytest.approx(0.0, abs=0.03), pytest.approx(RIPPLE, abs=0.03))
-    low = {j: columns for j, columns in best.columns.items() if j < 2}
-    high = {j: columns for j, columns in best.columns.items() if j >= 2}
-    for part in (low, high):
-        (trial,) = search.system().tried([part])
-        assert trial.coefficients[1] == pytest.approx(RIPPLE, rel=0.25)
+    beside = found.model.beside(taken.term)
+    for some in (
+        {j for j in taken.term.channels if j < 2},
+        {j for j in taken.term.channels if j > 1},
+    ):
+        columns = {j: taken.term.part.columns[j] for j in some}
+        (gained,) = beside.gained([Part(columns, taken.term.part.precision)])
+        assert gained.coefficients[1] == pytest.approx(RIPPLE, rel=0.25)
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_white_noise_has_no_line(seed: int) -> None:
-    """The luckiest line gains less than half of what is asked of one."""
-    search, gates = search_in(arm_scenes(seed=seed)), Gates()
-    effects = [CATALOGUE["periodic_disturbance"], CATALOGUE["torque_ripple"]]
-    ranked = search.ranked(effects, search.system())
-    assert ranked
-    assert all(tried.trial.relative < 0.5 * gates.least_of(tried) for tried in ranked)
+    assert found_of(None, "periodic_disturbance", "torque_ripple", seed=seed).taken == ()
 
 
 def test_a_stop_from_full_speed_is_no_row_above_the_cutoff() -> None:

@@ -109,7 +109,8 @@ def _of_position(row: Row, depends_on: Sequence[str]) -> bool:
 def silent(row: Row) -> bool:
     """Whether nothing is told beyond the friction over position that a one-step model lacks."""
     told = [entry for entry in row["unexplained"] if not _of_position(row, entry[1])]
-    return not row["findings"] and not told and not row["events"]
+    more = [item for item in row["findings"] if finding_is(row, item) == "wrong"]
+    return not more and not told and not row["events"]
 
 
 def label(row: Row, number: int) -> Label:

@@ -149,7 +149,6 @@ def diagnosis_file() -> DiagnosisFile:
         confusable_with=["presliding_hysteresis", "quadratic_drag"],
         separate_by="slow reversals at two accelerations",
         gain=0.7,
-        clean_gain=0.01,
         parameters=[speed],
         settings={"stribeck_speed": 0.05, "exponent": 2.0},
         note="a remark",

@@ -235,7 +235,7 @@ def test_logs_come_back_from_the_cache_and_without_the_effect(cache: Path) -> No
 def test_diagnosis_of_real_logs(effects: tuple[tuple[str, int, float], ...], cache: Path) -> None:
     """One kind is found, and nothing where there is nothing."""
     case = Condition("catalogue", "two", 1, effects, seconds=14.0)
-    logs, options = logs_of(case, cache), DiscoverOptions(clean_runs=1)
+    logs, options = logs_of(case, cache), DiscoverOptions()
     found = diagnose(logs.training[:3], logs.robot, stages_of(case, cache), options=options)
     _, truths = built(case)
     judgement = score(found, truths)

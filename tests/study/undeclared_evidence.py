@@ -41,7 +41,7 @@ class Evidence:
     name_confidence: float
     explains: float
     gain: float
-    clean_gain: float
+
     confusables: int
     confusable_with: tuple[str, ...]
     rivals: tuple[str, ...]
@@ -83,7 +83,6 @@ def _of(case: Judged, rank: int, finding: Finding) -> Evidence:
         name_confidence=finding.name_confidence,
         explains=finding.explains,
         gain=finding.gain,
-        clean_gain=finding.clean_gain,
         confusables=len(finding.confusable_with),
         confusable_with=finding.confusable_with,
         rivals=tuple(f"{f.effect}@{f.joint}" for f in others),

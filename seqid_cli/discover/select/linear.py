@@ -208,6 +208,12 @@ class Linear:
         """Covariance (p, p) of `theta`."""
         return self._solved(self._whole[0], np.eye(self.size))
 
+    def jackknife(self, at: slice) -> Array:
+        """Covariance (k, k) of some of `theta`, from leaving out each block."""
+        values = np.array([theta[at] for _, theta in self._without])
+        off = values - values.mean(axis=0)
+        return np.asarray((1.0 - 1.0 / len(values)) * off.T @ off)
+
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""

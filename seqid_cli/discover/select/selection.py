@@ -5,9 +5,8 @@ by more than `certain` standard errors, and by so much of their squared error th
 terms that do so equally well, an effect is taken before a smooth function, and then the one of the
 largest evidence. What does not hold beside terms that came later is taken back.
 
-What the file says of its own parameters is believed in one of three ways: as it says; friction's
-slow terms free, as files have them that have taken up an effect; all free. The evidence of the
-finished models decides.
+The base is held to the file in one of three ways: as the file says; friction's slow terms free, as
+files have them that have taken up an effect; all free. The evidence of the finished models decides.
 
 References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for model
 selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes factors", JASA 90,
@@ -16,36 +15,38 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.base import Base
-from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
-from seqid_cli.discover.rivals import Rival
-from seqid_cli.discover.select.linear import Foretold, Gained, Linear, Part, Rows, scatter
-from seqid_cli.discover.select.noise import Noise, settled
-from seqid_cli.discover.select.terms import Term, smooth_functions
-from seqid_cli.discover.select.tuning import NEAR, Tried, Tuner
+from seqid_cli.discover.candidates import Candidate, candidates_of
+from seqid_cli.discover.select.linear import Foretold, Gained, Linear, scatter
+from seqid_cli.discover.select.model import (
+    FREE,
+    HELD,
+    SLOW_TERMS_FREE,
+    Ground,
+    Model,
+    rms_left_out,
+)
+from seqid_cli.discover.select.terms import Term, smooth_terms
+from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import CATALOGUE
 
 Array = NDArray[np.float64]
-Shape = Literal["held", "slow terms free", "free"]
+Key = tuple[str, int | None]
 T = TypeVar("T")
 
-SHAPES: tuple[Shape, ...] = ("held", "slow terms free", "free")
-FREE = 30.0  # standard errors of the file, in multiples, that a free base may move by
-OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
+HOLDS = (HELD, SLOW_TERMS_FREE, FREE)
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
 CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
 SMOOTH_SHORTLIST = 3  # smooth functions per joint
 BATCH = 200  # terms that are tried at once
-DRAWS = 400  # of weights of the blocks
 
 
 @dataclass(frozen=True)
@@ -76,311 +77,259 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class Selected:
-    """Terms that were taken, the model with them, and each with its rivals beside the others.
+class Taken:
+    """A term of the finished model.
 
-    `rivals[k]` ranks all that touches the channels of term k, itself included.
+    `rivals` ranks all that touches its channels, itself included, in its place; `without` (n,) N m
+    is the RMS that the joints' blocks leave without it.
     """
 
-    shape: Shape
-    terms: tuple[Ranked, ...]
-    linear: Linear
-    noise: Noise
-    rivals: tuple[tuple[Ranked, ...], ...]
+    one: Ranked
+    rivals: tuple[Ranked, ...]
+    without: Array
+
+    @property
+    def term(self) -> Term:
+        """The term."""
+        return self.one.term
 
 
 @dataclass(frozen=True)
-class Ground:
-    """What does not change during a selection."""
+class Selected:
+    """The finished model, the terms that are told, and what the model hides.
 
-    stage: Stage
-    base: Base
-    rows: Rows
-    size: Array  # (channels,) N m, what the file leaves
-    catalogue: Sequence[Effect]
-    options: Options
+    `visible` is the share of each other effect's torque that the model does not absorb.
+    """
 
-    @classmethod
-    def of(
-        cls,
-        stage: Stage,
-        base: Base,
-        options: Options,
-        catalogue: Sequence[Effect] = tuple(CATALOGUE.values()),
-    ) -> Ground:
-        """Rows of all joints, below and above the cut-off."""
-        own, high = stage.rows, stage.high
-        y = (*base.y, *high.y)
-        block = (*(own.blocks_of(j) for j in range(own.n)), *high.block)
-        size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
-        rows = Rows(y, block, len(own.fold))
-        return cls(stage, base, rows, np.maximum(size, 1e-12), catalogue, options)
-
-    def parts(self, shape: Shape, timed: Sequence[bool]) -> list[Part]:
-        """The base, as free as its shape says; joints may have a time offset of their own."""
-        base, joints = self.base, range(self.stage.rows.n)
-        slow = shape == "slow terms free"
-        rigid = base.rigid_hold(1.0 if shape == "held" else FREE)
-        friction = [
-            base.friction_hold(j, FREE if shape == "free" else 1.0, free=slow) for j in joints
-        ]
-        timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
-        return [
-            Part(dict(enumerate(base.rigid)), rigid.T @ rigid),
-            *(Part({j: base.friction[j]}, friction[j].T @ friction[j]) for j in joints),
-            *(
-                Part({j: base.timing[j] if timed[j] else base.untimed[j]}, timing[j])
-                for j in joints
-            ),
-        ]
+    model: Model
+    taken: tuple[Taken, ...]
+    visible: Mapping[Key, float]
 
     @property
-    def own_offset(self) -> float:
-        """Time [s] by which torque may be early or late at any drive."""
-        return OWN_OFFSET * max(scene.period for scene in self.stage.scenes)
+    def effects(self) -> list[Taken]:
+        """Those of the catalogue."""
+        return [one for one in self.taken if not one.term.smooth]
+
+    @property
+    def smooth(self) -> list[Taken]:
+        """Smooth functions."""
+        return [one for one in self.taken if one.term.smooth]
 
 
-def select(ground: Ground) -> Selected:
-    """Select what the model lacks, with the base in every shape; the evidence chooses one.
+def select(
+    ground: Ground,
+    options: Options | None = None,
+    catalogue: Sequence[Effect] = tuple(CATALOGUE.values()),
+) -> Selected:
+    """Select what the model lacks, with the base held in every way; the evidence chooses one.
 
     Models are compared under one noise, that of the one that leaves least.
     """
-    every = [_Search(ground, shape) for shape in SHAPES]
+    every = [_Selection(Model(ground, hold), options or Options(), catalogue) for hold in HOLDS]
     for one in every:
         one.run()
-    n = ground.stage.rows.n
-    least = min((one.noise for one in every), key=lambda noise: noise.level(n))
-    best = max(every, key=lambda one: one.evidence(least))
-    return best.selected()
+    least = min((one.model.noise for one in every), key=lambda noise: noise.level(ground.n))
+    return max(every, key=lambda one: one.model.under(least).evidence).selected()
 
 
-class _Search:
-    """A selection under way: `taken` terms, the model with them, and its noise."""
+def select_again(ground: Ground, found: Selected, options: Options | None = None) -> Selected:
+    """Go on from the effects of a selection, on other rows of the same logs."""
+    model = Model(ground, found.model.hold)
+    model.add(found.model.candidates)
+    again = _Selection(model, options or Options(), tuple(CATALOGUE.values()))
+    again.take_back()
+    again.run()
+    return again.selected()
 
-    def __init__(self, ground: Ground, shape: Shape) -> None:
-        self.ground, self.shape = ground, shape
-        self.taken: list[Ranked] = []
-        self._timed = [True] * ground.stage.rows.n
-        self._settle()
 
-    @property
-    def parts(self) -> list[Part]:
-        """Base and terms."""
-        return [*self._base, *(one.term.part for one in self.taken)]
+class _Selection:
+    """A selection under way."""
 
-    def _settle(self) -> None:
-        """Fit all anew; an offset that is more than every drive has is left to effects."""
-        g, n = self.ground, self.ground.stage.rows.n
-        self._base = g.parts(self.shape, self._timed)
-        self.linear, self.noise = settled(g.stage, g.rows, g.size, self.parts)
-        offsets = [float(self.linear.theta[at][0]) for at in self.linear.where[1 + n : 1 + 2 * n]]
-        late = [t and abs(x) > g.own_offset for t, x in zip(self._timed, offsets, strict=True)]
-        if any(late):
-            self._timed = [t and not x for t, x in zip(self._timed, late, strict=True)]
-            self._settle()
-
-    def _everywhere(self, linear: Linear) -> list[Array]:
-        """What a model leaves (N, n) N m at all samples of every scene; zero where none slides."""
-        g, n = self.ground, self.ground.stage.rows.n
-        rigid, *friction = [linear.theta[at] for at in linear.where[: 1 + n]]
-        shown = g.base.deviation(rigid, friction)
-        for part, at in zip(linear.parts, linear.where, strict=True):
-            term = self._term_of(part)
-            if term is not None:
-                add_torque(shown, g.stage, term.what, linear.theta[at])
-        return [
-            np.where(scene.slides, whole.residual - torque, 0.0)
-            for whole, torque, scene in zip(g.base.whole, shown, g.stage.scenes, strict=True)
-        ]
-
-    def _term_of(self, part: Part) -> Term | None:
-        return next((one.term for one in self.taken if one.term.part is part), None)
-
-    def _beside(self, taken: Sequence[Ranked]) -> Linear:
-        """The model with other terms, the noise as it is."""
-        return self._under([one.term.part for one in taken], self.noise)
-
-    def _under(self, parts: Sequence[Part], noise: Noise) -> Linear:
-        """Base and some parts under a noise."""
-        every = [*self._base, *parts, *noise.slow(self.ground.stage)]
-        return Linear(self.ground.rows, every, noise.weight)
-
-    def evidence(self, noise: Noise) -> float:
-        """Log density of the rows under a noise, all taken terms in."""
-        return self._under([one.term.part for one in self.taken], noise).evidence
+    def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
+        self.model, self.options, self.catalogue = model, options, catalogue
+        self._visible: dict[Key, float] = {}
+        self._grid: dict[int | None, list[Candidate]] = {}
 
     def run(self) -> None:
         """Forward, and backward after each step."""
-        refused: set[tuple[str, int | None]] = set()
-        while len(self.taken) < self.ground.options.most:
+        refused: set[Key] = set()
+        while len(self.model.terms) < self.options.most:
             best = self._best(refused)
             if best is None:
                 return
-            self.taken.append(best)
-            self._settle()
-            self._polish()
-            gone = self._take_back()
+            self._changed(best)
+            self.model.terms.append(best)
+            self.model.settle()
+            if len(self.model.terms) > 1:
+                self.model.polish()
+            gone = self.take_back()
             refused |= gone
-            if best.term.key in gone:
+            if best.key in gone:
                 return
 
-    def _best(self, refused: set[tuple[str, int | None]]) -> Ranked | None:
+    def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
-        ranked = self._ranked(self.linear, refused)
+        ranked = self._ranked(self.model.linear, self._everywhere(), refused)
         passing = [one for one in ranked if self._passes(one)]
-        if not passing:
-            return None
         near = [one for one in passing if self._as_good(one, passing[0])]
-        return max(near, key=lambda one: (not one.term.smooth, one.gained.evidence))
+        best = max(near, key=lambda one: (not one.term.smooth, one.gained.evidence), default=None)
+        return best.term if best else None
 
     def _passes(self, one: Ranked) -> bool:
-        """Whether a term is worth it, and no error of a larger one's law."""
-        options, told = self.ground.options, one.foretold
+        """Whether a term is worth it."""
+        options, told = self.options, one.foretold
         sure = one.gained.evidence > options.chance and told.total > options.certain * told.error
         return sure and told.share > options.improvement
 
-    def _of_a_law(self, one: Ranked) -> bool:
-        """Whether it takes away no more than the error of a taken term's law may leave."""
-        least = self.ground.options.law**2
-        squares = float(one.foretold.squares.sum())
-        return any(
-            squares < least * self._torque(other, one.term.channels)
-            for other in self.taken
-            if other.term.channels & one.term.channels and other is not one
-        )
-
-    def _torque(self, taken: Ranked, channels: frozenset[int]) -> float:
-        """Weighted square of a taken term's torque at some channels."""
-        where = self._where(taken)
-        total = 0.0
-        for c in taken.term.channels & channels:
-            torque = taken.term.part.columns[c] @ self.linear.theta[where]
-            total += float(self.noise.weight[c] @ torque**2)
-        return total
-
-    def _where(self, taken: Ranked) -> slice:
-        number = next(k for k, one in enumerate(self.taken) if one is taken)
-        return self.linear.where[len(self._base) + number]
-
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
-        options, behind = self.ground.options, best.foretold.density - one.foretold.density
+        options, behind = self.options, best.foretold.density - one.foretold.density
         least = max(options.certain * scatter(behind), options.tie * best.foretold.total, 1.0)
         return bool(one.term.channels & best.term.channels) and float(behind.sum()) <= least
 
-    def _polish(self) -> None:
-        """Search the settings of all taken effects again, with all others in place."""
-        if len(self.taken) < 2:
-            return
-        for number, one in enumerate(self.taken):
-            if isinstance(one.term.what, Candidate):
-                linear = self._beside([x for x in self.taken if x is not one])
-                tuner = Tuner(self.ground.stage, linear, self.ground.size)
-                tried = next(iter(tuner.tried([one.term.what])), None)
-                if tried is not None:
-                    tried = tuner.tuned(tried, NEAR)
-                    self.taken[number] = replace(one, term=tried.term, gained=tried.gained)
-        self._settle()
-
-    def _take_back(self) -> set[tuple[str, int | None]]:
+    def take_back(self) -> set[Key]:
         """Take back, the weakest first, what is not worth it beside all others."""
-        gone: set[tuple[str, int | None]] = set()
-        while len(self.taken) > 1:
-            self.taken = [self._again(one) for one in self.taken]
-            weak = [one for one in self.taken if not self._passes(one)]
+        model, gone = self.model, set[Key]()
+        while model.terms:
+            every = [_again(term, model.beside(term)) for term in model.terms]
+            weak = [one for one in every if not self._passes(one)]
             if not weak:
                 break
             weakest = min(weak, key=lambda one: one.foretold.total)
-            self.taken = [one for one in self.taken if one is not weakest]
+            self._changed(weakest.term)
+            model.terms.remove(weakest.term)
             gone.add(weakest.term.key)
-            self._settle()
+            model.settle()
         return gone
 
-    def _again(self, one: Ranked) -> Ranked:
-        """A taken term as it gains beside all others."""
-        linear = self._beside([x for x in self.taken if x is not one])
-        part = [one.term.part]
-        return Ranked(one.term, linear.gained(part)[0], linear.foretold(part)[0])
+    def _changed(self, term: Term) -> None:
+        """Forget the candidates at joints of which a term is taken or taken back."""
+        for joint in {None, *(c % self.model.ground.n for c in term.channels)}:
+            self._grid.pop(joint, None)
+
+    def _everywhere(self) -> list[Candidate]:
+        """Candidates at all joints; made anew where the residual, which guides some, is another."""
+        joints = {j for j in (None, *range(self.model.ground.n)) if j not in self._grid}
+        if joints:
+            for joint in joints:
+                self._grid[joint] = []
+            for one in self._candidates(self.model.left(), joints):
+                if one.joint in joints:
+                    self._grid[one.joint].append(one)
+        return [one for some in self._grid.values() for one in some]
+
+    def _candidates(
+        self, left: Sequence[Array], joints: Collection[int | None]
+    ) -> Iterator[Candidate]:
+        return candidates_of(self.model.ground.stage.scenes, self.catalogue, left, joints)
 
     def _ranked(
         self,
         linear: Linear,
-        refused: Collection[tuple[str, int | None]],
+        candidates: Sequence[Candidate],
+        refused: Collection[Key],
         near: frozenset[int] | None = None,
     ) -> list[Ranked]:
         """The best settings of every effect, and smooth functions, the largest gain first."""
-        g = self.ground
-        tuner = Tuner(g.stage, linear, g.size)
-        tried = [*self._effects(tuner, near), *self._smooth(linear, near)]
+        tried = [*self._effects(linear, candidates, near), *self._smooth(linear, near)]
         there = [t for t in tried if t.evidence > 0.0 and t.term.key not in refused]
         told = linear.foretold([t.term.part for t in there])
         ranked = [Ranked(t.term, t.gained, f) for t, f in zip(there, told, strict=True)]
-        return sorted(ranked, key=lambda one: -one.foretold.total)
+        return sorted(ranked, key=_by_gain)
 
-    def _effects(self, tuner: Tuner, near: frozenset[int] | None) -> list[Tried]:
-        g, n = self.ground, self.ground.stage.rows.n
-        joints = None if near is None else {c % n for c in near}
-        left = self._everywhere(tuner.linear)
-        every = list(candidates_of(g.stage.scenes, g.catalogue, left, joints))
-        tried = [t for some in _batches(every) for t in tuner.tried(some)]
-        had = set() if near else {t.term.key for t in self.taken if not is_wide(t.term)}
+    def _effects(
+        self, linear: Linear, candidates: Sequence[Candidate], near: frozenset[int] | None
+    ) -> list[Tried]:
+        g = self.model.ground
+        tuner = Tuner(g.stage, linear, g.size)
+        tried = [t for some in _batches(candidates) for t in tuner.tried(some)]
+        if near is None:
+            self._visible = _most_visible(tried)
+        had = set() if near else {t.key for t in self.model.terms if not is_wide(t)}
         seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE and t.term.key not in had]
         shapes = _best_of(seen, lambda t: (*t.term.key, t.candidate.below, t.candidate.kind))
-        first = sorted(shapes, key=lambda t: -t.evidence)[:SHORTLIST]
+        first = shapes[:SHORTLIST]
         reach = CLOSE * max((t.evidence for t in first), default=0.0)
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
         return _best_of(found, lambda t: (*t.term.key, t.candidate.below))
 
     def _smooth(self, linear: Linear, near: frozenset[int] | None) -> list[Tried]:
-        g, n = self.ground, self.ground.stage.rows.n
+        g, had = self.model.ground, {term.key for term in self.model.terms}
         terms = [
-            t for t in smooth_functions(g.stage.rows, g.size) if near is None or t.channels & near
+            t
+            for t in smooth_terms(g.stage.rows, g.size)
+            if (t.channels & near if near is not None else t.key not in had)
         ]
         found = [x for some in _batches(terms) for x in linear.gained([t.part for t in some])]
         tried = [Tried(t, x) for t, x in zip(terms, found, strict=True)]
-        had = {one.term.key for one in self.taken}
-        fresh = [t for t in tried if t.term.key not in had or near]
-        first = sorted(fresh, key=lambda t: -t.evidence)
+        first = sorted(tried, key=lambda t: -t.evidence)
         return [
             t
-            for j in range(n)
+            for j in range(g.n)
             for t in [one for one in first if one.term.joint == j][:SMOOTH_SHORTLIST]
         ]
 
     def selected(self) -> Selected:
         """What was taken, each term with its rivals."""
-        self.taken = [self._again(one) for one in self.taken]
-        told, rivals = [one for one in self.taken if not self._of_a_law(one)], []
-        for one in told:
-            linear = self._beside([x for x in self.taken if x is not one])
-            others = self._ranked(linear, [one.term.key], one.term.channels)
-            others = [x for x in others if x.term.channels & one.term.channels]
-            rivals.append(tuple(sorted([one, *others], key=lambda x: -x.foretold.total)))
-        return Selected(self.shape, tuple(told), self.linear, self.noise, tuple(rivals))
+        told = [self._taken(term) for term in self.model.terms]
+        kept = tuple(one for one in told if one is not None)
+        taken = {term.key for term in self.model.terms}
+        others = {key: share for key, share in self._visible.items() if key not in taken}
+        return Selected(self.model, kept, others)
+
+    def _taken(self, term: Term) -> Taken | None:
+        """A term and its rivals; none for what may be the error of another's law."""
+        linear = self.model.beside(term)
+        one = _again(term, linear)
+        if self._of_a_law(one):
+            return None
+        joints = {None, *(c % self.model.ground.n for c in term.channels)}
+        candidates = list(self._candidates(self.model.left(without=term), joints))
+        others = self._ranked(linear, candidates, [term.key], term.channels)
+        near = [x for x in others if x.term.channels & term.channels]
+        without = rms_left_out(linear, self.model.ground.n)
+        return Taken(one, tuple(sorted([one, *near], key=_by_gain)), without)
+
+    def _of_a_law(self, one: Ranked) -> bool:
+        """Whether it takes away no more than the error of a taken term's law may leave."""
+        least, squares = self.options.law**2, float(one.foretold.squares.sum())
+        channels = one.term.channels
+        return any(
+            squares < least * self._torque(other, channels)
+            for other in self.model.terms
+            if other.channels & channels and other is not one.term
+        )
+
+    def _torque(self, term: Term, channels: frozenset[int]) -> float:
+        """Weighted square of a taken term's torque at some channels."""
+        theta = self.model.linear.theta[self.model.where(term)]
+        weight, columns = self.model.noise.weight, term.part.columns
+        there = term.channels & channels
+        return sum(float(weight[c] @ (columns[c] @ theta) ** 2) for c in there)
 
 
-def add_torque(
-    total: Sequence[Array], stage: Stage, what: Candidate | Rival, coefficients: Array
-) -> None:
-    """Add a term's torque, low-passed, to (N, n) N m at all samples of every scene."""
-    for torque, scene in zip(total, stage.scenes, strict=True):
-        if isinstance(what, Rival):
-            at, passes, columns = scene, 2, what.columns(scene)
-        else:
-            at = (scene.full or scene) if what.effect.wide else scene
-            passes = what.effect.passes
-            columns = dict(what.effect.columns(at, what.joint, what.settings))
-        every = round(at.motion.rate_hz / scene.motion.rate_hz)
-        for joint, X in columns.items():
-            torque[:, joint] += at.motion.filtered(X @ coefficients, times=passes)[::every]
+def _again(term: Term, linear: Linear) -> Ranked:
+    """A taken term as it gains beside all others."""
+    return Ranked(term, linear.gained([term.part])[0], linear.foretold([term.part])[0])
+
+
+def _by_gain(one: Ranked) -> float:
+    return -one.foretold.total
 
 
 def _best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:
-    """The one of the largest evidence for each key."""
+    """The one of the largest evidence for each key, the largest first."""
     best: dict[Hashable, Tried] = {}
     for one in sorted(tried, key=lambda t: -t.evidence):
         best.setdefault(key(one), one)
     return list(best.values())
+
+
+def _most_visible(tried: Sequence[Tried]) -> dict[Key, float]:
+    visible: dict[Key, float] = {}
+    for one in tried:
+        visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
+    return visible
 
 
 def is_wide(term: Term) -> bool:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.rivals import Filtered, Rival, lasting
 from seqid_cli.discover.rows import Rows
 from seqid_cli.discover.select.linear import Channels, Part
+from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class Term:
     `joint` is None for an effect of the whole arm.
     """
 
-    what: Candidate | Rival
+    what: Candidate | SmoothFunction
     part: Part
 
     @property
@@ -37,12 +37,12 @@ class Term:
     @property
     def smooth(self) -> bool:
         """Whether it is no effect of the catalogue."""
-        return isinstance(self.what, Rival)
+        return isinstance(self.what, SmoothFunction)
 
     @cached_property
     def name(self) -> str:
         """Effect, or what the function depends on."""
-        return self.what.label if isinstance(self.what, Rival) else self.what.effect.name
+        return self.what.label if isinstance(self.what, SmoothFunction) else self.what.effect.name
 
     @property
     def key(self) -> tuple[str, int | None]:
@@ -73,10 +73,10 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     ]
 
 
-def smooth_functions(rows: Rows, size: Array) -> list[Term]:
+def smooth_terms(rows: Rows, size: Array) -> list[Term]:
     """Smooth functions of everything measured, by joint.
 
-    Of each quantity the largest basis; what bends more is smaller beforehand.
+    What bends more is smaller beforehand.
     """
     key = "smooth terms"
     if key not in rows.made:
@@ -89,15 +89,12 @@ def smooth_functions(rows: Rows, size: Array) -> list[Term]:
 
 
 def _of_joint(rows: Rows, joint: int, size: Array) -> list[Term]:
-    filtered, largest = Filtered.of(rows), dict[str, Rival]()
-    for rival in lasting(rows, joint):
-        if rival.label not in largest or rival.size > largest[rival.label].size:
-            largest[rival.label] = rival
     found = []
-    for rival in largest.values():
-        columns = filtered.columns(rival)
-        bend = rival.bending
-        found.append(Term(rival, Part(columns, np.diag(_precision(columns, size) * bend**2))))
+    for one in smooth_functions(rows, joint):
+        basis = [{joint: one.source.basis(scene) @ one.mixing} for scene in rows.scenes]
+        columns = rows.columns(basis, passes=2)
+        precision = _precision(columns, size) * one.bending**2
+        found.append(Term(one, Part(columns, np.diag(precision))))
     return found
 
 

@@ -20,7 +20,7 @@ STEPS = 8
 SPACING = 2.5  # ratio to the grid's next value
 NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
 SHARPENED = 3  # times that settings are moved to where the coefficients say
-USUAL = 2.0  # log evidence that another value than the usual one must gain
+USUAL = 0.02  # of the evidence, that another value than the usual one must gain
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Tuner:
     def _usual(self, tried: Tried, setting: Setting) -> Tried:
         """The same with a usual value of a setting, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
-        near = [one for one in every if one and one.evidence > tried.evidence - USUAL]
+        near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
         return max(near, key=lambda one: one.evidence, default=tried)
 
     def _followed(self, tried: Tried) -> Tried:

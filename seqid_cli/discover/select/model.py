@@ -1,0 +1,206 @@
+"""A model under selection: the base as free as its hold says, terms, and the noise they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.base import Base
+from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.select.linear import Linear, Part, Rows
+from seqid_cli.discover.select.noise import Noise, settled
+from seqid_cli.discover.select.terms import Term, effects
+from seqid_cli.discover.select.tuning import NEAR, Tuner
+from seqid_cli.model.effects.scene import Scene
+
+Array = NDArray[np.float64]
+
+FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
+OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
+
+
+@dataclass(frozen=True)
+class Hold:
+    """By how many of the file's standard errors the base may move from it.
+
+    `slow_terms` frees those terms of friction that vary little over position and speed: files have
+    taken up effects there.
+    """
+
+    name: str
+    rigid: float = 1.0
+    friction: float = 1.0
+    slow_terms: bool = False
+
+
+HELD = Hold("held")
+SLOW_TERMS_FREE = Hold("slow terms free", rigid=FAR, slow_terms=True)
+FREE = Hold("free", rigid=FAR, friction=FAR)
+FIRM = Hold("firm", rigid=0.1, friction=0.1)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What does not change during a selection: rows of all joints, below and above the cut-off."""
+
+    stage: Stage
+    base: Base
+    rows: Rows
+    size: Array  # (channels,) N m, what the file leaves
+
+    @classmethod
+    def of(cls, stage: Stage, base: Base) -> Ground:
+        """Rows of a stage, and what they have to be explained by."""
+        own, high = stage.rows, stage.high
+        y = (*base.y, *high.y)
+        block = (*(own.blocks_of(j) for j in range(own.n)), *high.block)
+        size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
+        return cls(stage, base, Rows(y, block, len(own.fold)), np.maximum(size, 1e-12))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.stage.rows.n
+
+    @property
+    def own_offset(self) -> float:
+        """Time [s] by which torque may be early or late at any drive."""
+        return OWN_OFFSET * max(scene.period for scene in self.stage.scenes)
+
+    def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:
+        """The base: rigid body, friction by joint, time offset by joint where it has its own."""
+        base, joints = self.base, range(self.n)
+        rigid = base.rigid_hold(hold.rigid)
+        friction = [base.friction_hold(j, hold.friction, free=hold.slow_terms) for j in joints]
+        timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
+        return [
+            Part(dict(enumerate(base.rigid)), rigid.T @ rigid),
+            *(Part({j: base.friction[j]}, friction[j].T @ friction[j]) for j in joints),
+            *(
+                Part({j: base.timing[j] if timed[j] else base.untimed[j]}, timing[j])
+                for j in joints
+            ),
+        ]
+
+
+class Model:
+    """Base and terms, fitted together with the noise that they leave.
+
+    Parameters
+    ----------
+    ground : Ground
+    hold : Hold
+    """
+
+    def __init__(self, ground: Ground, hold: Hold) -> None:
+        self.ground, self.hold = ground, hold
+        self.terms: list[Term] = []
+        self.timed = (True,) * ground.n
+        self.settle()
+
+    def settle(self) -> None:
+        """Fit all anew; an offset that is more than every drive has is left to effects."""
+        g = self.ground
+        self._base = g.parts(self.hold, self.timed)
+        parts = [*self._base, *(term.part for term in self.terms)]
+        self.linear, self.noise = settled(g.stage, g.rows, g.size, parts)
+        timed = tuple(
+            own and abs(offset) <= g.own_offset
+            for own, offset in zip(self.timed, self.offsets, strict=True)
+        )
+        if timed != self.timed:
+            self.timed = timed
+            self.settle()
+
+    @property
+    def offsets(self) -> list[float]:
+        """Time [s] by which each joint's torque is early against its position."""
+        n = self.ground.n
+        return [float(self.linear.theta[at][0]) for at in self.linear.where[1 + n : 1 + 2 * n]]
+
+    def where(self, term: Term) -> slice:
+        """Where a term's coefficients stand in the solution."""
+        number = next(k for k, one in enumerate(self.terms) if one is term)
+        return self.linear.where[len(self._base) + number]
+
+    def under(self, noise: Noise) -> Linear:
+        """The model under another noise."""
+        return self._with(self.terms, noise)
+
+    def beside(self, term: Term) -> Linear:
+        """The model without one term, the noise as it is."""
+        return self._with([one for one in self.terms if one is not term], self.noise)
+
+    def _with(self, terms: Sequence[Term], noise: Noise) -> Linear:
+        parts = [*self._base, *(term.part for term in terms), *noise.slow(self.ground.stage)]
+        return Linear(self.ground.rows, parts, noise.weight)
+
+    def add(self, candidates: Sequence[Candidate]) -> None:
+        """Take in effects, and search their settings once more."""
+        self.terms += effects(self.ground.stage, candidates, self.ground.size)
+        self.settle()
+        self.polish()
+
+    def polish(self) -> None:
+        """Search the settings of all effects again, with all others in place."""
+        for number, term in enumerate(self.terms):
+            if isinstance(term.what, Candidate):
+                tuner = Tuner(self.ground.stage, self.beside(term), self.ground.size)
+                tried = next(iter(tuner.tried([term.what])), None)
+                if tried is not None:
+                    self.terms[number] = tuner.tuned(tried, NEAR).term
+        self.settle()
+
+    def deviation(self, ground: Ground | None = None) -> list[Array]:
+        """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
+        rigid, *friction = [self.linear.theta[at] for at in self.linear.where[: 1 + self.ground.n]]
+        return (ground or self.ground).base.deviation(rigid, friction)
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """The effects among the terms."""
+        return [term.what for term in self.terms if isinstance(term.what, Candidate)]
+
+    def shown(
+        self, scenes: Sequence[Scene] | None = None, without: Term | None = None
+    ) -> list[Array]:
+        """Torque (N, n) N m of all terms but one, low-passed, at all samples.
+
+        Of these scenes, or of others.
+        """
+        at = self.ground.stage.scenes if scenes is None else scenes
+        total = [np.zeros_like(scene.motion.q) for scene in at]
+        for term in (one for one in self.terms if one is not without):
+            term.what.add_torque(total, at, self.linear.theta[self.where(term)])
+        return total
+
+    def left(self, ground: Ground | None = None, without: Term | None = None) -> list[Array]:
+        """What is left (N, n) N m at all samples of every scene; zero where a joint may stick.
+
+        Of these scenes, or of others with the same base; `without` a term it has that one's torque.
+        """
+        at = ground or self.ground
+        shown = self.shown(at.stage.scenes, without)
+        parts = zip(at.base.whole, self.deviation(at), shown, strict=True)
+        left = [whole.residual - base - terms for whole, base, terms in parts]
+        return [np.where(s.slides, r, 0.0) for s, r in zip(at.stage.scenes, left, strict=True)]
+
+    def rms(self) -> Array:
+        """RMS (n,) N m of each joint's residual where it was not fitted."""
+        return rms_left_out(self.linear, self.ground.n)
+
+    def covariance(self, term: Term) -> Array:
+        """Covariance (k, k) of a term's coefficients, no narrower than they scatter over blocks."""
+        at = self.where(term)
+        white = self.linear.covariance[at, at]
+        scattered = np.diag(self.linear.jackknife(at))
+        wider = np.sqrt(np.maximum(scattered / np.maximum(np.diag(white), 1e-300), 1.0))
+        return np.asarray(white * np.outer(wider, wider))
+
+
+def rms_left_out(linear: Linear, joints: int) -> Array:
+    """RMS (n,) N m of the first `joints` channels, each block fitted to all others."""
+    return np.array([np.sqrt(np.mean(r**2)) if len(r) else 0.0 for r in linear.left_out()[:joints]])

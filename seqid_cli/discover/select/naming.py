@@ -1,0 +1,71 @@
+"""How sure a term is, and its name.
+
+That a term is more than the errors of a model which lacks nothing goes with the share of the
+squared error that it takes away where it was not fitted, and with its gain in log predictive
+density: a logistic regression on cases of which the truth is known (docs/discovery.md).
+
+How sure its name is follows from the gains of all that touches the same channels, over drawn
+weights of the blocks (D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981). The
+gains are tempered: no law is exactly the effect's, and of a large effect the rows tell laws apart
+that differ by less than the effect's own does from its law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.select.linear import Foretold
+from seqid_cli.discover.select.selection import Taken
+
+Array = NDArray[np.float64]
+
+CONSTANT, OF_SHARE, OF_GAIN = 0.0, 1.56, 1.13  # of the log odds: of logit(share), log10(gain)
+TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely
+SMOOTH = 0.043  # of the gain, by which a smooth function must be better than an effect
+DRAWS = 400  # of weights of the blocks
+SELDOM = 0.05  # share of them, below which a rival is not told
+SEED = 0
+
+
+@dataclass(frozen=True)
+class Named:
+    """How sure a name is: it or one of `others`, and it by itself."""
+
+    confidence: float
+    by_itself: float
+    others: tuple[str, ...] = ()
+
+
+def reality(told: Foretold) -> float:
+    """Probability that a term is more than the errors of a model that lacks nothing."""
+    share = float(np.clip(told.share, 1e-3, 1.0 - 1e-3))
+    odds = CONSTANT + OF_SHARE * np.log(share / (1.0 - share))
+    return float(1.0 / (1.0 + np.exp(-odds - OF_GAIN * np.log10(max(told.total, 1.0)))))
+
+
+def named(taken: Taken) -> Named:
+    """How sure a term is to be there, and to be what its name says."""
+    shares = _shares(taken)
+    own = shares.pop(taken.term.name, 0.0)
+    others = {name: share for name, share in shares.items() if name and share > SELDOM}
+    there = reality(taken.one.foretold)
+    return Named(there * (own + sum(others.values())), there * own, tuple(others))
+
+
+def _shares(taken: Taken) -> dict[str, float]:
+    """Probability of each name; of smooth functions, which have none, that of the empty one."""
+    rivals = taken.rivals
+    rng = np.random.default_rng(SEED)
+    weights = rng.exponential(size=(DRAWS, len(taken.one.foretold.density)))
+    gains = weights @ np.array([rival.foretold.density for rival in rivals]).T
+    gains -= SMOOTH * taken.one.foretold.total * np.array([r.term.smooth for r in rivals])
+    gains /= max(TEMPER * taken.one.foretold.total, 1.0)
+    names = ["" if rival.term.smooth else rival.term.name for rival in rivals]
+    every = list(dict.fromkeys(names))
+    best = np.stack([gains[:, np.equal(names, name)].max(axis=1) for name in every], axis=1)
+    odds = np.exp(best - best.max(axis=1, keepdims=True))
+    shares = np.mean(odds / odds.sum(axis=1, keepdims=True), axis=0)
+    return dict(zip(every, shares.tolist(), strict=True))

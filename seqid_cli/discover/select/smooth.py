@@ -1,0 +1,230 @@
+"""Smooth functions of one or two quantities: rivals of the catalogue's effects.
+
+Where such a function foretells the residual better than any physical effect does, the residual
+depends on that quantity in a way that the catalogue does not know.
+
+Splines are held beyond what more than one fold of the rows has seen, and combined so that each
+bends more than the one before (eigenvectors of the second differences, Demmler and Reinsch 1975).
+A constant is left out, for the base has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.select.smoothest import knots_of, smoothest
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import Axis, Factor, Measure, greville, shape, splines
+from seqid_cli.model.effects.unexplained import SmoothTerm
+
+Array = NDArray[np.float64]
+
+SIZE = 11  # functions of one quantity, without the constant
+TENSOR_SIZE = 6  # functions per quantity of a product, with it
+ORDERS = 12  # of the motor's turn
+CURVE_POINTS = 41
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The functions that it is made of: see `model.effects.smooth.shape`."""
+
+    joint: int
+    axes: tuple[Axis, ...]
+    factor: Factor = "one"
+
+    def basis(self, scene: Scene) -> Array:
+        """Compute the functions (N, K), unfiltered."""
+        return shape(scene, self.joint, self.axes, self.factor)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothFunction:
+    """A smooth function that might be what the residual of a joint is.
+
+    Attributes
+    ----------
+    joint : int
+        Whose torque.
+    quantities : tuple of str
+        What it depends on, as the contract spells it, the strongest meaning first.
+    label : str
+        The same in words.
+    source : Shape
+        Its functions.
+    mixing : (K, k) array
+        The combinations of them that are its columns.
+    """
+
+    joint: int
+    quantities: tuple[str, ...]
+    label: str
+    source: Shape
+    mixing: Array
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return int(self.mixing.shape[1])
+
+    @property
+    def bending(self) -> Array:
+        """How much each column (k,) bends: its place among the smoothest; waves are all alike."""
+        if not all(axis.knots for axis in self.source.axes):
+            return np.ones(self.size)
+        place = np.arange(1.0, self.size + 1.0)
+        return np.sqrt(place) if len(self.source.axes) > 1 else place
+
+    def add_torque(
+        self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array
+    ) -> None:
+        """Add its torque, low-passed, to (N, n) N m at all samples of every scene."""
+        for torque, scene in zip(total, scenes, strict=True):
+            shown = self.source.basis(scene) @ (self.mixing @ coefficients)
+            torque[:, self.joint] += scene.motion.filtered(shown, times=2)
+
+    def term(self, coefficients: Array) -> SmoothTerm:
+        """Return the torque of coefficients (k,) as a model has it."""
+        c = self.mixing @ coefficients
+        return SmoothTerm(self.joint, self.quantities, self.source.axes, self.source.factor, c)
+
+    def curve(self, coefficients: Array) -> tuple[Array, Array] | None:
+        """Torque [N m] over the one quantity; None where it has two, or waves."""
+        if len(self.source.axes) > 1:
+            return None
+        axis = self.source.axes[0]
+        if not axis.knots:
+            return None
+        x = np.linspace(axis.knots[0], axis.knots[-1], CURVE_POINTS)
+        return x, splines(x, axis.knots) @ (self.mixing @ coefficients)
+
+
+def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
+    """Return smooth functions of everything measured, for the torque of one joint."""
+    every = [*_of_joint(rows, joint), *_of_others(rows, joint), *_of_time(rows, joint)]
+    known = [one for one in every if one is not None]
+    return [*known, *_motor_angle(rows, joint), *_products(rows, joint)]
+
+
+def _of_joint(rows: Rows, j: int) -> list[SmoothFunction | None]:
+    return [
+        _smooth(rows, j, ("position",), "position", "position"),
+        _smooth(rows, j, ("velocity",), "velocity", "velocity"),
+        _smooth(rows, j, ("acceleration",), "acceleration", "acceleration"),
+        _smooth(rows, j, ("load",), "load", "load"),
+        _smooth(rows, j, ("temperature",), "temperature", "temperature"),
+        _smooth(rows, j, ("position", "direction"), "position", "position x direction"),
+        _smooth(rows, j, ("load", "direction"), "load_size", "load x direction"),
+        _smooth(rows, j, ("velocity", "direction"), "speed", "speed x direction"),
+        _smooth(rows, j, ("temperature", "direction"), "temperature", "temperature x direction"),
+    ]
+
+
+def _of_others(rows: Rows, j: int) -> list[SmoothFunction | None]:
+    names = rows.scenes[0].robot.joint_names
+    measures: tuple[Measure, ...] = ("position", "velocity", "acceleration")
+    found = []
+    for k in range(rows.n):
+        for measure in measures if k != j else ():
+            quantities = (f"other_joint:{names[k]}",)
+            found.append(_smooth(rows, j, quantities, measure, f"{measure} of {names[k]}", k))
+        if k != j:  # rubs more where another joint stands, as rails do that are not parallel
+            both = (f"other_joint:{names[k]}", "direction")
+            label = f"position of {names[k]} x direction"
+            found.append(_smooth(rows, j, both, "position", label, k))
+    return found
+
+
+def _of_time(rows: Rows, j: int) -> list[SmoothFunction | None]:
+    clocks: list[tuple[Measure, str]] = [("time", "time since the log's start")]
+    if len(rows.scenes) > 1:
+        clocks.append(("session_time", "time of all logs"))
+    found = []
+    for measure, label in clocks:
+        found.append(_smooth(rows, j, ("time",), measure, label))
+        found.append(_smooth(rows, j, ("time", "direction"), measure, f"{label} x direction"))
+    return found
+
+
+def _smooth(
+    rows: Rows,
+    joint: int,
+    quantities: tuple[str, ...],
+    measure: Measure,
+    label: str,
+    owner: int | None = None,
+) -> SmoothFunction | None:
+    """A function of one quantity; none where that is not known or constant."""
+    axis, x = _axis(rows, joint, measure, joint if owner is None else owner, SIZE)
+    if axis is None:
+        return None
+    factor: Factor = "direction" if "direction" in quantities else "one"
+    first = 0 if measure == "speed" else 1
+    mixing = smoothest(splines(x, axis.knots), greville(axis.knots))[:, first : 1 + SIZE]
+    return SmoothFunction(joint, quantities, label, Shape(joint, (axis,), factor), mixing)
+
+
+def _axis(
+    rows: Rows, joint: int, measure: Measure, owner: int, size: int
+) -> tuple[Axis | None, Array]:
+    """Axis with `size` + 1 splines over the joint's rows, and the quantity there."""
+    bare = Axis(measure, owner)
+    values = [bare.values(scene) for scene in rows.scenes]
+    known = [v for v in values if v is not None]
+    if len(known) < len(values):
+        return None, np.zeros(0)
+    x = rows.of(joint, known)
+    knots = knots_of(x, rows.folds_of(joint), size - 1)
+    return (None if knots is None else Axis(measure, owner, knots)), x
+
+
+def _motor_angle(rows: Rows, j: int) -> list[SmoothFunction]:
+    """Waves of the motor's turn: constant, with the direction, with the load."""
+    if rows.scenes[0].robot.joints[j].gear_ratio is None:
+        return []
+    laws: tuple[tuple[Factor, tuple[str, ...]], ...] = (
+        ("one", ("position",)),
+        ("direction", ("position", "direction")),
+        ("load", ("position", "load")),
+    )
+    return [
+        SmoothFunction(
+            j,
+            quantities,
+            f"motor angle, order {order}" + (f" x {factor}" if factor != "one" else ""),
+            Shape(j, (Axis("motor_angle", j, order=order),), factor),
+            np.eye(2),
+        )
+        for factor, quantities in laws
+        for order in range(1, ORDERS + 1)
+    ]
+
+
+def _products(rows: Rows, j: int) -> list[SmoothFunction]:
+    """Functions of this and another joint's position, and of both velocities."""
+    names = rows.scenes[0].robot.joint_names
+    measures: tuple[Measure, ...] = ("position", "velocity")
+    found = []
+    for measure in measures:
+        own, x = _axis(rows, j, measure, j, TENSOR_SIZE - 1)
+        for k in range(rows.n):
+            other, z = _axis(rows, j, measure, k, TENSOR_SIZE - 1)
+            if k == j or own is None or other is None:
+                continue
+            U = smoothest(splines(x, own.knots), greville(own.knots))
+            V = smoothest(splines(z, other.knots), greville(other.knots))
+            quantities = measure, f"other_joint:{names[k]}"
+            label = f"{measure} and that of {names[k]}"
+            mixing = _kronecker(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE])[:, 1:]
+            found.append(SmoothFunction(j, quantities, label, Shape(j, (own, other)), mixing))
+    return found
+
+
+def _kronecker(U: Array, V: Array) -> Array:
+    product = U[:, None, :, None] * V[None, :, None, :]
+    return product.reshape(len(U) * len(V), -1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.discover.base import base_of
-from seqid_cli.discover.clean import echoes
+from seqid_cli.discover.echo import echoes
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.heldout import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.loop import joints_of, key_of_round, with_effects

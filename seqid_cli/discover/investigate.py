@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.clean import echoes
+from seqid_cli.discover.echo import echoes
 from seqid_cli.discover.events import GATE, Interval, event_masks, find_events
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.options import DiscoverOptions

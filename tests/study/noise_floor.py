@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.clean import echoes
+from seqid_cli.discover.echo import echoes
 from seqid_cli.discover.floor import noise_floor, rms
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of

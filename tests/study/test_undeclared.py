@@ -34,7 +34,7 @@ BUMP = Truth("outside.bump", None, ("elbow",), ("position", "direction"))
 def finding(
     effect: str, joint: str | None, confidence: float = 0.9, also: tuple[str, ...] = ()
 ) -> Finding:
-    return Finding(effect, joint, confidence, 0.8, also, "", 0.5, 0.001, confidence)
+    return Finding(effect, joint, confidence, 0.8, also, "", 0.5, confidence)
 
 
 def diagnosis(*findings: Finding, unexplained: Sequence[Unexplained] = ()) -> Diagnosis:

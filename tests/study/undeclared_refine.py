@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Stage, candidates_of, refined
+from seqid_cli.discover.candidates import Stage, candidates_of
 from seqid_cli.discover.loop import with_effects
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.reidentify import Material, Refitted, refitted
 from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.search import Search
+from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
+from seqid_cli.discover.select.tuning import Tuner
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.params.document import robot_id, with_stage
@@ -155,25 +156,20 @@ def told_model(
         return None
     scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
     rows = rows_of(scenes)
-    search = Search.begin(Stage(rows), base_of(rows, stages), kept=late, broad=not late)
+    model = Model(Ground.of(Stage(rows), base_of(rows, stages)), HELD if late else FREE)
     for truth in truths:
-        system, names = search.system(), material.robot.joint_names
-        effect = EFFECTS[str(truth.kind)]
-        every = list(candidates_of(scenes, [effect], search.residual(system)))
-        here = [
-            t
-            for t in search.stage.try_all(system, every)
-            if (None if t.candidate.joint is None else names[t.candidate.joint]) in truth.joints
-        ]
-        if not here:
+        names = material.robot.joint_names
+        tuner = Tuner(model.ground.stage, model.linear, model.ground.size)
+        every = candidates_of(scenes, [EFFECTS[str(truth.kind)]], model.left())
+        here = [c for c in every if (None if c.joint is None else names[c.joint]) in truth.joints]
+        tried = sorted(tuner.tried(here), key=lambda one: -one.evidence)
+        if not tried:
             return None
-        best = max(here, key=lambda t: t.trial.total)
-        search.add(refined(search.stage, system, best))
-    candidates = [t.candidate for t in search.accepted]
+        model.add([tuner.tuned(tried[0]).candidate])
+    candidates = model.candidates
     came = frozenset(c.key for c in candidates) if late else frozenset()
     start = Refitted(stages, (), came)
-    model = refitted(material, start, candidates, late=came, kept=late)
-    return with_effects(model, material.robot)
+    return with_effects(refitted(material, start, candidates, late=came, kept=late), material.robot)
 
 
 def _without_effects(condition: Condition, cache: Path) -> tuple[float, ...]:

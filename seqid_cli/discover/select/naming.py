@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.select.linear import Foretold
-from seqid_cli.discover.select.selection import Taken
+from seqid_cli.discover.select.selection import Options, Taken
 
 Array = NDArray[np.float64]
 
 CONSTANT, OF_SHARE, OF_GAIN = 0.0, 1.56, 1.13  # of the log odds: of logit(share), log10(gain)
 TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely
-SMOOTH = 0.043  # of the gain, by which a smooth function must be better than an effect
 DRAWS = 400  # of weights of the blocks
 SELDOM = 0.05  # share of them, below which a rival is not told
 SEED = 0
@@ -61,7 +60,7 @@ def _shares(taken: Taken) -> dict[str, float]:
     rng = np.random.default_rng(SEED)
     weights = rng.exponential(size=(DRAWS, len(taken.one.foretold.density)))
     gains = weights @ np.array([rival.foretold.density for rival in rivals]).T
-    gains -= SMOOTH * taken.one.foretold.total * np.array([r.term.smooth for r in rivals])
+    gains -= Options().tie * taken.one.foretold.total * np.array([r.term.smooth for r in rivals])
     gains /= max(TEMPER * taken.one.foretold.total, 1.0)
     names = ["" if rival.term.smooth else rival.term.name for rival in rivals]
     every = list(dict.fromkeys(names))

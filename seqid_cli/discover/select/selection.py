@@ -2,8 +2,8 @@
 
 A term is taken if it foretells blocks of time that were left out better than the model without it:
 by more than `certain` standard errors, and by so much of their squared error that it matters. Of
-terms that do so equally well, an effect is taken before a smooth function, and then the one of the
-largest evidence. What does not hold beside terms that came later is taken back.
+terms that do so equally well, the one of the fewest parameters is taken, and of these the one of
+the largest evidence; smooth functions have many. What does not hold beside terms that came later is taken back.
 
 The base is held to the file in one of three ways: as the file says; friction's slow terms free, as
 files have them that have taken up an effect; all free. The evidence of the finished models decides.
@@ -32,6 +32,7 @@ from seqid_cli.discover.select.model import (
     Model,
     rms_left_out,
 )
+from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.terms import Term, smooth_terms
 from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.effect import Effect
@@ -55,8 +56,8 @@ class Options:
 
     `certain` standard errors and `improvement` (share of the squared error left out) that a term
     must be worth; `chance` is the log evidence that the best of all terms has on noise; an effect's
-    law is known to `law` of its torque; terms that gain within `tie` of each other are equal; at
-    most `most` terms.
+    law is known to `law` of its torque; terms that gain within `tie` of each other are equal, and of
+    them an effect goes before a smooth function; at most `most` terms.
     """
 
     certain: float = 2.0
@@ -129,7 +130,7 @@ def select(
     for one in every:
         one.run()
     least = min((one.model.noise for one in every), key=lambda noise: noise.level(ground.n))
-    return max(every, key=lambda one: one.model.under(least).evidence).selected()
+    return max(every, key=lambda one: one.worth(least)).selected()
 
 
 def select_again(ground: Ground, found: Selected, options: Options | None = None) -> Selected:
@@ -149,6 +150,12 @@ class _Selection:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._visible: dict[Key, float] = {}
         self._grid: dict[int | None, list[Candidate]] = {}
+
+    def worth(self, noise: Noise) -> float:
+        """Evidence under a noise; smooth functions must be better than effects by what is a tie."""
+        smooth = [term for term in self.model.terms if term.smooth]
+        gained = [_again(term, self.model.beside(term)).foretold.total for term in smooth]
+        return self.model.under(noise).evidence - self.options.tie * sum(gained)
 
     def run(self) -> None:
         """Forward, and backward after each step."""
@@ -172,7 +179,7 @@ class _Selection:
         ranked = self._ranked(self.model.linear, self._everywhere(), refused)
         passing = [one for one in ranked if self._passes(one)]
         near = [one for one in passing if self._as_good(one, passing[0])]
-        best = max(near, key=lambda one: (not one.term.smooth, one.gained.evidence), default=None)
+        best = min(near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None)
         return best.term if best else None
 
     def _passes(self, one: Ranked) -> bool:

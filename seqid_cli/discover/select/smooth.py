@@ -4,8 +4,8 @@ Where such a function foretells the residual better than any physical effect doe
 depends on that quantity in a way that the catalogue does not know.
 
 Splines are held beyond what more than one fold of the rows has seen, and combined so that each
-bends more than the one before (eigenvectors of the second differences, Demmler and Reinsch 1975).
-A constant is left out, for the base has it.
+bends more than the one before (eigenvectors of the second differences, Demmler and Reinsch 1975),
+the constant first: not every base has an offset.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from seqid_cli.model.effects.unexplained import SmoothTerm
 
 Array = NDArray[np.float64]
 
-SIZE = 11  # functions of one quantity, without the constant
-TENSOR_SIZE = 6  # functions per quantity of a product, with it
+SIZE = 12  # functions of one quantity, the constant among them
+TENSOR_SIZE = 6  # the same per quantity of a product
 ORDERS = 12  # of the motor's turn
 CURVE_POINTS = 41
 
@@ -160,12 +160,11 @@ def _smooth(
     owner: int | None = None,
 ) -> SmoothFunction | None:
     """A function of one quantity; none where that is not known or constant."""
-    axis, x = _axis(rows, joint, measure, joint if owner is None else owner, SIZE)
+    axis, x = _axis(rows, joint, measure, joint if owner is None else owner, SIZE - 1)
     if axis is None:
         return None
     factor: Factor = "direction" if "direction" in quantities else "one"
-    first = 0 if measure == "speed" else 1
-    mixing = smoothest(splines(x, axis.knots), greville(axis.knots))[:, first : 1 + SIZE]
+    mixing = smoothest(splines(x, axis.knots), greville(axis.knots))[:, :SIZE]
     return SmoothFunction(joint, quantities, label, Shape(joint, (axis,), factor), mixing)
 
 
@@ -220,7 +219,7 @@ def _products(rows: Rows, j: int) -> list[SmoothFunction]:
             V = smoothest(splines(z, other.knots), greville(other.knots))
             quantities = measure, f"other_joint:{names[k]}"
             label = f"{measure} and that of {names[k]}"
-            mixing = _kronecker(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE])[:, 1:]
+            mixing = _kronecker(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE])
             found.append(SmoothFunction(j, quantities, label, Shape(j, (own, other)), mixing))
     return found
 

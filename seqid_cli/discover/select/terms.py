@@ -45,6 +45,13 @@ class Term:
         return self.what.label if isinstance(self.what, SmoothFunction) else self.what.effect.name
 
     @property
+    def freedom(self) -> int:
+        """Number of parameters: coefficients and settings that are searched."""
+        if isinstance(self.what, SmoothFunction):
+            return self.part.size
+        return self.part.size + self.what.effect.searched(self.what.settings)
+
+    @property
     def key(self) -> tuple[str, int | None]:
         """What it is, whatever the settings."""
         return self.name, self.joint

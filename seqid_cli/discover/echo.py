@@ -1,17 +1,13 @@
-"""Recordings as they would be if the model were right: a parametric bootstrap.
+"""What the encoder's noise makes of a residual where the model is right.
 
 The positions of a log, low-passed at a little more than its cut-off, are taken as the truth: at the
 cut-off itself the next choice of a cut-off would come out lower. Their torque is the model's,
 friction with a direction of motion that flips within one sample, and what the refitted base adds.
-Encoder and torque get noise of the measured size and spectrum. Whatever such recordings show, once
-they went through the same screening, clean data of this robot and these sensors show. Noise gets
-the part of the residual's spectrum that such recordings do not show without it. Efron and
-Tibshirani, "An introduction to the bootstrap", chapter 6.5, 1993.
+The encoder's noise is drawn anew on them, and what comes back is predicted from it.
 
 Where a joint does not certainly slide its torque is the measured one. Such samples do not count;
-but how long a joint sticks when it turns back reaches others through the low-pass, and makes clean
-logs look as if torque were late. A push, which is nothing clean, is not kept even there. IMU
-channels are kept as recorded.
+but how long a joint sticks when it turns back reaches others through the low-pass. A push is not
+kept even there.
 """
 
 from __future__ import annotations
@@ -25,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
-from seqid_cli.discover.noise import TorqueNoise, nearest, torque_noise
+from seqid_cli.discover.noise import nearest
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
@@ -44,14 +40,13 @@ ECHO_SEED = 0
 RAMP = 0.12  # periods of the cut-off, half the length of a ramp from measured to modelled torque
 
 
-def clean_recordings(
+def echoes(
     recordings: Sequence[Recording],
     scenes: Sequence[Scene],
-    residual: Sequence[Array],
-    deviation: Sequence[Array],
-    rng: np.random.Generator,
-) -> list[Recording]:
-    """Draw the same logs again from the model.
+    deviation: Sequence[Array] | None = None,
+    events: Sequence[Mask] | None = None,
+) -> list[Array]:
+    """Residuals (N, n) N m that a right model has where only the encoder is noisy, drawn once.
 
     Parameters
     ----------
@@ -59,82 +54,25 @@ def clean_recordings(
         With torque.
     scenes : sequence of Scene
         Of the same logs, with the model that is to be right.
-    residual : sequence of (N, n) arrays
-        Low-passed residual [N m] at the scenes' samples after all that was found has been taken
-        out; zero where it does not count. Noise gets its spectrum.
-    deviation : sequence of (N, n) arrays
+    deviation : sequence of (N, n) arrays, optional
         Low-passed torque [N m] that the refitted base adds to the scene's model.
-    rng : numpy Generator
-
-    Returns
-    -------
-    list of Recording
-        New positions and torques, all else as recorded. `CleanLogs` draws many from one set.
+    events : sequence of (N,) masks, optional
+        The scene's samples at which something else acts on the arm.
     """
-    return CleanLogs.of(recordings, scenes, residual, deviation).draw(rng)
-
-
-def echoes(
-    recordings: Sequence[Recording],
-    scenes: Sequence[Scene],
-    deviation: Sequence[Array] | None = None,
-    events: Sequence[Mask] | None = None,
-) -> list[Array]:
-    """Residuals (N, n) N m that a right model has where only the encoder is noisy.
-
-    What the encoder's noise makes of position, velocity, acceleration and the instant at which
-    friction turns round, drawn once. Arguments as those of `CleanLogs.of`.
-    """
-    nothing = [np.zeros_like(scene.motion.q) for scene in scenes]
-    more = nothing if deviation is None else deviation
-    drawn = CleanLogs.of(recordings, scenes, nothing, more, events)
-    return [log.echo for log in drawn.logs]
+    added = deviation or [np.zeros_like(scene.motion.q) for scene in scenes]
+    apart = events or [np.zeros(scene.samples, dtype=bool) for scene in scenes]
+    given = zip(recordings, scenes, added, apart, strict=True)
+    return [Noiseless(*one).echo for one in given]
 
 
 @dataclass(frozen=True)
-class CleanLogs:
-    """What all draws share."""
-
-    logs: tuple[CleanLog, ...]
-
-    @classmethod
-    def of(
-        cls,
-        recordings: Sequence[Recording],
-        scenes: Sequence[Scene],
-        residual: Sequence[Array],
-        deviation: Sequence[Array],
-        events: Sequence[Mask] | None = None,
-    ) -> CleanLogs:
-        """Prepare the draws; arguments as those of `clean_recordings`.
-
-        `events` (N,) per log are the scene's samples at which something else acts on the arm.
-        """
-        apart = [np.zeros(s.samples, dtype=bool) for s in scenes] if events is None else events
-        given = zip(recordings, scenes, residual, deviation, apart, strict=True)
-        return cls(tuple(CleanLog(*one) for one in given))
-
-    def draw(self, rng: np.random.Generator) -> list[Recording]:
-        """Draw every log once."""
-        return [log.draw(rng) for log in self.logs]
-
-
-@dataclass(frozen=True)
-class CleanLog:
-    """One log, ready to be drawn; arguments as those of `CleanLogs.of`."""
+class Noiseless:
+    """One log as it would be without noise; arguments as those of `echoes`."""
 
     recording: Recording
     scene: Scene
-    residual: Array
     deviation: Array
     event: Mask
-
-    def draw(self, rng: np.random.Generator) -> Recording:
-        """Draw new noise."""
-        assert self.recording.tau is not None
-        noise = self.noise.draw(rng)
-        tau = self.torque + (1.0 - self.resting) * noise
-        return replace(self.recording, q=self.read(rng), tau=tau)
 
     def read(self, rng: np.random.Generator) -> Array:
         """Positions (N, n) as the encoder would have reported them."""
@@ -155,13 +93,8 @@ class CleanLog:
         return step, np.sqrt(np.where(rest > step**2 / 12.0, rest, 0.0))
 
     @cached_property
-    def noise(self) -> TorqueNoise:
-        """Torque noise of this log."""
-        return torque_noise(self.recording, self.scene, self.residual, self.echo)
-
-    @cached_property
     def echo(self) -> Array:
-        """Residual (M, n) N m that drawn logs have before they get torque noise, drawn once."""
+        """Residual (M, n) N m with the encoder's noise drawn once, and no torque noise."""
         motion, recording, model = self.scene.motion, self.recording, self.scene.model
         factor, valid = round(recording.rate_hz / motion.rate_hz), recording.valid
         lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)

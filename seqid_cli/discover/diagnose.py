@@ -19,6 +19,7 @@ from seqid_cli.discover.events import GATE, Interval
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, looks_like, louder_joints
 from seqid_cli.discover.notes import (
+    deflection_notes,
     file_notes,
     free_base_notes,
     loud_notes,
@@ -96,7 +97,7 @@ def diagnose(
     investigation = investigate(logs, robot, stages, options)
     apart = events_aside(investigation, others, robot, stages, options)
     found = described(investigation, robot, apart)
-    return replace(found, notes=(*notes, *found.notes))
+    return replace(found, notes=(*notes, *found.notes, *deflection_notes(stages, robot)))
 
 
 def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = ()) -> Diagnosis:

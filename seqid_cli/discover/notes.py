@@ -11,13 +11,16 @@ from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.loud import LOUD, Loud
 from seqid_cli.discover.rows import extrapolated
+from seqid_cli.identify.imu_result import deflecting, unit_of
 from seqid_cli.identify.prediction import OUTSIDE_NOTE
+from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
 
 FITTED = 0.5  # of what the file leaves, below which its values are to blame
+DEFLECTING = ("joint_elasticity", "backlash")
 OFFSET_SHOWS = 0.7  # of what is left: torque of a time offset that is worth a note
 
 
@@ -108,6 +111,21 @@ def offset_notes(offsets: Mapping[int, float], robot: Robot) -> tuple[str, ...]:
             "than a sample, and taken for the logger's own; logs at a higher rate would tell a "
             "skew or a lag"
         )
+    return tuple(notes)
+
+
+def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
+    """Joints that IMUs saw deflect, but for those whose elasticity or play the file has."""
+    has = {one.joint for one in stages.effects or [] if one.effect in DEFLECTING}
+    notes = []
+    for name, calibration in (stages.imu.imus if stages.imu else {}).items():
+        bends = deflecting(calibration)
+        if bends is not None and bends.joint not in has:
+            notes.append(
+                f"joint {bends.joint}: imu-calib saw {name} accelerate by {bends.acceleration:.2g} "
+                f"{unit_of(robot, bends.joint)} (RMS) beyond what the joint's encoder tells: that "
+                f"speaks for {' or '.join(DEFLECTING)} there"
+            )
     return tuple(notes)
 
 

@@ -3,8 +3,10 @@
 Gauss-Newton with Tukey's weights. Gains, tilts and the changes of a bias from log to log have
 normal priors whose widths come from the data (empirical Bayes: the mean square of the estimates
 plus what the data leave open), so good sensors lend their strength to the mounting and bad ones do
-not. Standard errors are the larger of the model's own and those of the scores' long-run variance,
-summed over blocks of time within which residuals may depend on each other as they like.
+not. Where a joint before the IMU deflects, the accelerations by which it does have the size of the
+largest likelihood (`imu_deflection`). Standard errors are the larger of the model's own and those
+of the scores' long-run variance, summed over blocks of time within which residuals may depend on
+each other as they like.
 """
 
 from __future__ import annotations
@@ -16,12 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.imu_deflection import Deflection, deflections, renewed
 from seqid_cli.identify.imu_model import Constants, channels_of
 from seqid_cli.identify.imu_normal import (
     Local,
     Reduced,
+    Sizes,
     at_samples,
     effective,
+    kinds_of,
     linearise,
     reduced,
     residual,
@@ -43,12 +48,13 @@ from seqid_cli.robust import PER_MEDIAN
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ROUNDS, PLAIN_ROUNDS, FREEZE = 15, 2, 5
+ROUNDS, PLAIN_ROUNDS, FREEZE = 25, 2, 5
 SETTLED = 0.1  # of a standard error, of the last step
 LARGEST_TURN = 0.3
 FACTOR = 10.0  # that a gain may be off nominal: beyond it the readings are of something else
 LEAST_OTHERS = 0.1  # share of the information that the other logs must have
 BLOCK_S, BLOCK_PERIODS = 0.25, 4.0
+FIRST_SIZE = 10.0  # rad/s^2 of a node, that joints may deflect by at first
 
 
 @dataclass(frozen=True)
@@ -69,10 +75,14 @@ class Fit:
     rounds: int
     converged: bool
     holdout: float | None
+    deflections: tuple[Deflection, ...] = ()
 
 
 def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> Fit:
     """Refine the constants from a start nearby.
+
+    Where what is left says that a joint deflects, all is fitted once more with the accelerations
+    by which it does as noise.
 
     Parameters
     ----------
@@ -90,6 +100,16 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
     QualityError
         If no constants of any such sensor explain the readings.
     """
+    found, sizes = _fitted(segments, robot, imu, start, None)
+    if not any(deflection.sure for deflection in found.deflections):
+        return found
+    return _fitted(segments, robot, imu, found.constants, sizes)[0]
+
+
+def _fitted(
+    segments: list[Segment], robot: Robot, imu: Imu, start: Constants, sizes: Sizes | None
+) -> tuple[Fit, Sizes]:
+    """Fit with the noise of raw readings, or from sizes on that are renewed in every round."""
     count = len(start.bias)
     constants = start
     locals_ = [Local(s.start, np.zeros(count), np.zeros(len(s.locked))) for s in segments]
@@ -98,13 +118,14 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
     for number in range(ROUNDS):
         sigma = noise_scale(segments, robot, imu, constants, locals_)
         robust = sigma if number >= PLAIN_ROUNDS else np.full(count, np.inf)
-        reductions = _reductions(segments, robot, imu, constants, locals_, robust, fixed)
+        reductions = _reductions(segments, robot, imu, constants, locals_, robust, sizes, fixed)
         if number == FREEZE:  # weights that jump to and fro would keep the fit from settling
             fixed = [r.linear.weights for r in reductions]
         step, information, inner = _solve(reductions, imu, constants, locals_, widths)
         covariance = _inverse(information)
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
-        step = _limited(step)
+        share = 1.0 if sizes is None or number < FREEZE else 0.5  # whole ones may jump to and fro
+        step = share * _limited(step)
         constants = constants.moved(step)
         if not np.abs(constants.log_gain).max() < np.log(FACTOR):  # NaN neither
             raise QualityError(
@@ -114,14 +135,25 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
                 where=imu.name,
             )
         locals_ = [
-            _moved(own, r, step, i) for own, r, i in zip(locals_, reductions, inner, strict=True)
+            _moved(own, r, step, i, share)
+            for own, r, i in zip(locals_, reductions, inner, strict=True)
         ]
         widths = _renewed(widths, imu, constants, covariance, locals_, inner)
+        if sizes is not None:
+            sizes = renewed([r.linear for r in reductions], sizes)
         if number > FREEZE and change < SETTLED:
             break
     sigma = noise_scale(segments, robot, imu, constants, locals_)
-    reductions = _reductions(segments, robot, imu, constants, locals_, sigma, None)
-    return _finished(reductions, imu, constants, locals_, widths, sigma, number + 1, change < 0.1)
+    reductions = _reductions(segments, robot, imu, constants, locals_, sigma, sizes, None)
+    linear = [r.linear for r in reductions]
+    sizes = renewed(linear, sizes or _first_sizes(imu))
+    settled = change < SETTLED
+    fit = _finished(reductions, imu, constants, locals_, widths, sigma, number + 1, settled)
+    return replace(fit, deflections=deflections(linear, sizes)), sizes
+
+
+def _first_sizes(imu: Imu) -> Sizes:
+    return Sizes(np.ones(kinds_of(imu).max() + 1), np.full(imu.after_joint + 1, FIRST_SIZE))
 
 
 def _reductions(
@@ -131,11 +163,12 @@ def _reductions(
     constants: Constants,
     locals_: list[Local],
     sigma: Array,
+    sizes: Sizes | None,
     weights: list[Array] | None,
 ) -> list[Reduced]:
     own_weights: Sequence[Array | None] = weights or [None] * len(segments)
     linear = [
-        linearise(s, robot, imu, constants, own, sigma, w)
+        linearise(s, robot, imu, constants, own, sigma, sizes, w)
         for s, own, w in zip(segments, locals_, own_weights, strict=True)
     ]
     return [reduced(x) for x in linear]
@@ -207,10 +240,10 @@ def _limited(step: Array) -> Array:
     return step * min(1.0, LARGEST_TURN / max(turn, 1e-12))
 
 
-def _moved(own: Local, reduction: Reduced, step: Array, inner: _Inner) -> Local:
-    change = inner.free - inner.follow @ step
+def _moved(own: Local, reduction: Reduced, step: Array, inner: _Inner, share: float) -> Local:
+    change = share * inner.free - inner.follow @ step
     border = np.concatenate([step, change])
-    moved = reduction.free - reduction.back @ border
+    moved = share * reduction.free - reduction.back @ border
     c = len(own.bias)
     return Local(
         own.trajectory + moved.reshape(own.trajectory.shape),

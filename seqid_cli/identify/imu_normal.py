@@ -18,6 +18,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from seqid_cli.identify.imu_model import (
     Constants,
+    channels_of,
     design,
     link_state,
     link_state_slopes,
@@ -34,6 +35,7 @@ Mask = NDArray[np.bool_]
 WIDTH = 2 * REACH + 1
 THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
 ROBUST = 4.685  # Tukey's constant, 95 % efficient on normal noise
+WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4  # what his weights leave of its mean square
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,34 @@ class Local:
     trajectory: Array
     bias: Array
     offset: Array
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What a residual is made of.
+
+    `noise` (G,) are factors on the variance that raw readings show of theirs, one for each kind of
+    sensor (`kinds_of`), `deflection` (n,) the standard deviation of the accelerations by which the
+    joints before the IMU deflect, rad/s^2 of a node.
+    """
+
+    noise: Array
+    deflection: Array
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What rows r (N, C) say of accelerations, by kind of sensor (G).
+
+    `B` (N, G, n, n) = A'A and `u` (N, G, n) = A'r; `A` (N, C, n) are the slopes in the
+    accelerations of all joints before the IMU, both over the noise that raw readings show;
+    `squares` (N, G) is r'r, `count` (N, G) of readings.
+    """
+
+    B: Array
+    u: Array
+    squares: Array
+    count: Array
 
 
 @dataclass(frozen=True)
@@ -62,6 +92,8 @@ class Linearised:
     jerk_residual: Array  # (N + 2 REACH - 3, m)
     outliers: Mask
     weights: Array  # (N, C) robust
+    deflection: Seen  # of the residual
+    jolts: Seen  # of the raw readings' roughness, over the root of their number at a node
 
 
 @dataclass(frozen=True)
@@ -132,9 +164,14 @@ def linearise(
     constants: Constants,
     local: Local,
     sigma: Array,
+    sizes: Sizes | None = None,
     weights: Array | None = None,
 ) -> Linearised:
-    """Equations of one segment; `sigma` (C,) is the noise of a residual, for robust weights."""
+    """Equations of one segment.
+
+    `sigma` (C,) is the noise of a residual, for robust weights; without `sizes` the noise is that
+    of raw readings, and joints are moved by jolts alone.
+    """
     r, good, x = residual(segment, robot, imu, constants, local)
     motion = joints_of(segment, local)
     channels = mounted(imu, constants)
@@ -153,8 +190,18 @@ def linearise(
     if weights is None:
         weights = np.maximum(1.0 - u**2, 0.0) ** 2
     weights = np.where(good, weights, 0.0)
-    root = np.sqrt(weights * _density(segment))
-    whiten = _whitener(segment, root, J[:, :, 2])
+    kinds = kinds_of(imu)
+    plain = np.sqrt(weights * _density(segment))
+    every = tuple(range(link + 1))
+    by_ddq = plain[:, :, None] * (A @ link_state_slopes(robot, link, motion, every, 2))
+    if sizes is None:
+        root, scaled = plain, plain[:, :, None] * J[:, :, 2] * _jolt(segment, J[:, :, 2])
+    else:
+        over = 1.0 / np.sqrt(sizes.noise[kinds])
+        root, scaled = plain * over, by_ddq * over[:, None] * sizes.deflection
+    whiten = _whitener(root, scaled)
+    rough = segment.readings.rough_at(segment.t + constants.delay) / np.sqrt(segment.share)
+    known = np.isfinite(rough)
     return Linearised(
         segment=segment,
         r=whiten(r[:, :, None])[:, :, 0],
@@ -168,20 +215,49 @@ def linearise(
         jerk_residual=-np.diff(local.trajectory, 3, axis=0) / segment.spacing**3,
         outliers=outliers,
         weights=weights,
+        deflection=_seen(by_ddq, plain * r, np.where(plain > 0.0, WEIGHED, 0.0), kinds),
+        jolts=_seen(
+            by_ddq * known[:, :, None],
+            np.where(known, plain * rough, 0.0),
+            np.where(known, weights, 0.0),
+            kinds,
+        ),
     )
 
 
-def _whitener(segment: Segment, root: Array, by_ddq: Array) -> Callable[[Array], Array]:
-    """Scale rows (N, C, b) to unit noise, jolts along the joints' acceleration (N, C, m) included.
+def kinds_of(imu: Imu) -> NDArray[np.intp]:
+    """Kind (C,) of every channel's sensor: 0 for accelerometers, 1 for the gyro."""
+    axes, _, accelerometers = channels_of(imu)
+    return np.asarray(np.arange(len(axes)) >= accelerometers, dtype=np.intp)
 
-    Jolts faster than the log's rate appear in every channel as an acceleration that the encoders
-    do not know of; their covariance s^2 J J' has few directions, and so has its inverse's root.
-    """
+
+def _seen(A: Array, rows: Array, counts: Array, kinds: NDArray[np.intp]) -> Seen:
+    each = [kinds == kind for kind in range(int(kinds.max()) + 1)]
+    across = [A[:, own].transpose(0, 2, 1) for own in each]
+    return Seen(
+        np.stack([x @ A[:, own] for x, own in zip(across, each, strict=True)], axis=1),
+        np.stack(
+            [(x @ rows[:, own, None])[:, :, 0] for x, own in zip(across, each, strict=True)], axis=1
+        ),
+        np.stack([np.sum(rows[:, own] ** 2, axis=1) for own in each], axis=1),
+        np.stack([np.sum(counts[:, own], axis=1) for own in each], axis=1),
+    )
+
+
+def _jolt(segment: Segment, by_ddq: Array) -> float:
+    """Jolts' acceleration, rad/s^2 of a node, alike at all joints with slopes (N, C, m)."""
     power = float(np.mean(np.sum(by_ddq**2, axis=(1, 2)))) if by_ddq.size else 0.0
-    if power <= 0.0 or segment.readings.rough <= 0.0:
-        return lambda rows: root[:, :, None] * rows
-    jolt = np.sqrt(segment.readings.rough / power / segment.share)
-    scaled = jolt * root[:, :, None] * by_ddq
+    return float(np.sqrt(segment.readings.jolts / power / segment.share)) if power > 0.0 else 0.0
+
+
+def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
+    """Scale rows (N, C, b) to unit noise, the joints' deflection included.
+
+    A link moves otherwise than the encoder before its gear tells where the gear bends or has play,
+    and jolts faster than the log's rate alias. Either is in all channels an acceleration that the
+    encoders do not know of; its covariance A A', A = `scaled` (N, C, n) over the readings' noise,
+    has few directions, and so has its inverse's root.
+    """
     value, vector = np.linalg.eigh(scaled.transpose(0, 2, 1) @ scaled)
     value = np.maximum(value, 1e-12)
     directions = scaled @ (vector / np.sqrt(value)[:, None, :])

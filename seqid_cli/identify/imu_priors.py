@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 TURN, LEVER, DELAY = np.pi, 1.0, 0.3  # widest priors: rad, m, s
 BIAS = 3.0  # m/s^2 or rad/s
 FIRST_GAIN, FIRST_TILT, FIRST_DRIFT = 0.02, 0.01, 0.02
-LEAST_WIDTH = 3e-4
+LEAST_WIDTH = 1e-4
 FEW = 6  # accelerometers below which the widths stay as they begin
 GAUGE = 1e-6  # rad
 

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, median_filter
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filtering import Lowpass, runs
 from seqid_cli.robot.types import Imu
-from seqid_cli.robust import gaussian_spread, rough, white_noise
+from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,8 +29,20 @@ class Readings:
     values: Array
     good: Mask  # (N0, C)
     noise: Array  # (C,) standard deviation of one raw sample
-    rough: float  # variance of all channels together that jolts add near the Nyquist rate
+    rough: Array  # (N0, C) of raw readings near the Nyquist rate, NaN where not known
     curve: BSpline
+
+    @property
+    def jolts(self) -> float:
+        """Variance, of all channels together, of what is rough beyond white noise.
+
+        Jolts faster than the log's rate alias: samples no longer add up to the motion between them.
+        """
+        known = self.rough[np.isfinite(self.rough).all(axis=1)]
+        if not len(known):
+            return 0.0
+        excess = np.mean(known**2, axis=0) - gaussian_spread(known) ** 2
+        return float(np.sum(np.maximum(excess, 0.0)))
 
     @property
     def period(self) -> float:
@@ -41,8 +53,14 @@ class Readings:
         """Readings (N, C) and whether they count, at times `t` [s] of their own stamps."""
         inside = (t >= self.t[0]) & (t <= self.t[-1])
         values = self.curve(np.clip(t, self.t[0], self.t[-1]))
-        near = np.clip(np.searchsorted(self.t, t), 0, len(self.t) - 1)
-        return np.asarray(values), self.good[near] & inside[:, None]
+        return np.asarray(values), self.good[self._near(t)] & inside[:, None]
+
+    def rough_at(self, t: Array) -> Array:
+        """Roughness (N, C) of the raw samples next to times `t` [s], NaN where not known."""
+        return np.asarray(self.rough[self._near(t)])
+
+    def _near(self, t: Array) -> NDArray[np.intp]:
+        return np.clip(np.searchsorted(self.t, t - 0.5 * self.period), 0, len(self.t) - 1)
 
 
 def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
@@ -53,8 +71,8 @@ def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
     spread = binary_dilation(bad, np.ones((2 * reach + 1, 1), dtype=bool))
     smooth = lowpass(values, recording.valid)
     curve = make_interp_spline(recording.t, smooth, k=3)
-    rough = jolted(_channels_of_jolts(raw, values, bad), recording.valid)
-    return Readings(recording.t, smooth, ~spread, white_noise(values), rough, curve)
+    own = roughness(_channels_of_jolts(raw, values, bad), recording.valid)
+    return Readings(recording.t, smooth, ~spread, white_noise(values), own, curve)
 
 
 def _channels(recording: Recording, imu: Imu) -> Array:
@@ -64,19 +82,14 @@ def _channels(recording: Recording, imu: Imu) -> Array:
     return values if gyro is None else np.hstack([values, gyro])
 
 
-def jolted(values: Array, valid: Mask) -> float:
-    """Variance, summed over channels (N, C), of what is rough beyond white noise.
-
-    Jolts faster than the log's rate alias: samples no longer add up to the motion between them.
-    """
-    if len(values) < 6:
-        return 0.0
-    whole = np.lib.stride_tricks.sliding_window_view(valid, 5).all(axis=1)
-    noisy = rough(values)[whole]
-    if not len(noisy):
-        return 0.0
-    excess = np.mean(noisy**2, axis=0) - gaussian_spread(noisy) ** 2
-    return float(np.sum(np.maximum(excess, 0.0)))
+def roughness(values: Array, valid: Mask) -> Array:
+    """Noise and jolts of raw readings (N, C) without the motion, as large as in the readings."""
+    out = np.full(values.shape, np.nan)
+    if len(values) > DIFFERENCES:
+        half = DIFFERENCES // 2
+        whole = np.lib.stride_tricks.sliding_window_view(valid, DIFFERENCES + 1).all(axis=1)
+        out[half:-half] = np.where(np.asarray(whole)[:, None], rough(values), np.nan)
+    return out
 
 
 def _channels_of_jolts(raw: Array, values: Array, bad: Mask) -> Array:

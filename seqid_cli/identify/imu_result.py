@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.identify.imu_deflection import SIGNIFICANT
 from seqid_cli.identify.imu_fit import Fit
 from seqid_cli.identify.imu_model import channels_of, tilted
 from seqid_cli.identify.imu_pairs import Pair, best_references, condition_of
 from seqid_cli.identify.imu_segments import Segment
 from seqid_cli.motion.imu_array import layout
 from seqid_cli.motion.link_motion import axes_in_link
-from seqid_cli.params.schema import ImuCalibration, Verdict
+from seqid_cli.params.schema import ImuCalibration, JointDeflection, Verdict
 from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]
@@ -62,6 +63,14 @@ def calibration_of(
         samples=fit.kept,
         outliers=fit.set_aside,
         holdout=fit.holdout,
+        deflections=[
+            JointDeflection(
+                joint=robot.joint_names[d.joint],
+                acceleration=d.acceleration,
+                significance=d.significance,
+            )
+            for d in fit.deflections
+        ],
     )
     _add_sensors(calibration, imu, fit, known, _densities(segments))
     return calibration
@@ -197,9 +206,30 @@ def verdict_of(robot: Robot, imu: Imu, calibration: ImuCalibration, *, converged
     if calibration.holdout is not None and calibration.holdout > POOR_HOLDOUT:
         good = False
         reason += f"; a log left out is predicted to {calibration.holdout:.2g} times the noise"
+    bends = deflecting(calibration)
+    if bends is not None:
+        good = False
+        reason += (
+            f"; the link after {bends.joint} accelerates {bends.acceleration:.2g} "
+            f"{unit_of(robot, bends.joint)} (RMS) beyond what its encoder tells: the joint is "
+            "elastic or has backlash; errors are widened: record slower, smoother swings, and run "
+            "seqid diagnose"
+        )
     if not layout(imu).acceleration and not calibration.gyro_axes:
         reason += "; without a gyro this layout does not see angular acceleration"
     return Verdict(joint=imu.name, good=good, reason=reason)
+
+
+def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
+    """Return the joint that deflects by most, where one does beyond doubt."""
+    sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
+    return max(sure, key=lambda d: d.significance, default=None)
+
+
+def unit_of(robot: Robot, joint: str) -> str:
+    """Return the unit of a joint's acceleration."""
+    prismatic = robot.chain.prismatic[robot.joint_names.index(joint)]
+    return "m/s^2" if prismatic else "rad/s^2"
 
 
 def _planar(robot: Robot, link: int) -> bool:

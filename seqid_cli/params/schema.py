@@ -210,6 +210,14 @@ class AxisReference(Struct, kw_only=True):
     gain_std_error: float
 
 
+class JointDeflection(Struct, kw_only=True):
+    """By how much a link before an IMU accelerates beyond what its joint's encoder tells."""
+
+    joint: str
+    acceleration: float  # rad/s^2 (m/s^2), RMS below the stage's cut-off
+    significance: float  # standard deviations beyond what the readings' jolts explain
+
+
 class ImuCalibration(Struct, kw_only=True):
     """Eq. 29-38: `rotation` turns IMU coordinates into those of the link that carries it.
 
@@ -253,6 +261,7 @@ class ImuCalibration(Struct, kw_only=True):
     samples: int = 0  # readings that the fit used
     outliers: int = 0  # readings that it set aside
     holdout: float | None = None  # RMS of a left-out trial's residual over the noise
+    deflections: list[JointDeflection] = []  # one per joint before the IMU
 
 
 class ImuStage(Struct, kw_only=True):

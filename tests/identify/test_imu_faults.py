@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.imu import calibrate_imus
 from seqid_cli.identify.imu_fit import without
-from seqid_cli.identify.imu_readings import cleaned, jolted
+from seqid_cli.identify.imu_readings import cleaned, roughness
 from seqid_cli.identify.imu_segments import lagrange
 from seqid_cli.motion.imu_array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
@@ -154,15 +154,16 @@ def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
     assert bad[np.abs(clean[:, 2]) < 3.9, 2].mean() < 0.01
 
 
-def test_roughness_is_the_variance_of_jolts_alone() -> None:
+def test_roughness_is_as_large_as_noise_and_jolts_and_has_no_motion() -> None:
     rng = np.random.default_rng(1)
-    valid = np.ones(4000, dtype=bool)
-    noise = 0.05 * rng.standard_normal((4000, 4))
-    assert jolted(noise, valid) < 0.1 * 4 * 0.05**2
-    jolts = (rng.random((4000, 1)) < 0.02) * rng.standard_normal((4000, 1))
-    expected = 4 * float(np.mean(jolts**2))
-    assert jolted(noise + jolts, valid) == pytest.approx(expected, rel=0.15)
-    np.testing.assert_allclose(white_noise(noise), 0.05, rtol=0.1)
+    valid = np.arange(4000) != 1000
+    t = np.arange(4000)[:, None] / 250.0
+    rough = 0.05 * rng.standard_normal((4000, 4)) + 0.3 * rng.standard_normal((4000, 1))
+    found = roughness(rough + 5 * np.sin(6 * t), valid)
+    assert np.isnan(found[998:1003]).all()
+    assert np.isfinite(found[2:998]).all()
+    np.testing.assert_allclose(np.nanstd(found, axis=0), np.hypot(0.05, 0.3), rtol=0.1)
+    np.testing.assert_allclose(white_noise(rough), np.hypot(0.05, 0.3), rtol=0.1)
 
 
 def test_lagrange_weights_pass_cubics() -> None:

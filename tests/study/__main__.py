@@ -41,6 +41,11 @@ STUDIES: Mapping[str, Study] = {
     "imu_mounting": lambda chosen: imu_mounting.study(
         2 if chosen.quick else 100, folder=None if chosen.quick else chosen.cache / "imu_mounting"
     ),
+    "imu_deflecting": lambda chosen: imu_mounting.study(
+        1 if chosen.quick else 10,
+        cases=imu_mounting.DEFLECTING,
+        folder=None if chosen.quick else chosen.cache / "imu_mounting",
+    ),
     "fused_motion": lambda chosen: fused_motion.study(quick=chosen.quick, tell=sys.stderr.write),
     "noise_floor": lambda chosen: noise_floor.study(1 if chosen.quick else 8, chosen.processes),
     "undeclared": undeclared.study,
@@ -60,6 +65,7 @@ LONG = (
     "planted",
     "recorded_effects",
     "imu_mounting",
+    "imu_deflecting",
 )  # only where asked for by name
 DOCUMENTS: Mapping[str, Path] = {  # the others: README
     "table_two": table_two.DOCUMENT,
@@ -72,6 +78,7 @@ DOCUMENTS: Mapping[str, Path] = {  # the others: README
     "planted": planted.DOCUMENT,
     "recorded_effects": recorded_effects.DOCUMENT,
     "imu_mounting": imu_mounting.DOCUMENT,
+    "imu_deflecting": imu_mounting.DOCUMENT,
 }
 
 

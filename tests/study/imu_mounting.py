@@ -8,7 +8,8 @@ study that was cut short goes on where it stopped.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -18,11 +19,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.identify.imu import calibrate_imus
+from seqid_cli.identify.imu_result import deflecting
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
 from tests.plants.experiments import swing
+from tests.plants.injections_drive import backlash, elastic
 from tests.plants.rigid import link_motion
 from tests.plants.rigs import one_joint, six_joint, two_joint
 from tests.plants.sensors import AccelerometerArray, Faults, quantise
@@ -65,8 +68,15 @@ class Case:
     span: float = 0.4  # share of the joints' ranges that a swing takes
     turns: int | None = None  # swings, where it is not as many as usual
     share: float = 1.0  # of the seeds
+    hidden: str | None = None  # effect of `DRIVES`
+    joint: int = 0  # that has it
+    size: float = 1.0
 
 
+DRIVES: Mapping[str, Callable[[Plant, int, float], Plant]] = {
+    "elastic": elastic,
+    "backlash": backlash,
+}
 CASES = (
     Case("one joint, 400 counts", "one", 2 * np.pi / 400),
     Case("one joint, 17 bits", "one", 2 * np.pi / 2**17),
@@ -77,6 +87,19 @@ CASES = (
     Case("six joints, 17 bits, gyro", "six", 2 * np.pi / 2**17, gyro=True),
     Case("two joints, 400 counts, long", "two", 2 * np.pi / 400, span=0.8, turns=4, share=0.3),
     Case("six joints, 17 bits, long", "six", 2 * np.pi / 2**17, span=0.8, turns=2, share=0.5),
+)
+DEFLECTING = tuple(
+    Case(f"{hidden} joint {joint + 1}, {size:g}", "two", 2 * np.pi / 2**17, turns=1, **own)
+    for hidden, joint, size in (
+        ("stiff", 0, 0.0),
+        ("elastic", 0, 0.5),
+        ("elastic", 1, 1.0),
+        ("elastic", 1, 0.3),
+        ("backlash", 0, 1.0),
+        ("backlash", 1, 1.0),
+        ("backlash", 1, 0.3),
+    )
+    for own in ({"hidden": hidden if size else None, "joint": joint, "size": size},)
 )
 
 
@@ -104,11 +127,14 @@ class Score:
     delay_error: float
     holdout: float
     outliers: int
+    deflects: str = ""  # joint that the calibration names
 
 
 def scene_of(case: Case) -> Scene:
     """Simulate the arm's motion of a case."""
     plant = _plant(case.robot)
+    if case.hidden is not None:
+        plant = DRIVES[case.hidden](plant, case.joint, case.size)
     plant = replace(plant, imus=tuple(_instrument(imu, case) for imu in plant.imus))
     postures = [np.array(posture) for posture in POSTURES[case.robot]]
     moves = [(posture, 0) for posture in postures]
@@ -174,7 +200,7 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
             accelerometers[imu.name] = imu.read(motion, rng, rate)
             gyro = imu.read_gyro(motion, rng, rate)
             gyros |= {} if gyro is None else {imu.name: gyro}
-        q = quantise(truth.q + phase, scene.case.step) - phase
+        q = quantise(truth.angle + phase, scene.case.step) - phase
         seen = replace(log, q=q, accelerometers=accelerometers)
         own = recording_of(scene.plant, f"imu/{number}", seen)
         found.append(replace(own, gyros=gyros))
@@ -210,6 +236,7 @@ def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
         delay_error=abs(late),
         holdout=found.holdout or np.nan,
         outliers=found.outliers,
+        deflects=getattr(deflecting(found), "joint", ""),
     )
 
 
@@ -263,8 +290,10 @@ class Kept:
 
 
 def _score(kept: Mapping[str, object]) -> Score:
-    arrays = {k: np.asarray(v, dtype=np.float64) for k, v in kept.items()}
-    return Score(**{k: v if v.ndim else v.item() for k, v in arrays.items()})  # type: ignore[arg-type]
+    named = str(kept.get("deflects", ""))
+    arrays = {k: np.asarray(v, dtype=np.float64) for k, v in kept.items() if k != "deflects"}
+    values = {k: v if v.ndim else v.item() for k, v in arrays.items()}
+    return Score(**values, deflects=named)  # type: ignore[arg-type]
 
 
 def coverage(z: Array) -> float:
@@ -281,6 +310,7 @@ def row(case: Case, found: Sequence[Score]) -> list[str]:
         return f"{100 * coverage(z):.0f} %" if len(z) else "-"
 
     late = np.array([s.delay_error for s in found])
+    named = Counter(s.deflects for s in found if s.deflects)
     return [
         case.label,
         str(len(found)),
@@ -291,7 +321,15 @@ def row(case: Case, found: Sequence[Score]) -> list[str]:
         f"{1e3 * case.delay:.0f}",
         f"{1e3 * np.sqrt(np.mean(late**2)):.3f}",
         f"{np.median([s.holdout for s in found]):.2f}",
+        f"{rms_z(found):.2f}",
+        ", ".join(f"{name} {count}" for name, count in sorted(named.items())) or "-",
     ]
+
+
+def rms_z(found: Sequence[Score]) -> float:
+    """RMS of the mounting's errors over the stated ones."""
+    z = np.concatenate([score.z_turn for score in found])
+    return float(np.sqrt(np.mean(z**2)))
 
 
 HEADER = [
@@ -308,6 +346,8 @@ HEADER = [
     "offset, ms",
     "its RMS error",
     "held-out / noise",
+    "rms z",
+    "deflects",
 ]
 
 

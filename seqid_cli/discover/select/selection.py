@@ -3,7 +3,8 @@
 A term is taken if it foretells blocks of time that were left out better than the model without it:
 by more than `certain` standard errors, and by so much of their squared error that it matters. Of
 terms that do so equally well, the one of the fewest parameters is taken, and of these the one of
-the largest evidence; smooth functions have many. What does not hold beside terms that came later is taken back.
+the largest evidence; smooth functions have many. What does not hold beside terms that came later is
+taken back.
 
 The base is held to the file in one of three ways: as the file says; friction's slow terms free, as
 files have them that have taken up an effect; all free. The evidence of the finished models decides.
@@ -56,8 +57,8 @@ class Options:
 
     `certain` standard errors and `improvement` (share of the squared error left out) that a term
     must be worth; `chance` is the log evidence that the best of all terms has on noise; an effect's
-    law is known to `law` of its torque; terms that gain within `tie` of each other are equal, and of
-    them an effect goes before a smooth function; at most `most` terms.
+    law is known to `law` of its torque; terms that gain within `tie` of each other are equal, and
+    an effect goes before a smooth function then; at most `most` terms.
     """
 
     certain: float = 2.0

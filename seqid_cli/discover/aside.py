@@ -68,10 +68,9 @@ def events_aside(
     """
     if not aside:
         return []
-    rows, model = found.ground.stage.rows, found.model
-    scaled = model.linear.left_out()[: rows.n]
-    scaled = [r / s for r, s in zip(scaled, model.noise.sigma, strict=False)]
-    others, top = tracks_of(rows, residual_series(rows, scaled)), top_speeds(rows)
+    rows = found.ground.stage.rows
+    others = tracks_of(rows, residual_series(rows, found.model.scaled()))
+    top = top_speeds(rows)
     looks = [_Look.of(piece, found, robot, stages, options) for piece in aside]
     return [
         look.told(place, robot)

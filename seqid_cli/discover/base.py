@@ -114,11 +114,6 @@ class Base:
             result.append((whole.H @ rigid).astype(np.float64) + np.stack(own, axis=1))
         return result
 
-    def drawn_deviation(self, rng: np.random.Generator) -> list[Array]:
-        """Torque (N, n) N m of deviations drawn from what the file says of its own errors."""
-        rigid = _drawn(self.prior_rigid, rng)
-        return self.deviation(rigid, [_drawn(L, rng) for L in self.prior_friction])
-
 
 def _freed(held: Array, terms: Index, bound: Array) -> Array:
     """Rows of what `held` (m, k) says once some terms may move by 1 / bound besides (Woodbury)."""
@@ -127,14 +122,6 @@ def _freed(held: Array, terms: Index, bound: Array) -> Array:
     P = P - P[:, terms] @ np.linalg.solve(inner, P[terms])
     value, vector = np.linalg.eigh(0.5 * (P + P.T))
     return np.asarray(np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T)
-
-
-def _drawn(L: Array, rng: np.random.Generator) -> Array:
-    """Parameters (k,) with L theta of unit variance; zero where L (m, k) says nothing."""
-    if not len(L):
-        return np.zeros(L.shape[1])
-    found = np.linalg.lstsq(L, rng.standard_normal(len(L)), rcond=1e-10)[0]
-    return np.asarray(found, dtype=np.float64)
 
 
 @dataclass(frozen=True)

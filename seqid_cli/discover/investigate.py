@@ -112,13 +112,10 @@ def guessed(model: Model) -> list[Mask]:
 def events_of(model: Model) -> list[Interval]:
     """Stretches that stand out in what the model leaves; none unless one does so clearly."""
     ground = model.ground
-    scaled = [
-        r / s for r, s in zip(model.linear.left_out(), model.noise.sigma[: ground.n], strict=False)
-    ]
     left, shown = model.left(), model.shown()
     events = [
         event
-        for event in find_events(ground.stage.rows, scaled)
+        for event in find_events(ground.stage.rows, model.scaled())
         if not no_push(model, event, ground.stage.scenes[event.scene], left, shown)
     ]
     strongest = max((event.score for event in events), default=0.0)

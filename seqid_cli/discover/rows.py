@@ -152,10 +152,6 @@ class Rows:
     def _sieves(self) -> dict[tuple[int, int], Sieve]:
         return {}
 
-    def keep_sieves_of(self, other: Rows) -> None:
-        """Take over the low-pass of rows that were picked alike."""
-        self._sieves.update(other._sieves)
-
     def without(self, masks: Sequence[Mask]) -> Rows:
         """The same rows without some samples of each scene: (N,) of all joints, or (N, n)."""
         used = tuple(

@@ -188,6 +188,11 @@ class Model:
         left = [whole.residual - base - terms for whole, base, terms in parts]
         return [np.where(s.slides, r, 0.0) for s, r in zip(at.stage.scenes, left, strict=True)]
 
+    def scaled(self) -> list[Array]:
+        """Residual (M_j,) of each joint's rows where it was not fitted, over the joint's noise."""
+        left = self.linear.left_out()[: self.ground.n]
+        return [r / s for r, s in zip(left, self.noise.sigma, strict=False)]
+
     def rms(self) -> Array:
         """RMS (n,) N m of each joint's residual where it was not fitted."""
         return rms_left_out(self.linear, self.ground.n)

@@ -47,14 +47,11 @@ class Noise:
         return [slow_noise(stage, j, self.sigma[j]) for j in joints if stage.rows.count(j)]
 
 
-def settled(
-    stage: Stage, rows: Rows, size: Array, parts: Sequence[Part], start: Noise | None = None
-) -> tuple[Linear, Noise]:
+def settled(stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]) -> tuple[Linear, Noise]:
     """Fit a model and its noise in turn."""
     windows = _windows(stage)
-    noise = start or Noise(
-        size, tuple(np.full(len(y), 1.0 / s**2) for y, s in zip(rows.y, size, strict=True))
-    )
+    weight = [np.full(len(y), 1.0 / s**2) for y, s in zip(rows.y, size, strict=True)]
+    noise = Noise(size, tuple(weight))
     linear = Linear(rows, parts, noise.weight)
     for _ in range(ROUNDS):
         noise = _of_residual(linear.residual(), noise.sigma, windows, stage.high.weight)

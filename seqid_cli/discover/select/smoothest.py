@@ -14,7 +14,7 @@ STILL = 1e-9  # range of a quantity, relative to its size, below which it has no
 RIDGE = 1e-6  # of the splines' mean square: for pieces that hold no rows
 
 
-def knots_of(x: Array, fold: Index, count: int, edge: float = EDGE) -> tuple[float, ...] | None:
+def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
     """Knots half way between equal steps and equal shares of x; None if x hardly varies.
 
     Equal shares alone would crowd at rest and turning points, equal steps leave pieces empty. The
@@ -27,13 +27,11 @@ def knots_of(x: Array, fold: Index, count: int, edge: float = EDGE) -> tuple[flo
         The quantity at the rows and the fold of each.
     count : int
         Number of knots.
-    edge : float
-        Share of the rows that lie beyond the outer knots.
     """
     if len(x) < 10 * count:
         return None
     left = [x[fold != f] for f in np.unique(fold)]
-    edges = np.array([np.quantile(rest, (edge, 1.0 - edge)) for rest in left if len(rest)])
+    edges = np.array([np.quantile(rest, (EDGE, 1.0 - EDGE)) for rest in left if len(rest)])
     if not len(edges):
         return None
     low, high = float(edges[:, 0].max()), float(edges[:, 1].min())

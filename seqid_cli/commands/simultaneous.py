@@ -77,7 +77,8 @@ def run(
         job.files,
         job.robot,
         cutoff_hz=cutoff,
-        smoothed=motion != "encoder" and job.stages.imu is not None and bool(job.stages.imu.imus),
+        imu=job.stages.imu,
+        source=motion,
         time_source=job.time_source,
     )
 

@@ -108,7 +108,8 @@ def identify_inertia(
     basis = free_basis(robot)
     equations = InertiaEquations(robot, basis, stages, options)
     compare = compare and stages.imu is not None and options.source != "encoder"
-    by_encoder = replace(options, source="encoder")
+    alone = replace(options.motion, cutoff_hz=options.motion.encoder_hz or options.motion.cutoff_hz)
+    by_encoder = replace(options, source="encoder", motion=alone)
     others = InertiaEquations(robot, basis, stages, by_encoder) if compare else None
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
     whole = reduced(logs, InertiaRowsOf(equations, others), _all)

@@ -5,6 +5,9 @@ elasticity and what else a model leaves out enter it differently elsewhere. So a
 are filtered alike: the scores of `motion.cutoff`, log S - KAPPA N / S, add up over logs and joints,
 and the sum is maximised; the slowest rate of the logs limits it. The file carries the cut-off and
 later stages take it (`inherited`), unless the user gives another.
+
+Where the motion comes from the smoother its own score counts, and the lowest cut-off that scores
+nearly as well as the best, from that of the encoders on.
 """
 
 from __future__ import annotations
@@ -23,12 +26,21 @@ from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.stored import local_copy
-from seqid_cli.motion.cutoff import BANDWIDTHS, HIGHEST_HZ, LOWEST_HZ, Score, first_maximum, score
-from seqid_cli.motion.motion import encoder_resolution, highest_bridged
+from seqid_cli.motion.cutoff import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    Score,
+    first_maximum,
+    lowest_as_good,
+    score,
+)
+from seqid_cli.motion.fused import score_of_smoothed
+from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segments import moving_mask, noise_step
 from seqid_cli.motion.survey import SurveyedLog
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -38,13 +50,24 @@ GRID: Array = np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200)
 
 @dataclass(frozen=True)
 class LogScore:
-    """What one log says of every cut-off of `GRID`, and the highest that it allows [Hz]."""
+    """What one log says of every cut-off of `GRID`, and the highest that it allows [Hz].
+
+    `smoothed` is what the log's smoothed motion says, over `joints` that move.
+    """
 
     score: Score
     highest_hz: float
+    smoothed: Score | None = None
+    joints: int = 0
 
 
-def score_of(log: Recording | SurveyedLog, robot: Robot) -> LogScore | None:
+def score_of(
+    log: Recording | SurveyedLog,
+    robot: Robot,
+    *,
+    imu: ImuStage | None = None,
+    source: str = "encoder",
+) -> LogScore | None:
     """Score the cut-offs of one log; None where no joint moves.
 
     Parameters
@@ -52,6 +75,15 @@ def score_of(log: Recording | SurveyedLog, robot: Robot) -> LogScore | None:
     log : Recording or SurveyedLog
         Held, or passed over once.
     robot : Robot
+    imu : ImuStage, optional
+        Calibrations, to score the motion that they give.
+    source : str
+        As of `best_motion`.
+
+    Raises
+    ------
+    SeqidError
+        If the motion cannot be had from this source.
     """
     resolution, rate = encoder_resolution(robot), log.rate_hz
     if isinstance(log, SurveyedLog):
@@ -63,23 +95,40 @@ def score_of(log: Recording | SurveyedLog, robot: Robot) -> LogScore | None:
     if not len(moving):
         return None
     found = score(log.q[:, moving], rate, resolution[moving], GRID)
-    return LogScore(found, min(HIGHEST_HZ, rate / 8, highest_bridged(log)))
+    highest = min(HIGHEST_HZ, rate / 8, highest_bridged(log))
+    return LogScore(found, highest, _smoothed(log, robot, imu, source), len(moving))
 
 
-def chosen_together(scores: Sequence[LogScore]) -> float | None:
-    """The cut-off [Hz] that suits all logs together; None without any.
+def _smoothed(log: Recording, robot: Robot, imu: ImuStage | None, source: str) -> Score | None:
+    """What the smoothed motion says, where that is what will be used."""
+    if imu is None or not imu.imus or source == "encoder":
+        return None
+    encoder = estimate_motion(log, robot, MotionOptions())
+    if best_motion(log, robot, imu, encoder, source=source).source != "fused":
+        return None
+    return score_of_smoothed(log, robot, imu, encoder, GRID)
+
+
+def chosen_together(scores: Sequence[LogScore]) -> tuple[float, float]:
+    """The cut-off [Hz] that suits all logs together, and that for their encoders alone.
 
     The order of the logs does not matter.
     """
-    if not scores:
-        return None
-    ordered = sorted(scores, key=lambda one: tuple(one.score.values))  # sums to the last bit
-    total = np.sum([one.score.values for one in ordered], axis=0)
-    bandwidth = max(one.score.bandwidth_hz for one in scores)
-    highest = min(one.highest_hz for one in scores)
-    highest = min(highest, max(BANDWIDTHS * bandwidth, 2 * LOWEST_HZ))
-    allowed = max(1, int(np.searchsorted(GRID, highest, side="right")))
-    return float(GRID[first_maximum(total[:allowed])])
+    total, allowed = _summed([(one.score, one.highest_hz) for one in scores])
+    best = alone = first_maximum(total[:allowed])
+    if any(one.smoothed for one in scores):
+        total, allowed = _summed([(one.smoothed or one.score, one.highest_hz) for one in scores])
+        joints = sum(one.joints for one in scores)
+        best += lowest_as_good(total[best : max(allowed, best + 1)], joints)
+    return float(GRID[best]), float(GRID[alone])
+
+
+def _summed(scores: Sequence[tuple[Score, float]]) -> tuple[Array, int]:
+    """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
+    ordered = sorted(tuple(one.values) for one, _ in scores)  # sums to the last bit
+    highest = min(limit for _, limit in scores)
+    highest = min(highest, max(one.highest_hz for one, _ in scores))
+    return np.sum(ordered, axis=0), max(1, int(np.searchsorted(GRID, highest, side="right")))
 
 
 def identification_options(
@@ -87,7 +136,8 @@ def identification_options(
     robot: Robot,
     *,
     cutoff_hz: float | None,
-    smoothed: bool = False,
+    imu: ImuStage | None = None,
+    source: str = "encoder",
     time_source: TimeSource = "header",
 ) -> MotionOptions:
     """How all logs of an identification are filtered.
@@ -101,26 +151,32 @@ def identification_options(
     robot : Robot
     cutoff_hz : float or None
         As given by the user.
-    smoothed : bool
-        Whether motion may come from the smoother, whose choice needs the smoothed motion: then each
-        log still chooses for itself.
+    imu : ImuStage, optional
+        Calibrations that the motion is made with.
+    source : str
+        Where the motion comes from, as of `best_motion`.
     time_source : {"header", "log"}
         As for `read_recording`.
     """
     if cutoff_hz is not None:
         return MotionOptions(cutoff_hz, origin="as given")
-    if len(paths) < 2 or smoothed:
+    if len(paths) < 2:
         return MotionOptions()
+    fuses = imu is not None and bool(imu.imus) and source != "encoder"
     found: list[LogScore] = []
     for path in paths:
         # Errors are told when the log is read to be identified from.
         with contextlib.suppress(SeqidError), local_copy(path) as copy:
             file = Path(copy)
-            log = open_if_long(file, robot, time_source=time_source)
-            own = score_of(log or read_recording(file, robot, time_source=time_source), robot)
+            log = None if fuses else open_if_long(file, robot, time_source=time_source)
+            whole = log or read_recording(file, robot, time_source=time_source)
+            own = score_of(whole, robot, imu=imu, source=source)
             found += [own] if own is not None else []
-    hz = chosen_together(found)
-    return MotionOptions(hz, origin=f"chosen from all {len(paths)} logs together" if hz else "")
+    if not found:
+        return MotionOptions()
+    hz, alone = chosen_together(found)
+    origin = f"chosen from all {len(paths)} logs together"
+    return MotionOptions(hz, origin=origin, encoder_hz=alone)
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:

@@ -44,7 +44,8 @@ class Cutoff:
     """The cut-off and what it was chosen from.
 
     `encoder_step` (n,) rad is the smallest step seen; `bias` the acceleration noise power over the
-    signal power at the cut-off, of the worst moving joint.
+    signal power at the cut-off, of the worst moving joint. `alone_hz` is what the encoders alone
+    would have chosen where `hz` is another's choice.
     """
 
     hz: float
@@ -52,11 +53,19 @@ class Cutoff:
     bias: float
     chosen: bool
     noise_density: Array  # (n,) rad^2/Hz of the position noise
+    alone_hz: float | None = None
 
     @property
     def acceleration_noise(self) -> Array:
         """Standard deviation (n,) rad/s^2 of the differentiated encoder below the cut-off."""
         noise: Array = np.sqrt(differentiated_error(self.noise_density, self.hz))
+        return noise
+
+    @property
+    def encoder_noise(self) -> Array:
+        """The same (n,) rad/s^2 below the cut-off that the encoders alone would have chosen."""
+        hz = self.hz if self.alone_hz is None else self.alone_hz
+        noise: Array = np.sqrt(differentiated_error(self.noise_density, hz))
         return noise
 
 
@@ -125,6 +134,11 @@ class Score:
 
     values: Array
     bandwidth_hz: float
+
+    @property
+    def highest_hz(self) -> float:
+        """Highest cut-off that the motion's bandwidth allows."""
+        return max(BANDWIDTHS * self.bandwidth_hz, 2 * LOWEST_HZ)
 
 
 def score(q: Array, rate_hz: float, resolution: Array, cutoffs: Array) -> Score:
@@ -227,21 +241,47 @@ def choose_smoothed_cutoff(
     Cutoff
         That of the encoders with another `hz`, and the `bias` that is left at it.
     """
-    joints = np.flatnonzero(moving)
-    if not len(joints):
+    if not moving.any():
         return encoder
-    bandwidth = max(_bandwidth(dq[:, j], rate_hz) for j in joints)
-    highest = min(HIGHEST_HZ, rate_hz / 8, max(BANDWIDTHS * bandwidth, 2 * LOWEST_HZ))
+    highest = min(HIGHEST_HZ, rate_hz / 8)
     candidates = np.geomspace(encoder.hz, max(encoder.hz, highest), 60)
-    score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
-    error = np.array([smoothed_error(variance, encoder.noise_density, hz) for hz in candidates])
-    for j in joints:
-        signal = np.maximum(_power_below(ddq[:, j], rate_hz, candidates) - error[:, j], 1e-12)
-        score += np.log(signal) - KAPPA * error[:, j] / signal
-        bias = np.maximum(bias, error[:, j] / signal)
-    best = first_maximum(score)
-    best = int(np.flatnonzero(score >= score[best] - WORTH * len(joints))[0])
-    return replace(encoder, hz=float(candidates[best]), bias=float(bias[best]))
+    found = smoothed_score(encoder, dq, ddq, variance, rate_hz, candidates, moving=moving)
+    allowed = np.searchsorted(candidates, found.highest_hz, side="right")
+    best = lowest_as_good(found.values[: max(1, allowed)], int(np.sum(moving)))
+    hz = float(candidates[best])
+    error = smoothed_error(variance, encoder.noise_density, hz)
+    shares = [
+        error[j] / max(float(_power_below(ddq[:, j], rate_hz, np.array(hz))) - error[j], 1e-12)
+        for j in np.flatnonzero(moving)
+    ]
+    return replace(encoder, hz=hz, alone_hz=encoder.hz, bias=float(max(shares)))
+
+
+def smoothed_score(
+    encoder: Cutoff,
+    dq: Array,
+    ddq: Array,
+    variance: Array,
+    rate_hz: float,
+    cutoffs: Array,
+    *,
+    moving: NDArray[np.bool_],
+) -> Score:
+    """Score cut-offs by smoothed motion; arguments as of `choose_smoothed_cutoff`."""
+    error = np.array([smoothed_error(variance, encoder.noise_density, hz) for hz in cutoffs])
+    values, bandwidth = np.zeros(len(cutoffs)), 0.0
+    for j in np.flatnonzero(moving):
+        power = _power_below(ddq[:, j], rate_hz, np.minimum(cutoffs, rate_hz / 2))
+        signal = np.maximum(power - error[:, j], 1e-12)
+        values += np.log(signal) - KAPPA * error[:, j] / signal
+        bandwidth = max(bandwidth, _bandwidth(dq[:, j], rate_hz))
+    return Score(values, bandwidth)
+
+
+def lowest_as_good(score: Array, joints: int) -> int:
+    """Index of the lowest cut-off whose score of smoothed motion is nearly the best."""
+    best = score[first_maximum(score)]
+    return int(np.flatnonzero(score >= best - WORTH * joints)[0])
 
 
 def _power_below(values: Array, rate_hz: float, cutoffs: Array) -> Array:

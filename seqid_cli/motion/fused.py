@@ -18,7 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.cutoff import choose_smoothed_cutoff, smoothed_error
+from seqid_cli.motion.cutoff import (
+    Score,
+    choose_smoothed_cutoff,
+    smoothed_error,
+    smoothed_score,
+)
 from seqid_cli.motion.filtering import Lowpass, differentiate
 from seqid_cli.motion.motion import Motion, filtered_torque
 from seqid_cli.motion.smoother import smoothed_motion
@@ -87,17 +92,25 @@ def fused_motion(
     return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
 
 
-def needed(motion: Motion) -> bool:
+def score_of_smoothed(
+    recording: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, cutoffs: Array
+) -> Score:
+    """Score cut-offs [Hz] by the motion that the smoother makes of a log."""
+    smoothed = _smoothed(_Task.of(recording, robot, stage))
+    given = smoothed.dq, smoothed.ddq, smoothed.variance, recording.rate_hz, cutoffs
+    return smoothed_score(encoder.cutoff, *given, moving=np.any(encoder.moving, axis=0))
+
+
+def needed(motion: Motion, encoder: Motion) -> bool:
     """Whether acceleration is so much better known than by the encoders that it pays.
 
     What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
     believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
     too coarse to show anything.
     """
-    if motion.encoder_error is None:
-        return False
     moving = motion.moving.any(axis=0)
-    gain = motion.encoder_error[moving] / np.maximum(motion.acceleration_error[moving], 1e-300)
+    known = np.maximum(motion.acceleration_error[moving], 1e-300)
+    gain = encoder.acceleration_error[moving] / known
     return bool(len(gain)) and float(np.median(gain)) > WORTHWHILE
 
 
@@ -252,7 +265,7 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion
         source="fused",
         imus=smoothed.imus,
         error=np.sqrt(smoothed_error(smoothed.variance, cutoff.noise_density, cutoff.hz)),
-        encoder_error=encoder.acceleration_error,
+        encoder_error=encoder.cutoff.encoder_noise,
     )
 
 

@@ -85,7 +85,7 @@ def best_motion(
     found = fused_motion(recording, robot, stage, motion, insist=source == "fused")
     if source == "fused" and found.source != "fused":
         raise _impossible(source, recording, robot, stage, found.warnings)
-    return motion if source == "needed" and not needed(found) else found
+    return motion if source == "needed" and not needed(found, motion) else found
 
 
 def _from_imus(

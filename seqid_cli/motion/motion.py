@@ -151,7 +151,7 @@ def _cutoff(
     if options.cutoff_hz is None:
         return chosen
     require_rate(recording.path, recording.rate_hz, options)
-    return replace(chosen, hz=options.cutoff_hz, chosen=False)
+    return replace(chosen, hz=options.cutoff_hz, alone_hz=chosen.hz, chosen=False)
 
 
 def require_rate(path: Path, rate_hz: float, options: MotionOptions) -> None:

@@ -15,9 +15,10 @@ class MotionOptions:
     `cutoff_hz` is the low-pass cut-off of all logs, and `origin` says where it came from; None has
     each log choose its own. After the
     low-pass `samples_per_cutoff` samples at least stay per period of the cut-off; infinite keeps
-    all.
+    all. `encoder_hz` is the cut-off that would suit the encoders alone.
     """
 
     cutoff_hz: float | None = None
     samples_per_cutoff: float = 10.0
     origin: str = ""
+    encoder_hz: float | None = None

@@ -176,6 +176,8 @@ def test_a_simultaneous_fit_says_its_motion(bench: Bench) -> None:
     used = file["stages"]["inertia"]["motion_use"]
     assert [use["source"] for use in used] == ["fused", "fused"]
     assert file["stages"]["inertia"]["motion"]["a.parquet"] == "fused: imu_a, imu_b"
+    assert [use["cutoff_hz"] for use in used] == [file["stages"]["inertia"]["cutoff_hz"]] * 2
+    assert "motion: fused" in err
     assert "motion: fused" in err
 
 

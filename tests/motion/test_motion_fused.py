@@ -72,6 +72,12 @@ def test_more_band_and_far_less_error_than_encoders(name: str) -> None:
     assert motion.cutoff.bias < 1e-4
 
 
+def test_encoders_are_compared_at_their_own_cutoff() -> None:
+    given = fused("two", 40.0)
+    assert given.encoder_error is not None
+    np.testing.assert_allclose(given.encoder_error, encoder(scene("two")).acceleration_error)
+
+
 def test_fine_encoders_keep_their_cutoff_at_least() -> None:
     assert fused("six").cutoff.hz >= encoder(scene("six")).cutoff.hz
 

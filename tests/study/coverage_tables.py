@@ -108,6 +108,9 @@ def group_table(results: Sequence[Result], subsets: dict[str, Callable[[Result],
             z = [z_of([x for x in r["rows"] if x["group"] == group]) for r in own]
             if any(len(x) for x in z):
                 rows.append([f"{group}, {label}", *coverage(z).cells()])
+            good = [x for x, r in zip(z, own, strict=True) if r["verdicts"].get(group)]
+            if label == "all" and 0 < len(good) < len(own):
+                rows.append([f"{group}, verdict good", *coverage(good).cells()])
     return table(["group", *HEADER], rows)
 
 

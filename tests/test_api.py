@@ -16,7 +16,7 @@ from seqid_cli.errors import ConfigError, InputError
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs" / "one_joint"
 ROBOT = SAMPLES / "robot.toml"
-ON_SCREEN_ONLY = {"context", "strict", "form"}
+ON_SCREEN_ONLY = {"context", "strict", "form", "explain"}
 WITHOUT = {"completion", "init"}  # a shell's script, and a template to fill in by hand
 
 

@@ -10,19 +10,30 @@ _COLUMNS = 56
 _ROWS = 7
 
 
-def text_chart(x: Sequence[float], y: Sequence[float], *, x_label: str, y_label: str) -> list[str]:
-    """Draw y over x, with the ranges of both at the axes; nothing below two points.
+def text_chart(
+    x: Sequence[float],
+    y: Sequence[float],
+    after: Sequence[float] = (),
+    *,
+    x_label: str,
+    y_label: str,
+) -> list[str]:
+    """Draw y (`*`) and what it is `after` something (`o`) over x, with the ranges at the axes.
 
-    Points that fall into one column are averaged; x need not be even or sorted.
+    Nothing below two points. Points that fall into one column are averaged; x need not be even or
+    sorted.
     """
     if len(x) < 2 or min(x) == max(x):
         return []
-    means = _column_means(x, y)
-    low, high = min(means.values()), max(means.values())
+    curves = [("o", _column_means(x, after))] if after else []
+    curves.append(("*", _column_means(x, y)))
+    every = [value for _, means in curves for value in means.values()]
+    low, high = min(every), max(every)
     rows = [[" "] * _COLUMNS for _ in range(_ROWS)]
-    for column, value in means.items():
-        share = (value - low) / (high - low) if high > low else 0.5
-        rows[_ROWS - 1 - round(share * (_ROWS - 1))][column] = "*"
+    for mark, means in curves:
+        for column, value in means.items():
+            share = (value - low) / (high - low) if high > low else 0.5
+            rows[_ROWS - 1 - round(share * (_ROWS - 1))][column] = mark
     labels = [number(high), *[""] * (_ROWS - 2), number(low)]
     width = max(map(len, labels))
     left, right = number(min(x)), number(max(x))

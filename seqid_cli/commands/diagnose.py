@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,18 +23,21 @@ from seqid_cli.commands.options import (
 )
 from seqid_cli.commands.render import screen_of
 from seqid_cli.commands.show_diagnosis import show_diagnosis
+from seqid_cli.commands.show_explained import show_explained
 from seqid_cli.commands.show_motion import announced, show_motion
 from seqid_cli.commands.stages import tell_output, tell_remedies
+from seqid_cli.errors import UsageError
 from seqid_cli.params.diagnosis_schema import (
     DIAGNOSIS_SCHEMA,
     ClosestEffect,
-    Curve,
     DiagnosisFile,
     EffectParameter,
     EventEntry,
+    EvidenceEntry,
     FindingEntry,
     HiddenEntry,
     ResidualEntry,
+    RivalEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.document import now, present, robot_id, tool
@@ -42,9 +46,24 @@ from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import MotionUse
 
 if TYPE_CHECKING:
-    from seqid_cli.discover.results import Diagnosis, Finding, JointResidual, Unexplained
+    from seqid_cli.discover.results import (
+        Diagnosis,
+        Evidence,
+        Finding,
+        JointResidual,
+        Rival,
+        Unexplained,
+    )
     from seqid_cli.robot.types import Robot
 
+Explain = Annotated[
+    str | None,
+    typer.Option(
+        "--explain",
+        metavar="JOINT",
+        help="Tell of one joint what was tried there, what was taken and what was not, and why.",
+    ),
+]
 EXAMPLES = (
     "seqid diagnose sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
     " -p inertia.json -o diagnosis.json",
@@ -60,6 +79,9 @@ _UNITS = {
     "temperature": ("degC", "degC"),
     "time": ("s", "s"),
     "time_frequency": ("Hz", "Hz"),
+    "speed": ("rad/s", "m/s"),
+    "wave": ("turn", "turn"),
+    "torque": ("N m", "N"),
 }
 
 
@@ -73,6 +95,7 @@ def run(
     cutoff: Cutoff = None,
     time: Clock = "header",
     strict: Strict = False,
+    explain: Explain = None,
 ) -> int:
     """Find out which physical effects a model lacks; any logs will do, nothing is changed.
 
@@ -87,6 +110,9 @@ def run(
         time_source=time,
         needs=("friction", "inertia", *imu_stage_for(motion)),
     )
+
+    if explain is not None:
+        _known(explain, job)
 
     from seqid_cli.discover.diagnose import diagnose
     from seqid_cli.discover.gather import gather, one_each
@@ -117,7 +143,10 @@ def run(
     if job.output is not None:
         write_json_atomic(job.output, file, inputs=[*job.files, *job.parameters])
     job.screen.document(file)
-    show_diagnosis(job.screen, file)
+    if explain is None:
+        show_diagnosis(job.screen, file)
+    else:
+        show_explained(job.screen, file, explain)
     show_motion(job.screen, file.motion)
     tell_output(job, "")
     _tell_next(job, file)
@@ -125,6 +154,16 @@ def run(
         tell_remedies(job.screen, account.findings)
     missing = file.verdict != "nothing_missing" or bool(file.verdicts)
     return exit_code(untrusted=strict and missing, partial=account.partial)
+
+
+def _known(joint: str, job: Job) -> None:
+    names = job.robot.joint_names
+    if joint not in names:
+        raise UsageError(
+            f"--explain names no joint of this robot: {joint!r}",
+            where=str(job.robot.source),
+            hint=f"Its joints are {', '.join(names)}.",
+        )
 
 
 def _tell_next(job: Job, file: DiagnosisFile) -> None:
@@ -152,7 +191,7 @@ def _document(
         parameters=[FileId(path=str(p), sha256=file_sha256(p)) for p in job.parameters],
         stages=list(present(job.stages)),
         verdict=found.verdict,
-        findings=[_finding(finding) for finding in found.findings],
+        findings=[_finding(finding, job.robot) for finding in found.findings],
         unexplained=[_unexplained(part, job.robot) for part in found.unexplained],
         joints={name: _residual(joint) for name, joint in found.joints.items()},
         events=[
@@ -169,7 +208,7 @@ def _document(
     )
 
 
-def _finding(finding: Finding) -> FindingEntry:
+def _finding(finding: Finding, robot: Robot) -> FindingEntry:
     return FindingEntry(
         effect=finding.effect,
         joint=finding.joint,
@@ -187,27 +226,52 @@ def _finding(finding: Finding) -> FindingEntry:
         ],
         settings=dict(finding.settings),
         note=finding.note,
+        log_gain=finding.log_gain,
+        evidence=_evidence(finding.evidence, robot),
+        rivals=_rivals(finding.rivals),
     )
 
 
+def _evidence(shown: Evidence | None, robot: Robot) -> EvidenceEntry | None:
+    if shown is None:
+        return None
+    return EvidenceEntry(
+        joint=shown.joint,
+        quantity=shown.quantity,
+        of=shown.of,
+        unit=_unit_of(shown.quantity, shown.of, robot),
+        sided=shown.sided,
+        x=list(shown.x),
+        count=list(shown.count),
+        before=list(shown.before),
+        before_spread=list(shown.before_spread),
+        after=list(shown.after),
+        after_spread=list(shown.after_spread),
+    )
+
+
+def _rivals(some: Sequence[Rival]) -> list[RivalEntry]:
+    return [
+        RivalEntry(effect=one.effect, joint=one.joint, log_gain=one.log_gain, why_not=one.why_not)
+        for one in some
+    ]
+
+
+def _unit_of(quantity: str, joint: str, robot: Robot) -> str:
+    prismatic = robot.joints[robot.joint_names.index(joint)].prismatic
+    return _UNITS.get(quantity, ("", ""))[prismatic]
+
+
 def _unexplained(part: Unexplained, robot: Robot) -> UnexplainedPart:
-    curve = None
-    if part.curve is not None and part.depends_on:
-        quantity = part.depends_on[0]
-        prismatic = robot.joints[robot.joint_names.index(part.joint)].prismatic
-        curve = Curve(
-            quantity=quantity,
-            unit=_UNITS.get(quantity, ("", ""))[prismatic],
-            x=list(part.curve[0]),
-            torque=list(part.curve[1]),
-        )
     near = part.closest
     return UnexplainedPart(
         joint=part.joint,
         depends_on=list(part.depends_on),
         share=part.share,
-        curve=curve,
         closest=ClosestEffect(effect=near.effect, share=near.share) if near else None,
+        log_gain=part.log_gain,
+        evidence=_evidence(part.evidence, robot),
+        rivals=_rivals(part.rivals),
     )
 
 
@@ -220,4 +284,5 @@ def _residual(joint: JointResidual) -> ResidualEntry:
         white=joint.white,
         rmse_explained=joint.rmse_explained if counted else None,
         samples=joint.samples,
+        tried=_rivals(joint.tried),
     )

@@ -10,12 +10,13 @@ from seqid_cli.commands.show import show_poor
 from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EventEntry,
+    EvidenceEntry,
     FindingEntry,
     HiddenEntry,
     ResidualEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.diagnosis_words import nothing_found
+from seqid_cli.params.diagnosis_words import nothing_found, over_words
 
 _EVENTS_SHOWN = 10
 
@@ -37,7 +38,9 @@ def verdict_sentence(file: DiagnosisFile) -> str:
     """Return the verdict in one sentence."""
     if file.verdict == "nothing_missing":
         return nothing_found(file)
-    rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
+    rest = "; ".join(
+        f"{part.joint}: {quantities_text(part.depends_on)}" for part in file.unexplained
+    )
     if file.verdict == "unexplained":
         where = f" ({rest})" if rest else ""
         return f"Something is missing that no known effect explains{where}."
@@ -59,7 +62,7 @@ def _findings(screen: Screen, findings: Sequence[FindingEntry]) -> None:
             item.joint or "whole arm",
             percent(item.confidence),
             percent(item.explains),
-            _parameters(item),
+            parameters_text(item),
         )
         for item in findings
     ]
@@ -83,7 +86,8 @@ def _choice(item: FindingEntry) -> str:
     return " or ".join(item.confusable_with)
 
 
-def _parameters(item: FindingEntry) -> str:
+def parameters_text(item: FindingEntry) -> str:
+    """Return the parameters of an effect with their errors, and its settings."""
     if not item.parameters:
         return "not determined by these logs"
     values = [
@@ -116,22 +120,28 @@ def _unit(unit: str) -> str:
 def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart]) -> None:
     columns = ("joint", "unexplained, depends on", "share", "closest effect, share of its gain")
     rows = [
-        (part.joint, _quantities(part.depends_on), percent(part.share), _closest(part))
+        (part.joint, quantities_text(part.depends_on), percent(part.share), _closest(part))
         for part in parts
     ]
     screen.table(columns, rows)
     for part in parts:
-        curve = part.curve
-        if curve is None:
-            continue
-        lines = text_chart(
-            curve.x,
-            curve.torque,
-            x_label=f"{curve.quantity}{_unit(curve.unit)}",
-            y_label=f"unexplained torque of {part.joint} N m",
-        )
-        for line in lines:
-            screen.result(line)
+        show_evidence(screen, part.evidence)
+
+
+def show_evidence(screen: Screen, shown: EvidenceEntry | None) -> None:
+    """Draw the residual over what an effect goes with, before and after that is taken off."""
+    if shown is None:
+        return
+    sided = " times direction" if shown.sided else ""
+    after = ", o without it" if shown.after else ""
+    for line in text_chart(
+        shown.x,
+        shown.before,
+        shown.after,
+        x_label=f"{over_words(shown)}{_unit(shown.unit)}",
+        y_label=f"* residual of {shown.joint}{sided} N m{after}",
+    ):
+        screen.result(line)
 
 
 def _closest(part: UnexplainedPart) -> str:
@@ -139,7 +149,8 @@ def _closest(part: UnexplainedPart) -> str:
     return "none" if near is None else f"{near.effect}, {percent(near.share)}"
 
 
-def _quantities(names: Sequence[str]) -> str:
+def quantities_text(names: Sequence[str]) -> str:
+    """Return quantities in words."""
     return ", ".join(names) or "nothing that was logged"
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from seqid_cli.discover.aside import EventAside, events_aside
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.events import GATE, Interval
+from seqid_cli.discover.evidence import evidence_of, pushed
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, looks_like, louder_joints
 from seqid_cli.discover.notes import (
@@ -38,6 +39,7 @@ from seqid_cli.discover.results import (
     Unexplained,
     Verdict,
 )
+from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.discover.select.naming import named, reality
 from seqid_cli.discover.select.selection import Taken
@@ -104,7 +106,7 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     """Turn a selection and events into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, taken) for taken in found.found.effects]
     sure = [taken for taken in found.found.smooth if reality(taken.one.foretold) >= TOLD]
-    rest = _largest_of_each([_unexplained(robot, taken) for taken in sure])
+    rest = _largest_of_each([_unexplained(found, robot, taken) for taken in sure])
     ordinary = expected(found)
     loud = louder_joints(found, ordinary)
     if found.events or aside:
@@ -165,6 +167,7 @@ def _contact(found: Investigation, robot: Robot, aside: Sequence[EventAside]) ->
         separate_by=effect.separate_by,
         gain=0.0,
         note=f"{len(found.events) + len(aside)} interval(s), left out of the search",
+        evidence=pushed(found, robot),
     )
 
 
@@ -233,6 +236,9 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> Finding:
         parameters=tuple(values),
         settings=what.settings,
         note=effect.lacking(robot, what.joint),
+        log_gain=taken.one.foretold.total,
+        evidence=evidence_of(found, robot, taken),
+        rivals=rivals_of(robot, taken, name.others),
     )
 
 
@@ -254,11 +260,11 @@ def share_above(before: Array, after: Array, floor: Array) -> float:
     return float(np.clip(gone / max(above, 1e-300), 0.0, 1.0))
 
 
-def _unexplained(robot: Robot, taken: Taken) -> Unexplained:
+def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplained:
     """Describe a smooth function that was taken."""
     what = taken.term.what
     assert isinstance(what, SmoothFunction)
-    curve, told = what.curve(taken.one.gained.coefficients), taken.one.foretold
+    told = taken.one.foretold
     effects = [rival for rival in taken.rivals if not rival.term.smooth]
     closest = None
     if effects:
@@ -268,8 +274,10 @@ def _unexplained(robot: Robot, taken: Taken) -> Unexplained:
         joint=robot.joint_names[what.joint],
         depends_on=what.quantities,
         share=float(np.clip(told.share, 0.0, 1.0)),
-        curve=None if curve is None else (tuple(curve[0].tolist()), tuple(curve[1].tolist())),
         closest=closest,
+        log_gain=told.total,
+        evidence=evidence_of(found, robot, taken),
+        rivals=rivals_of(robot, taken),
     )
 
 
@@ -284,6 +292,7 @@ def _joints(found: Investigation, robot: Robot) -> dict[str, JointResidual]:
             white=bool(whites[j]),
             rmse_explained=float(rms[j]),
             samples=rows.count(j),
+            tried=tried_at(found, robot, j),
         )
         for j, name in enumerate(robot.joint_names)
     }

@@ -12,14 +12,49 @@ Verdict = Literal["effect_found", "nothing_missing", "unexplained"]
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """Residual of a joint over what an effect goes with, before and after that is taken off.
+
+    Everything else that was found is taken off in both. `quantity` is a quantity of the contract,
+    or `speed`, `wave` (place on the effect's own wave, in turns), `torque` (the effect's own), of
+    joint `of`; with `sided` the torque is told times the direction of motion. Per bin: mean of the
+    quantity, samples, mean residual and its standard deviation [N m].
+    """
+
+    joint: str
+    quantity: str
+    of: str
+    sided: bool
+    x: tuple[float, ...]
+    count: tuple[int, ...]
+    before: tuple[float, ...]
+    before_spread: tuple[float, ...]
+    after: tuple[float, ...]
+    after_spread: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Something that was tried and not taken: its gain, and in words why not.
+
+    `log_gain` is in log predictive density of blocks that were left out [nats].
+    """
+
+    effect: str
+    joint: str | None
+    log_gain: float
+    why_not: str
+
+
+@dataclass(frozen=True)
 class Finding:
     """One effect that the model lacks.
 
     `joint` is None for an effect of the whole arm. `confidence` is the probability that it is this
     effect or one of `confusable_with`, `name_confidence` that it is this one. `explains` is the
     share of the held-out residual variance above the noise floor that it takes away; `gain` the
-    share of the residual's variance itself. `parameters` is empty where these logs do not determine
-    them.
+    share of the residual's variance itself, `log_gain` that in log predictive density.
+    `parameters` is empty where these logs do not determine them. `rivals` were tried in its place.
     """
 
     effect: str
@@ -33,6 +68,9 @@ class Finding:
     parameters: tuple[Value, ...] = ()
     settings: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
+    log_gain: float | None = None
+    evidence: Evidence | None = None
+    rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -47,22 +85,24 @@ class Closest:
 class Unexplained:
     """A part of a joint's residual that depends on something, but on no effect of the catalogue.
 
-    `depends_on` as the contract spells quantities, the strongest first; `curve` is the smooth shape
-    of it over the first quantity, if that is a number: x and torque [N m].
+    `depends_on` as the contract spells quantities, the strongest first; `evidence` is None where no
+    smooth function was taken.
     """
 
     joint: str
     depends_on: tuple[str, ...]
     share: float
-    curve: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     closest: Closest | None = None
+    log_gain: float | None = None
+    evidence: Evidence | None = None
+    rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True)
 class JointResidual:
     """Residual of one joint [N m]: as the model stands, its noise floor, and with the findings.
 
-    `noise_floor_interval` is of the floor, 95 %.
+    `noise_floor_interval` is of the floor, 95 %; `tried` what was not taken beside the findings.
     """
 
     rmse: float
@@ -71,6 +111,7 @@ class JointResidual:
     white: bool
     rmse_explained: float
     samples: int
+    tried: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,50 @@ class EffectParameter(Struct, kw_only=True):
     unit: str
 
 
+class EvidenceEntry(Struct, kw_only=True):
+    """Residual of `joint`, N m, over what an effect goes with, before and after that is taken off.
+
+    Everything else that was found is taken off in both. `quantity` is position, velocity, speed,
+    acceleration, load, temperature or time of joint `of`, `wave` (place on the effect's own wave,
+    in turns) or `torque` (that of the effect itself). Where the effect turns with the direction of
+    motion the torque is told times this (`sided`). Per bin: mean of the quantity, samples, mean
+    residual and its standard deviation; `after` is empty where nothing can be taken off (a push).
+    """
+
+    joint: str
+    quantity: str
+    of: str
+    unit: str
+    sided: bool
+    x: list[float]
+    count: list[int]
+    before: list[float]
+    before_spread: list[float]
+    after: list[float]
+    after_spread: list[float]
+
+
+class RivalEntry(Struct, kw_only=True):
+    """Something that was tried and not taken; `joint` is null for what is of the whole arm.
+
+    `log_gain` is the gain in log predictive density of blocks that were left out [nats]; `why_not`
+    says in words why it was not taken.
+    """
+
+    effect: str
+    joint: str | None
+    log_gain: float
+    why_not: str
+
+
 class FindingEntry(Struct, kw_only=True):
     """One effect that the model lacks; `joint` is null for an effect of the whole arm.
 
     `confidence` is the probability that it is this effect or one of `confusable_with`, which these
     logs do not tell from it; `name_confidence` that it is this one. `separate_by` is what to record
     to tell. `explains` is the share of the held-out residual variance above the noise floor that
-    the effect takes away, `gain` the share of the residual variance itself. `parameters` is empty
+    the effect takes away, `gain` the share of the residual variance itself, `log_gain` that in log
+    predictive density; `rivals` were tried in its place. `parameters` is empty
     where the logs do not determine them; `settings` are what the effect's torque is not linear in.
     """
 
@@ -41,10 +78,13 @@ class FindingEntry(Struct, kw_only=True):
     parameters: list[EffectParameter] = []
     settings: dict[str, float] = {}
     note: str = ""
+    log_gain: float | None = None  # null: of an event, or written before it was known
+    evidence: EvidenceEntry | None = None
+    rivals: list[RivalEntry] = []
 
 
 class Curve(Struct, kw_only=True):
-    """Smooth shape of an unexplained residual over one quantity (its unit: `unit`)."""
+    """Shape of an unexplained residual over one quantity, in files of before `evidence`."""
 
     quantity: str
     unit: str
@@ -73,6 +113,9 @@ class UnexplainedPart(Struct, kw_only=True):
     share: float
     curve: Curve | None = None
     closest: ClosestEffect | None = None
+    log_gain: float | None = None
+    evidence: EvidenceEntry | None = None
+    rivals: list[RivalEntry] = []
 
 
 class ResidualEntry(Struct, kw_only=True):
@@ -80,7 +123,7 @@ class ResidualEntry(Struct, kw_only=True):
 
     `noise_floor` is what torque noise and encoder alone leave, estimated by itself, and
     `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts. `white` says
-    that nothing but noise is left.
+    that nothing but noise is left. `tried` is what was not taken beside the findings.
     """
 
     rmse: float | None
@@ -89,6 +132,7 @@ class ResidualEntry(Struct, kw_only=True):
     white: bool
     rmse_explained: float | None
     samples: int
+    tried: list[RivalEntry] = []
 
 
 class EventEntry(Struct, kw_only=True):

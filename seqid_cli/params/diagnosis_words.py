@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.diagnosis_schema import MORE_THAN_NOISE, DiagnosisFile, ResidualEntry
+from seqid_cli.params.diagnosis_schema import (
+    MORE_THAN_NOISE,
+    DiagnosisFile,
+    EvidenceEntry,
+    ResidualEntry,
+)
 
 
 def nothing_found(file: DiagnosisFile) -> str:
@@ -26,3 +31,22 @@ def beyond_noise(joint: ResidualEntry) -> str:
     if not joint.white and joint.rmse is not None:
         reasons.append("not white")
     return ", ".join(reasons)
+
+
+def over_words(shown: EvidenceEntry) -> str:
+    """Return what a residual is shown over, in words, without its unit."""
+    if shown.quantity == "torque":
+        return "the effect's own torque"
+    if shown.quantity == "wave":
+        return "place on the effect's wave"
+    if shown.quantity == "time":
+        return "time"
+    other = "" if shown.of == shown.joint else f" of {shown.of}"
+    return f"{shown.quantity}{other}"
+
+
+def flatness(shown: EvidenceEntry) -> tuple[float, float] | None:
+    """Return the swing of the bins' means, N m, before and after; None where nothing comes off."""
+    if not shown.after:
+        return None
+    return max(shown.before) - min(shown.before), max(shown.after) - min(shown.after)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, ResidualEntry
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, EvidenceEntry, ResidualEntry
 from seqid_cli.params.document import join, present
 from seqid_cli.params.prediction_schema import PredictionFile
 from seqid_cli.params.read_any import Source
@@ -188,10 +188,23 @@ def _check_names(item: Source) -> None:
             raise ConfigError(message, where=item.path, hint=hint)
     if not isinstance(content, DiagnosisFile):
         return
-    for place, part in enumerate(content.unexplained):
-        if part.curve is not None and len(part.curve.x) != len(part.curve.torque):
-            message = f"$.unexplained[{place}].curve: x and torque must be of one length"
+    for place, shown in _shown(content):
+        if len({len(bins) for bins in _bins(shown)}) > 1:
+            message = f"{place}: x, count, before and after must be of one length"
             raise ConfigError(message, where=item.path, hint=hint)
+
+
+def _shown(content: DiagnosisFile) -> Iterable[tuple[str, EvidenceEntry]]:
+    for key in ("findings", "unexplained"):
+        for place, part in enumerate(getattr(content, key)):
+            if part.evidence is not None:
+                yield f"$.{key}[{place}].evidence", part.evidence
+
+
+def _bins(shown: EvidenceEntry) -> list[Sequence[float]]:
+    """Lists of one length; nothing comes off a push."""
+    after = [shown.after, shown.after_spread] if shown.after or shown.after_spread else []
+    return [shown.x, shown.count, shown.before, shown.before_spread, *after]
 
 
 def _named(content: object) -> Iterable[tuple[str, str]]:
@@ -205,6 +218,8 @@ def _named(content: object) -> Iterable[tuple[str, str]]:
         for item in content.findings:
             if item.joint is not None:
                 yield "$.findings", item.joint
+        for key, shown in _shown(content):
+            yield from ((key, name) for name in (shown.joint, shown.of))
 
 
 def _check_stale(documents: Sequence[Source]) -> None:

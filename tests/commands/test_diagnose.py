@@ -17,9 +17,11 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import (
     Diagnosis,
     Event,
+    Evidence,
     Finding,
     Hidden,
     JointResidual,
+    Rival,
     Unexplained,
 )
 from seqid_cli.errors import InputError
@@ -49,6 +51,23 @@ STRIBECK = Finding(
     parameters=(Value("stribeck_torque", 1.5, 0.05, "N m"),),
     settings={"stribeck_speed": 0.05, "exponent": 2.0},
     note="a remark on it",
+    log_gain=300.0,
+    evidence=Evidence(
+        joint="elbow",
+        quantity="speed",
+        of="elbow",
+        sided=True,
+        x=(0.1, 0.5, 1.0),
+        count=(50, 51, 50),
+        before=(1.5, 0.4, 0.1),
+        before_spread=(0.2, 0.2, 0.2),
+        after=(0.01, -0.02, 0.0),
+        after_spread=(0.2, 0.2, 0.2),
+    ),
+    rivals=(
+        Rival("presliding_hysteresis", "elbow", 290.0, "these logs cannot tell the two apart"),
+        Rival("quadratic_drag", "elbow", 120.0, "explains 60.0 % less"),
+    ),
 )
 PAYLOAD = Finding(
     effect="payload",
@@ -64,10 +83,31 @@ CURVE = Unexplained(
     joint="shoulder",
     depends_on=("position", "other_joint:elbow"),
     share=0.4,
-    curve=((-1.0, 0.0, 1.0), (0.5, -0.5, 0.5)),
+    log_gain=80.0,
+    evidence=Evidence(
+        joint="shoulder",
+        quantity="position",
+        of="shoulder",
+        sided=False,
+        x=(-1.0, 0.0, 1.0),
+        count=(9, 9, 9),
+        before=(0.5, -0.5, 0.5),
+        before_spread=(0.1, 0.1, 0.1),
+        after=(0.0, 0.0, 0.0),
+        after_spread=(0.1, 0.1, 0.1),
+    ),
+    rivals=(Rival("spring", "shoulder", 20.0, "explains 75.0 % less"),),
 )
 JOINTS = {
-    "shoulder": JointResidual(0.3, 0.1, (0.08, 0.13), False, 0.12, 400),
+    "shoulder": JointResidual(
+        0.3,
+        0.1,
+        (0.08, 0.13),
+        False,
+        0.12,
+        400,
+        (Rival("drift", "shoulder", 1.0, "gain of 0.9 standard errors; 2 are asked at least"),),
+    ),
     "elbow": JointResidual(float("nan"), float("nan"), (0.0, 0.0), True, float("nan"), 0),
 }
 QUIET = JointResidual(0.12, 0.1, (0.08, 0.13), True, 0.12, 400)
@@ -142,12 +182,18 @@ def test_the_document(rig: Rig, library: Library) -> None:
         {"name": "stribeck_torque", "value": 1.5, "std_error": 0.05, "unit": "N m"}
     ]
     assert document["findings"][1]["joint"] is None
-    assert document["unexplained"][0]["curve"] == {
-        "quantity": "position",
-        "unit": "rad",
-        "x": [-1.0, 0.0, 1.0],
-        "torque": [0.5, -0.5, 0.5],
+    shown = document["unexplained"][0]["evidence"]
+    assert (shown["quantity"], shown["of"], shown["unit"]) == ("position", "shoulder", "rad")
+    assert shown["before"] == [0.5, -0.5, 0.5]
+    assert first["evidence"]["sided"]
+    assert first["evidence"]["unit"] == "rad/s"
+    assert first["rivals"][1] == {
+        "effect": "quadratic_drag",
+        "joint": "elbow",
+        "log_gain": 120.0,
+        "why_not": "explains 60.0 % less",
     }
+    assert document["joints"]["shoulder"]["tried"][0]["effect"] == "drift"
     assert document["joints"]["shoulder"]["rmse"] == 0.3
     assert document["joints"]["elbow"]["rmse"] is None
     assert document["stages"] == ["friction", "gravity", "imu", "inertia"]
@@ -155,6 +201,60 @@ def test_the_document(rig: Rig, library: Library) -> None:
     assert document["parameters"][0]["path"] == "p.json"
     assert len(document["events"]) == 12
     assert document["hidden"][0] == {"effect": "base_tilt", "joint": None, "visible": 0.02}
+
+
+def test_the_story_of_a_joint(rig: Rig, library: Library) -> None:
+    """What was taken there comes with its rivals; other joints' findings do not."""
+    done = rig.run(*BASE, "-o", "out.json", "--explain", "shoulder")
+    assert done.code == 0
+    assert (rig.folder / "out.json").exists()
+    lines = done.out.splitlines()
+    assert lines[0] == (
+        "shoulder: the model leaves 0.3 N m (RMS), 3 times the noise floor of 0.1 N m"
+        " (0.08 to 0.13)."
+    )
+    assert "Taken: payload at the whole arm, 60.0 % sure." in lines
+    assert "stribeck" not in done.out
+    assert "Unexplained: 40.0 % of what is left goes with position, other_joint:elbow." in lines
+    assert "Over it the residual varies by 1 N m; without it, by 0 N m." in lines
+    spring = next(line for line in lines if line.startswith("spring"))
+    assert spring.endswith("explains 75.0 % less")
+    drift = next(line for line in lines if line.startswith("drift"))
+    assert drift.endswith("gain of 0.9 standard errors; 2 are asked at least")
+    assert "Left: 0.12 N m, 1.2 times the noise floor, not white." in lines
+
+
+def test_the_story_of_a_finding(rig: Rig, library: Library) -> None:
+    done = rig.run(*BASE, "--explain", "elbow")
+    lines = done.out.splitlines()
+    assert lines[0].startswith("elbow: no sample counts")
+    taken = next(k for k, line in enumerate(lines) if line.startswith("Taken: stribeck"))
+    assert lines[taken] == (
+        "Taken: stribeck at elbow, or presliding_hysteresis or quadratic_drag:"
+        " 97.0 % sure, of this name 90.0 %."
+    )
+    assert "70.0 % of the squared error" in lines[taken + 1]
+    assert any("times direction" in line for line in lines)
+    drag = next(line for line in lines if line.startswith("quadratic_drag"))
+    assert drag.split()[:3] == ["quadratic_drag", "elbow", "120"]
+    assert any(line.endswith("record: slow reversals at two accelerations.") for line in lines)
+    assert "These motions cannot show: base_tilt, spring." in lines
+
+
+def test_the_story_of_nothing(rig: Rig, library: Library) -> None:
+    library.result = NOTHING
+    done = rig.run(*BASE, "--explain", "shoulder")
+    assert "Nothing was taken." in done.out
+
+
+def test_an_unknown_joint_cannot_be_explained(rig: Rig, library: Library) -> None:
+    done = rig.run(*BASE, "-o", "out.json", "--explain", "knee")
+    assert done.code == 2
+    assert "--explain names no joint of this robot: 'knee'" in done.err
+    assert "shoulder, elbow" in done.err
+    assert done.out == ""
+    assert not (rig.folder / "out.json").exists()
+    assert library.calls == []
 
 
 def test_what_the_user_sees(rig: Rig, library: Library) -> None:
@@ -174,7 +274,7 @@ def test_what_the_user_sees(rig: Rig, library: Library) -> None:
     )
     assert lines[5] == "  to tell them apart, record: slow reversals at two accelerations"
     assert "payload: could also be" not in done.out
-    assert "unexplained torque of shoulder N m" in done.out
+    assert "* residual of shoulder N m, o without it" in done.out
     assert "position rad" in done.out
     joint = lines[next(k for k, line in enumerate(lines) if "noise floor" in line) + 1].split()
     assert joint == ["shoulder", "0.3", "0.1", "0.08", "to", "0.13", "3", "0.12", "no"]

@@ -157,10 +157,12 @@ def test_what_no_effect_explains_is_said_to_depend_on_what_it_does() -> None:
     assert rest.joint == "elbow"
     assert rest.depends_on[0] == "position"
     assert rest.share > 0.3
-    assert rest.curve is not None
-    x, torque = rest.curve
-    assert len(x) == len(torque) > 10
-    assert np.all(np.diff(x) > 0)
+    shown = rest.evidence
+    assert shown is not None
+    assert (shown.joint, shown.of, shown.quantity) == ("elbow", "elbow", "position")
+    assert np.ptp(shown.after) < 0.3 * np.ptp(shown.before)
+    assert rest.closest is not None
+    assert rest.closest.effect in {rival.effect for rival in rest.rivals}
     assert all(f.confidence < 0.7 for f in found.findings)
     plain(found)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from seqid_cli.params.diagnosis_schema import (
     DIAGNOSIS_SCHEMA,
-    Curve,
     DiagnosisFile,
     EffectParameter,
     EventEntry,
+    EvidenceEntry,
     FindingEntry,
     HiddenEntry,
     ResidualEntry,
+    RivalEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.document import now, tool, with_stage
@@ -139,7 +140,25 @@ def closed_loop() -> ClosedLoop:
     )
 
 
+def evidence(joint: str, quantity: str, unit: str, *, sided: bool = False) -> EvidenceEntry:
+    x = [-1.0, 0.0, 1.0]
+    return EvidenceEntry(
+        joint=joint,
+        quantity=quantity,
+        of=joint,
+        unit=unit,
+        sided=sided,
+        x=x,
+        count=[50, 51, 50],
+        before=[0.5, -0.5, 0.5],
+        before_spread=[0.1, 0.2, 0.1],
+        after=[0.01, -0.02, 0.03],
+        after_spread=[0.09, 0.08, 0.07],
+    )
+
+
 def diagnosis_file() -> DiagnosisFile:
+    shown = evidence("elbow", "speed", "rad/s", sided=True)
     speed = EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
     finding = FindingEntry(
         effect="stribeck",
@@ -152,10 +171,23 @@ def diagnosis_file() -> DiagnosisFile:
         parameters=[speed],
         settings={"stribeck_speed": 0.05, "exponent": 2.0},
         note="a remark",
+        log_gain=300.0,
+        evidence=shown,
+        rivals=[
+            RivalEntry(
+                effect="presliding_hysteresis",
+                joint="elbow",
+                log_gain=290.0,
+                why_not="these logs cannot tell the two apart: it reaches 96.7 % of the gain",
+            ),
+            RivalEntry(effect="payload", joint=None, log_gain=90.0, why_not="explains 70.0 % less"),
+        ],
     )
-    curve = Curve(quantity="position", unit="rad", x=[-1.0, 0.0, 1.0], torque=[0.5, -0.5, 0.5])
     part = UnexplainedPart(
-        joint="shoulder", depends_on=["position", "direction"], share=0.4, curve=curve
+        joint="shoulder",
+        depends_on=["position", "direction"],
+        share=0.4,
+        evidence=evidence("shoulder", "position", "rad"),
     )
     residual = ResidualEntry(
         rmse=0.3,
@@ -164,6 +196,14 @@ def diagnosis_file() -> DiagnosisFile:
         white=False,
         rmse_explained=0.12,
         samples=400,
+        tried=[
+            RivalEntry(
+                effect="spring",
+                joint="elbow",
+                log_gain=3.0,
+                why_not="gain of 0.9 standard errors; 2 are asked at least",
+            )
+        ],
     )
     still = ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
     return DiagnosisFile(

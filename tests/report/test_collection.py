@@ -132,11 +132,19 @@ def test_joints_that_the_robot_has_not_are_an_error(place: str) -> None:
         collect([document])
 
 
-def test_a_curve_needs_as_many_torques_as_places() -> None:
+def test_evidence_needs_as_many_torques_as_places() -> None:
     diagnosis = diagnosis_file()
-    assert diagnosis.unexplained[0].curve is not None
-    diagnosis.unexplained[0].curve.x.pop()
-    with pytest.raises(ConfigError, match=r"x\.json: \$\.unexplained\[0\]\.curve"):
+    assert diagnosis.unexplained[0].evidence is not None
+    diagnosis.unexplained[0].evidence.after.pop()
+    with pytest.raises(ConfigError, match=r"x\.json: \$\.unexplained\[0\]\.evidence"):
+        collect([source("x.json", diagnosis)])
+
+
+def test_evidence_must_be_of_the_robots_joints() -> None:
+    diagnosis = diagnosis_file()
+    assert diagnosis.findings[0].evidence is not None
+    diagnosis.findings[0].evidence.of = "knee"
+    with pytest.raises(ConfigError, match=r"findings\[0\]\.evidence: joint 'knee' is none"):
         collect([source("x.json", diagnosis)])
 
 

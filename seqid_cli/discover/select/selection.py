@@ -100,12 +100,14 @@ class Taken:
 class Selected:
     """The finished model, the terms that are told, and what the model hides.
 
-    `visible` is the share of each other effect's torque that the model does not absorb.
+    `visible` is the share of each other effect's torque that the model does not absorb; `tried`
+    ranks what was tried last, beside all that was taken.
     """
 
     model: Model
     taken: tuple[Taken, ...]
     visible: Mapping[Key, float]
+    tried: tuple[Ranked, ...] = ()
 
     @property
     def effects(self) -> list[Taken]:
@@ -151,6 +153,7 @@ class _Selection:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._visible: dict[Key, float] = {}
         self._grid: dict[int | None, list[Candidate]] = {}
+        self._tried: list[Ranked] = []
 
     def worth(self, noise: Noise) -> float:
         """Evidence under a noise; smooth functions must be better than effects by what is a tie."""
@@ -177,7 +180,7 @@ class _Selection:
 
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
-        ranked = self._ranked(self.model.linear, self._everywhere(), refused)
+        ranked = self._tried = self._ranked(self.model.linear, self._everywhere(), refused)
         passing = [one for one in ranked if self._passes(one)]
         near = [one for one in passing if self._as_good(one, passing[0])]
         best = min(near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None)
@@ -283,7 +286,8 @@ class _Selection:
         kept = tuple(one for one in told if one is not None)
         taken = {term.key for term in self.model.terms}
         others = {key: share for key, share in self._visible.items() if key not in taken}
-        return Selected(self.model, kept, others)
+        tried = tuple(one for one in self._tried if one.term.key not in taken)
+        return Selected(self.model, kept, others, tried)
 
     def _taken(self, term: Term) -> Taken | None:
         """A term and its rivals; none for what may be the error of another's law."""

@@ -27,7 +27,6 @@ Array = NDArray[np.float64]
 SIZE = 12  # functions of one quantity, the constant among them
 TENSOR_SIZE = 6  # the same per quantity of a product
 ORDERS = 12  # of the motor's turn
-CURVE_POINTS = 41
 
 
 @dataclass(frozen=True)
@@ -92,16 +91,6 @@ class SmoothFunction:
         """Return the torque of coefficients (k,) as a model has it."""
         c = self.mixing @ coefficients
         return SmoothTerm(self.joint, self.quantities, self.source.axes, self.source.factor, c)
-
-    def curve(self, coefficients: Array) -> tuple[Array, Array] | None:
-        """Torque [N m] over the one quantity; None where it has two, or waves."""
-        if len(self.source.axes) > 1:
-            return None
-        axis = self.source.axes[0]
-        if not axis.knots:
-            return None
-        x = np.linspace(axis.knots[0], axis.knots[-1], CURVE_POINTS)
-        return x, splines(x, axis.knots) @ (self.mixing @ coefficients)
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:

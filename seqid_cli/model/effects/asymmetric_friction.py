@@ -25,6 +25,7 @@ class AsymmetricFriction(Effect):
 
     name = "asymmetric_friction"
     family = "friction"
+    over = "velocity"
     alike = ("torque_bias", "spring", "drift", "gear_efficiency")
     separate_by = (
         "10 s with the brakes on or the motors off before and after (an offset of the channel "

@@ -25,6 +25,7 @@ class Drift(Effect):
     slow = True
     passes = 1
     settings = (Setting("duration", "s", low=0.0, continuous=False),)
+    over = "session_time"
     alike = ("torque_bias", "thermal_friction")
     separate_by = (
         "ten seconds at rest with the brakes on at the start and at the end of the session, and "

@@ -15,13 +15,14 @@ import abc
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.model.effects.apart import rotor_lacking
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
 from seqid_cli.model.effects.units import unit_of
 from seqid_cli.robot.types import Robot
 
@@ -31,6 +32,7 @@ Settings = Mapping[str, float]
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
 
 Family = Literal["friction", "transmission", "body", "measurement"]
+Over = Measure | Literal["wave", "torque"]
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,11 @@ class Effect(abc.ABC):
         Whether motor and link move apart, so that the parameters take the link's inertia alone.
     later : tuple of str
         Coefficients, the last ones, that files of earlier versions do not have: zero there.
+    over : str
+        The quantity that its torque is shown over: one of its joint, the place on its own `wave`
+        (columns are sine, cosine, sine, ...), or its own `torque` where no quantity alone tells it.
+    sided : bool
+        Whether it turns with the direction of motion, so that it is shown times the direction.
     alike : tuple of str
         Names that this one can be taken for in principle, whatever the motion.
     separate_by : str
@@ -130,6 +137,8 @@ class Effect(abc.ABC):
     change: ClassVar[bool] = False
     apart: ClassVar[bool] = False
     later: ClassVar[tuple[str, ...]] = ()
+    over: ClassVar[Over] = "torque"
+    sided: ClassVar[bool] = False
     alike: ClassVar[tuple[str, ...]] = ()
     separate_by: ClassVar[str]
 
@@ -139,6 +148,10 @@ class Effect(abc.ABC):
         Not so where it remembers more, or needs another channel of the log.
         """
         return True
+
+    def axis(self, joint: int, settings: Settings) -> Axis | None:
+        """Return the quantity that its torque at a joint is shown over; None for wave, torque."""
+        return Axis(cast(Measure, self.over), joint) if self.over in MEASURES else None
 
     def searched(self, settings: Settings) -> int:
         """How many parameters are searched beside the coefficients: the continuous settings."""

@@ -26,6 +26,8 @@ class FrictionChange(Effect):
     name = "friction_change"
     family = "friction"
     change = True
+    over = "speed"
+    sided = True
     alike = ("thermal_friction", "load_dependent_friction", "nonlinear_viscous", "torque_constant")
     separate_by = (
         "the recordings of the friction stage again, at the temperature of the first time: at "

@@ -34,6 +34,8 @@ class GearEfficiency(Effect):
 
     name = "gear_efficiency"
     family = "friction"
+    over = "load_size"
+    sided = True
     alike = ("load_dependent_friction", "torque_saturation", "asymmetric_friction")
     separate_by = (
         "lift and lower the same load at the same constant speed, then with another payload: the "

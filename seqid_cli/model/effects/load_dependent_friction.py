@@ -24,6 +24,8 @@ class LoadDependentFriction(Effect):
 
     name = "load_dependent_friction"
     family = "friction"
+    over = "load_size"
+    sided = True
     alike = ("gear_efficiency", "torque_saturation")
     separate_by = (
         "the same speed, both ways, at different gravity loads or with two payloads: lift and "

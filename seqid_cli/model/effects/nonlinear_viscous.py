@@ -30,6 +30,8 @@ class NonlinearViscous(Effect):
     name = "nonlinear_viscous"
     family = "friction"
     settings = (Setting("exponent", "1", low=0.3, high=4.0),)
+    over = "speed"
+    sided = True
     alike = ("quadratic_drag", "stribeck", "thermal_friction")
     separate_by = (
         "a ladder of eight constant speeds up and down again, both ways, from a fiftieth of the "

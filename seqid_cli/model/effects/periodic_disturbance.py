@@ -51,6 +51,7 @@ class PeriodicDisturbance(Effect):
         Setting("span", "s", low=0.0, continuous=False),
     )
     wide = True
+    over = "wave"
     alike = ("torque_ripple",)
     separate_by = (
         "the same motion at two speeds: a disturbance keeps its frequency, what the motion makes "

@@ -30,6 +30,8 @@ class PositionDependentFriction(Effect):
         Setting("period", "rad", low=0.0, continuous=False),
         Setting("waves", "1", low=1.0, continuous=False),
     )
+    over = "position"
+    sided = True
     alike = ("friction_change", "torque_ripple", "load_dependent_friction")
     separate_by = (
         "constant speeds of this joint both ways over its whole range, at three speeds and with "

@@ -22,6 +22,8 @@ class QuadraticDrag(Effect):
 
     name = "quadratic_drag"
     family = "friction"
+    over = "speed"
+    sided = True
     alike = ("nonlinear_viscous", "stribeck", "thermal_friction")
     separate_by = (
         "a ladder of six constant speeds up and down again, both ways, from a tenth of the speed "

@@ -41,6 +41,7 @@ class Spring(Effect):
     settings = (Setting("cubic", "1", low=0.0, high=1.0, continuous=False),)
     passes = 1
     later = ("quadratic_stiffness",)
+    over = "position"
     alike = ("torque_bias", "payload", "base_tilt", "presliding_hysteresis")
     separate_by = (
         "slow sweeps of this joint over its whole range, both ways, with the other joints in two "

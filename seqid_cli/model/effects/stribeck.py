@@ -34,6 +34,8 @@ class Stribeck(Effect):
         Setting("stribeck_speed", "rad/s", low=1e-6, high=100.0, logarithmic=True),
         Setting("exponent", "1", low=0.5, high=2.0, continuous=False),
     )
+    over = "speed"
+    sided = True
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (
         "constant speeds, both ways, from a third of the Stribeck speed up to the joint's limit, "

@@ -22,6 +22,7 @@ import numpy as np
 from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.excitation import moves, session
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import Axis
 
 LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
 LEAST_SESSION_S, LEAST_LOG_S = 60.0, 120.0
@@ -39,6 +40,8 @@ class ThermalFriction(Effect):
         Setting("logged", "1", low=0.0, high=1.0, continuous=False),
         Setting("reference_temperature", "degC", low=-60.0, high=200.0, continuous=False),
     )
+    over = "session_time"
+    sided = True
     alike = ("torque_constant", "drift", "friction_change")
     separate_by = (
         "the same trajectory cold, after five and after twenty minutes of motion, with motor "
@@ -57,6 +60,12 @@ class ThermalFriction(Effect):
     def local(self, settings: Settings) -> bool:
         """Only without a logged temperature."""
         return not settings["logged"]
+
+    def axis(self, joint: int, settings: Settings) -> Axis | None:
+        """Return the logged temperature, or time."""
+        if settings["logged"]:
+            return Axis("temperature", joint)
+        return super().axis(joint, settings)
 
     def searched(self, settings: Settings) -> int:
         """Return 1 for the time constant, without a logged temperature."""

@@ -25,6 +25,7 @@ class TorqueBias(TorqueMeasurement):
     family = "measurement"
     slow = True
     change = True
+    over = "session_time"
     alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
     separate_by = (
         "ten seconds with the brakes on or the motors without current, before and after, and a "

@@ -71,6 +71,7 @@ class TorqueRipple(Effect):
         Setting("lag", "s", low=0.0, high=max(LAGS_S), continuous=False),
     )
     wide = True
+    over = "wave"
     alike = ("encoder_eccentricity", "periodic_disturbance")
     separate_by = (
         "slow passes at two constant speeds and two loads, both ways: ripple keeps its place in "

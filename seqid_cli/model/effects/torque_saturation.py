@@ -36,6 +36,7 @@ class TorqueSaturation(TorqueMeasurement):
     family = "measurement"
     settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False),)
     first_order = True
+    over = "load"
     alike = ("load_dependent_friction", "gear_efficiency", "torque_constant")
     separate_by = (
         "the same high torque at both directions of motion: hold or lift slowly the largest load "

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.excitation import top_speed
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import slowest_near
 
@@ -49,6 +50,7 @@ class TransmissionCoupling(Effect):
         Setting("neighbour", "1", low=-1.0, high=1.0, continuous=False),
         Setting("ratio", "1", low=-LARGEST_RATIO, high=LARGEST_RATIO, usual=(-1.0, 1.0)),
     )
+    over = "acceleration"
     alike = ("asymmetric_friction", "rotor_inertia")
     separate_by = (
         "each of the two joints alone, then both together, with equal and with opposite directions"
@@ -82,6 +84,10 @@ class TransmissionCoupling(Effect):
             if _mixed(scenes[0], joint, d):
                 unit = top_speed(scenes, joint) / top_speed(scenes, joint + d)
                 yield from ({"neighbour": float(d), "ratio": unit * ratio} for ratio in RATIOS)
+
+    def axis(self, joint: int, settings: Settings) -> Axis:
+        """Return the neighbour's velocity."""
+        return Axis("velocity", joint + int(settings["neighbour"]))
 
     def seen_from_partner(
         self, joint: int | None, settings: Settings

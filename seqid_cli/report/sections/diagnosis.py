@@ -9,14 +9,15 @@ from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EventEntry,
     FindingEntry,
+    RivalEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.diagnosis_words import beyond_noise
 from seqid_cli.report.collection import Collection, Diagnosed
-from seqid_cli.report.diagnosis_figures import against_floor, timeline, unexplained_curve
+from seqid_cli.report.diagnosis_figures import against_floor, evidence_figure, timeline
 from seqid_cli.report.judgement import known_effects
 from seqid_cli.report.sections.parameters import setting_units
-from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Group, Section, Table
+from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
 from seqid_cli.report.words import (
     command,
     effect_at,
@@ -55,6 +56,8 @@ class FindingView:
     separate: str
     note: str
     known: bool
+    figure: Figure | None
+    rivals: Table
 
 
 def diagnosis(collection: Collection) -> Section:
@@ -94,7 +97,8 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
     figures = [
         figure
         for part in file.unexplained
-        if (figure := unexplained_curve(part, collection)) is not None
+        if part.evidence
+        and (figure := evidence_figure(part.evidence, collection, "Unexplained torque"))
     ]
     floor = against_floor(file, collection)
     pushed = timeline(file.events)
@@ -108,7 +112,13 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
         figures=[*figures, *([floor] if floor else []), *([pushed] if pushed else [])],
         tables=[
             table
-            for table in (_joints(file, collection), _events(file.events), _hidden(file))
+            for table in (
+                _joints(file, collection),
+                *(_rivals(_not_known(part), part.rivals) for part in file.unexplained),
+                *(_rivals(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
+                _events(file.events),
+                _hidden(file),
+            )
             if table.rows
         ],
         notes=[*_unexplained(file.unexplained), *file.notes],
@@ -129,7 +139,32 @@ def _finding(item: FindingEntry, collection: Collection) -> FindingView:
         separate=item.separate_by,
         note=item.note,
         known=known,
+        figure=evidence_figure(item.evidence, collection) if item.evidence else None,
+        rivals=_rivals("Tried in its place", item.rivals),
     )
+
+
+def _rivals(title: str, rivals: Sequence[RivalEntry]) -> Table:
+    columns = (
+        Column("tried"),
+        Column("joint"),
+        Column("gain", numeric=True, unit="nats"),
+        Column("why it was not taken"),
+    )
+    rows = [
+        (
+            effect_words(one.effect),
+            one.joint or "whole arm",
+            f"{one.log_gain:.0f}",
+            one.why_not,
+        )
+        for one in rivals
+    ]
+    return Table(title, columns, rows)
+
+
+def _not_known(part: UnexplainedPart) -> str:
+    return f"Tried in place of what is unexplained at {part.joint}"
 
 
 def _about(effect: str) -> str:

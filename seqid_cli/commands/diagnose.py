@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from seqid_cli.commands.evidence import evidence_entry, rival_entries
 from seqid_cli.commands.job import Account, Job, exit_code, prepare
 from seqid_cli.commands.options import (
     Clock,
@@ -33,11 +33,9 @@ from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EffectParameter,
     EventEntry,
-    EvidenceEntry,
     FindingEntry,
     HiddenEntry,
     ResidualEntry,
-    RivalEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.document import now, present, robot_id, tool
@@ -48,10 +46,8 @@ from seqid_cli.params.schema import MotionUse
 if TYPE_CHECKING:
     from seqid_cli.discover.results import (
         Diagnosis,
-        Evidence,
         Finding,
         JointResidual,
-        Rival,
         Unexplained,
     )
     from seqid_cli.robot.types import Robot
@@ -70,19 +66,6 @@ EXAMPLES = (
     "seqid diagnose sample_logs/six_joint/changed -r sample_logs/six_joint/robot.toml"
     " -p inertia.json --strict --json",
 )
-# What each quantity is measured in: for a revolute joint, for a prismatic one.
-_UNITS = {
-    "position": ("rad", "m"),
-    "velocity": ("rad/s", "m/s"),
-    "acceleration": ("rad/s^2", "m/s^2"),
-    "load": ("N m", "N"),
-    "temperature": ("degC", "degC"),
-    "time": ("s", "s"),
-    "time_frequency": ("Hz", "Hz"),
-    "speed": ("rad/s", "m/s"),
-    "wave": ("turn", "turn"),
-    "torque": ("N m", "N"),
-}
 
 
 def run(
@@ -227,39 +210,9 @@ def _finding(finding: Finding, robot: Robot) -> FindingEntry:
         settings=dict(finding.settings),
         note=finding.note,
         log_gain=finding.log_gain,
-        evidence=_evidence(finding.evidence, robot),
-        rivals=_rivals(finding.rivals),
+        evidence=evidence_entry(finding.evidence, robot),
+        rivals=rival_entries(finding.rivals),
     )
-
-
-def _evidence(shown: Evidence | None, robot: Robot) -> EvidenceEntry | None:
-    if shown is None:
-        return None
-    return EvidenceEntry(
-        joint=shown.joint,
-        quantity=shown.quantity,
-        of=shown.of,
-        unit=_unit_of(shown.quantity, shown.of, robot),
-        sided=shown.sided,
-        x=list(shown.x),
-        count=list(shown.count),
-        before=list(shown.before),
-        before_spread=list(shown.before_spread),
-        after=list(shown.after),
-        after_spread=list(shown.after_spread),
-    )
-
-
-def _rivals(some: Sequence[Rival]) -> list[RivalEntry]:
-    return [
-        RivalEntry(effect=one.effect, joint=one.joint, log_gain=one.log_gain, why_not=one.why_not)
-        for one in some
-    ]
-
-
-def _unit_of(quantity: str, joint: str, robot: Robot) -> str:
-    prismatic = robot.joints[robot.joint_names.index(joint)].prismatic
-    return _UNITS.get(quantity, ("", ""))[prismatic]
 
 
 def _unexplained(part: Unexplained, robot: Robot) -> UnexplainedPart:
@@ -270,8 +223,8 @@ def _unexplained(part: Unexplained, robot: Robot) -> UnexplainedPart:
         share=part.share,
         closest=ClosestEffect(effect=near.effect, share=near.share) if near else None,
         log_gain=part.log_gain,
-        evidence=_evidence(part.evidence, robot),
-        rivals=_rivals(part.rivals),
+        evidence=evidence_entry(part.evidence, robot),
+        rivals=rival_entries(part.rivals),
     )
 
 
@@ -284,5 +237,5 @@ def _residual(joint: JointResidual) -> ResidualEntry:
         white=joint.white,
         rmse_explained=joint.rmse_explained if counted else None,
         samples=joint.samples,
-        tried=_rivals(joint.tried),
+        tried=rival_entries(joint.tried),
     )

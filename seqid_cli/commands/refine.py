@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from seqid_cli.commands.earlier_logs import read_earlier
+from seqid_cli.commands.evidence import evidence_entry, rival_entries
 from seqid_cli.commands.job import Account, Job, exit_code, prepare
 from seqid_cli.commands.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.commands.options import (
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from seqid_cli.discover.gather import Gathered
     from seqid_cli.discover.options import DiscoverOptions
     from seqid_cli.logs.recording import Recording
+    from seqid_cli.robot.types import Robot
 
 EXAMPLES = (
     "seqid refine sample_logs/six_joint/changed/fourier.parquet"
@@ -184,7 +186,7 @@ def _refine(
         robot_id(job.robot),
         training.inputs("effects"),
         decided.stages,
-        closed_loop(loop, kept_out.inputs(), notes, uses, verdicts),
+        closed_loop(loop, job.robot, kept_out.inputs(), notes, uses, verdicts),
     )
     return file, [training, kept_out, *earlier.accounts]
 
@@ -212,6 +214,7 @@ def _paths(recordings: Sequence[Recording]) -> dict[str, Path]:
 
 def closed_loop(
     loop: results.ClosedLoop,
+    robot: Robot,
     held_out: list[InputLog],
     notes: Sequence[str],
     motion: list[MotionUse],
@@ -220,8 +223,8 @@ def closed_loop(
     """What a refined file says of its refinement."""
     return ClosedLoop(
         verdict="good" if loop.confirmed and not verdicts else "poor",
-        rounds=[_round(tried) for tried in loop.rounds if tried.accepted],
-        refused=[_round(tried) for tried in loop.rounds if not tried.accepted],
+        rounds=[_round(tried, robot) for tried in loop.rounds if tried.accepted],
+        refused=[_round(tried, robot) for tried in loop.rounds if not tried.accepted],
         before=_rmse(loop.before),
         after=_rmse(loop.after),
         noise_floor=dict(loop.noise_floor),
@@ -235,7 +238,7 @@ def closed_loop(
     )
 
 
-def _round(tried: results.Round) -> RefinementRound:
+def _round(tried: results.Round, robot: Robot) -> RefinementRound:
     return RefinementRound(
         effect=tried.effect,
         joint=tried.joint,
@@ -246,6 +249,8 @@ def _round(tried: results.Round) -> RefinementRound:
         interval=_limits(tried.interval),
         confirmed=tried.confirmed,
         reason=tried.reason,
+        evidence=evidence_entry(tried.evidence, robot),
+        rivals=rival_entries(tried.rivals),
     )
 
 

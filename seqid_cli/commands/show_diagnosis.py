@@ -10,13 +10,13 @@ from seqid_cli.commands.show import show_poor
 from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EventEntry,
-    EvidenceEntry,
     FindingEntry,
     HiddenEntry,
     ResidualEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.diagnosis_words import nothing_found, over_words
+from seqid_cli.params.evidence_schema import EvidenceEntry
 
 _EVENTS_SHOWN = 10
 
@@ -133,13 +133,13 @@ def show_evidence(screen: Screen, shown: EvidenceEntry | None) -> None:
     if shown is None:
         return
     sided = " times direction" if shown.sided else ""
-    after = ", o without it" if shown.after else ""
+    marks = ": * before, o after" if shown.after else ""
     for line in text_chart(
         shown.x,
         shown.before,
         shown.after,
         x_label=f"{over_words(shown)}{_unit(shown.unit)}",
-        y_label=f"* residual of {shown.joint}{sided} N m{after}",
+        y_label=f"residual of {shown.joint}{sided} N m{marks}",
     ):
         screen.result(line)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from seqid_cli.commands.render import Screen, limits, number, percent
 from seqid_cli.commands.show import show_poor
@@ -14,13 +14,12 @@ from seqid_cli.commands.show_diagnosis import (
 )
 from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
-    EvidenceEntry,
     FindingEntry,
     ResidualEntry,
-    RivalEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.diagnosis_words import flatness
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 
 
 def show_explained(screen: Screen, file: DiagnosisFile, joint: str) -> None:
@@ -28,7 +27,8 @@ def show_explained(screen: Screen, file: DiagnosisFile, joint: str) -> None:
     residual = file.joints[joint]
     screen.result(_size(joint, residual))
     show_poor(screen, file.verdicts, "diagnosis")
-    findings = [item for item in file.findings if touches(item, joint)]
+    pushed = {name for event in file.events for name in event.joints}
+    findings = [item for item in file.findings if _touches(item, joint, pushed)]
     parts = [part for part in file.unexplained if part.joint == joint]
     for item in findings:
         _taken(screen, item)
@@ -45,11 +45,12 @@ def show_explained(screen: Screen, file: DiagnosisFile, joint: str) -> None:
         screen.remark(note)
 
 
-def touches(item: FindingEntry, joint: str) -> bool:
+def _touches(item: FindingEntry, joint: str, pushed: Collection[str]) -> bool:
     """Whether a finding is of a joint: there, or shown there, or of the whole arm."""
-    return item.joint in (joint, None) or (
-        item.evidence is not None and joint in (item.evidence.joint, item.evidence.of)
-    )
+    if item.effect == "external_contact":
+        return joint in pushed
+    shown = item.evidence
+    return item.joint in (joint, None) or (shown is not None and joint in (shown.joint, shown.of))
 
 
 def _size(joint: str, residual: ResidualEntry) -> str:
@@ -106,7 +107,7 @@ def _shown(screen: Screen, shown: EvidenceEntry | None) -> None:
     swing = flatness(shown) if shown else None
     if swing:
         before, after = number(swing[0]), number(swing[1])
-        screen.result(f"Over it the residual varies by {before} N m; without it, by {after} N m.")
+        screen.result(f"Over it the residual varies by {before} N m before, {after} N m after.")
 
 
 def _tried(screen: Screen, rivals: Sequence[RivalEntry], title: str) -> None:

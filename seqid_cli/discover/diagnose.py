@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from seqid_cli.discover.aside import EventAside, events_aside
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.events import GATE, Interval
-from seqid_cli.discover.evidence import evidence_of, pushed
+from seqid_cli.discover.evidence import evidence_of, left_over, pushed
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.loud import expected, looks_like, louder_joints
+from seqid_cli.discover.loud import Loud, expected, looks_like, louder_joints
 from seqid_cli.discover.notes import (
     deflection_notes,
     file_notes,
@@ -114,10 +114,7 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     findings = [one for one in findings if one.confidence >= TOLD]
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
     if not findings and not rest:
-        rest = [
-            Unexplained(robot.joint_names[one.joint], looks_like(found, one.joint), one.share)
-            for one in loud
-        ]
+        rest = [_loud(found, robot, one) for one in loud]
     offsets = shown_offsets(found)
     named_already = {part.joint for part in rest}
     named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in loud))}
@@ -279,6 +276,14 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
         evidence=evidence_of(found, robot, taken),
         rivals=rivals_of(robot, taken),
     )
+
+
+def _loud(found: Investigation, robot: Robot, loud: Loud) -> Unexplained:
+    """Describe what is left at a joint that is louder than noise."""
+    name, what = robot.joint_names[loud.joint], looks_like(found, loud.joint)
+    if what is None:
+        return Unexplained(name, (), loud.share)
+    return Unexplained(name, what.quantities, loud.share, evidence=left_over(found, robot, what))
 
 
 def _joints(found: Investigation, robot: Robot) -> dict[str, JointResidual]:

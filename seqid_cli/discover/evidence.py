@@ -1,13 +1,14 @@
 """What a finding rests on, for people to see: residuals over what the effect goes with.
 
-The residual with everything else taken off (a partial residual, W. A. Larsen, S. J. McCleary, "The
-use of partial residual plots in regression analysis", Technometrics 14, 1972) shows the effect's
-law; less the effect's torque it is flat, where the law is the right one.
+Before is what the model leaves without the effect, its base fitted anew, after is what it leaves
+with it: both on blocks of time that were left out of the fit, so that they show what the gain says.
+After must be flat, where the law is the right one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,13 @@ from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.selection import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.wide import full_residual
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all scenes
+What = Candidate | SmoothFunction
 
 BINS = 40
 DIGITS = 4
@@ -33,20 +34,39 @@ AROUND_S = 1.0  # shown before and behind a push
 NAMES = {"load_size": "load", "session_time": "time", "motor_angle": "wave"}
 
 
+@dataclass(frozen=True)
+class _Over:
+    """What a residual is shown over: `values` (N,) by scene of joint `of`; none: own torque."""
+
+    quantity: str
+    of: int
+    sided: bool = False
+    values: Sequence[Array] = ()
+
+
 def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> Evidence:
-    """Bin what one term explains: residual of its joint without it, and with it."""
+    """Bin what the model leaves of a term's joint without it, and with it."""
     term, model = taken.term, found.model
-    j = _joint_of(term, model)
-    scenes, take, before, torque = _residual(term, model, j)
-    name, of, over = _over(term, model, scenes, j)
-    y, shown = take(j, before), take(j, torque)
-    x = shown if over is None else take(j, over)
-    sided = _sided(term)
-    if sided:
-        sign = np.sign(take(j, [scene.motion.dq[:, j] for scene in scenes]))
-        y, shown = y * sign, shown * sign
-    names = robot.joint_names
-    return _binned(names[j], name, names[of], sided, x, y, y - shown)
+    theta, channel = model.linear.theta[model.where(term)], _channel_of(term, model)
+    j, stage = channel % model.ground.n, model.ground.stage
+    narrow = channel == j
+    take = stage.rows.of if narrow else stage.high.of
+    scenes = stage.scenes if narrow else [scene.full or scene for scene in stage.scenes]
+    over = _over(term.what, theta, scenes, j)
+    x = take(j, over.values) if over.values else term.part.columns[channel] @ theta
+    sign = _sign(over, scenes, j, take)
+    return _binned(
+        robot, j, over, x, taken.left[channel] * sign, model.linear.left_out[channel] * sign
+    )
+
+
+def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> Evidence:
+    """Bin what is left at a joint over what it is most like; nothing takes that off."""
+    scenes, take, j = found.ground.stage.scenes, found.ground.stage.rows.of, what.joint
+    over = _over(what, np.zeros(0), scenes, j)
+    y = take(j, [r[:, j] for r in found.model.left()])
+    x = take(j, over.values) if over.values else y
+    return _binned(robot, j, over, x, y * _sign(over, scenes, j, take))
 
 
 def pushed(found: Investigation, robot: Robot) -> Evidence | None:
@@ -59,60 +79,50 @@ def pushed(found: Investigation, robot: Robot) -> Evidence | None:
     t = motion.t - motion.t[0]
     near = (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)
     j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
-    name, log = robot.joint_names[j], found.logs[event.scene]
-    return _binned(name, "time", name, False, log.offset + t[near], left[near, j])
+    x = found.logs[event.scene].offset + t[near]
+    return _binned(robot, j, _Over("time", j), x, left[near, j])
 
 
-def _joint_of(term: Term, model: Model) -> int:
-    """Whose torque shows a term: its own joint's, or that which it explains most."""
-    if term.joint is not None:
-        return term.joint
-    theta, columns = model.linear.theta[model.where(term)], term.part.columns
-    weight, n = model.noise.weight, model.ground.n
-    shown = {c: float(weight[c] @ (X @ theta) ** 2) for c, X in columns.items() if c < n}
+def _channel_of(term: Term, model: Model) -> int:
+    """The rows that show a term most: of its own joint, or of any where it is of the whole arm."""
+    n, theta, weight = model.ground.n, model.linear.theta[model.where(term)], model.noise.weight
+    shown = {
+        c: float(weight[c] @ (X @ theta) ** 2)
+        for c, X in term.part.columns.items()
+        if term.joint in (c % n, None)
+    }
     return max(shown, key=lambda c: shown[c])
 
 
-def _residual(
-    term: Term, model: Model, j: int
-) -> tuple[Sequence[Scene], Take, list[Array], list[Array]]:
-    """Scenes, what takes a joint's rows of them, residual (N,) without the term, its torque."""
-    what, stage, theta = term.what, model.ground.stage, model.linear.theta[model.where(term)]
-    left = model.left(without=term)
-    if isinstance(what, Candidate) and what.effect.wide and not what.below:
-        full = [scene.full or scene for scene in stage.scenes]
-        whole = [full_residual(scene, r)[:, j] for scene, r in zip(stage.scenes, left, strict=True)]
-        columns = [what.effect.columns(scene, what.joint, what.settings)[j] for scene in full]
-        return full, stage.high.of, whole, [X @ theta for X in columns]
-    torque = [np.zeros_like(r) for r in left]
-    what.add_torque(torque, stage.scenes, theta)
-    return stage.scenes, stage.rows.of, [r[:, j] for r in left], [tau[:, j] for tau in torque]
-
-
-def _sided(term: Term) -> bool:
-    what = term.what
+def _sided(what: What) -> bool:
     if isinstance(what, SmoothFunction):
         return what.source.factor == "direction"
     return what.effect.sided
 
 
-def _over(
-    term: Term, model: Model, scenes: Sequence[Scene], j: int
-) -> tuple[str, int, list[Array] | None]:
-    """Name of the quantity, whose it is, and its values (N,); none for the term's own torque."""
-    what = term.what
+def _sign(over: _Over, scenes: Sequence[Scene], j: int, take: Take) -> Array | float:
+    """Direction of motion at a joint's rows where it counts, else 1."""
+    if not over.sided:
+        return 1.0
+    return np.sign(take(j, [scene.motion.dq[:, j] for scene in scenes]))
+
+
+def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
+    """The quantity that a term with coefficients theta (k,) goes with at a joint."""
     if isinstance(what, Candidate) and what.effect.over == "wave":
-        theta = model.linear.theta[model.where(term)]
         columns = [what.effect.columns(scene, what.joint, what.settings)[j] for scene in scenes]
-        return "wave", j, [_turn(X, theta) for X in columns]
+        return _Over("wave", j, values=[_turn(X, theta) for X in columns])
+    if isinstance(what, Candidate) and what.effect.over == "driving_load":
+        along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]
+        return _Over("driving_load", j, _sided(what), along)
     axis = _axis(what, j)
     found = _values(axis, scenes) if axis else None
     if axis is None or found is None:
-        return "torque", j, None
-    return NAMES.get(axis.measure, axis.measure), axis.joint, found
+        return _Over("torque", j)
+    return _Over(NAMES.get(axis.measure, axis.measure), axis.joint, _sided(what), found)
 
 
-def _axis(what: Candidate | SmoothFunction, j: int) -> Axis | None:
+def _axis(what: What, j: int) -> Axis | None:
     if isinstance(what, SmoothFunction):
         return what.source.axes[0]
     return what.effect.axis(j, what.settings)
@@ -137,17 +147,18 @@ def _turn(X: Array, theta: Array) -> Array:
 
 
 def _binned(
-    joint: str, quantity: str, of: str, sided: bool, x: Array, y: Array, left: Array | None = None
+    robot: Robot, j: int, over: _Over, x: Array, y: Array, left: Array | None = None
 ) -> Evidence:
     """Bins of about equally many samples, in the order of x (M,); y, left (M,) N m."""
     parts = np.array_split(np.argsort(x, kind="stable"), min(BINS, max(len(x), 1)))
     bins = [part for part in parts if len(part)]
     after = [left[part] for part in bins] if left is not None else []
+    names = robot.joint_names
     return Evidence(
-        joint=joint,
-        quantity=quantity,
-        of=of,
-        sided=sided,
+        joint=names[j],
+        quantity=over.quantity,
+        of=names[over.of],
+        sided=over.sided,
         x=_each(np.mean, [x[part] for part in bins]),
         count=tuple(len(part) for part in bins),
         before=_each(np.mean, [y[part] for part in bins]),

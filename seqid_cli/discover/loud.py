@@ -57,11 +57,11 @@ def louder_joints(found: Investigation, ordinary: Array) -> tuple[Loud, ...]:
     return tuple(sorted(louder, key=lambda one: -one.times))
 
 
-def looks_like(found: Investigation, joint: int) -> tuple[str, ...]:
-    """Quantities that a joint's residual depends on most, however little that foretells."""
+def looks_like(found: Investigation, joint: int) -> SmoothFunction | None:
+    """The function that a joint's residual is most like, however little that foretells."""
     ground = found.ground
     terms = [t for t in smooth_terms(ground.stage.rows, ground.size) if t.joint == joint]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
     what = best[0].what if best else None
-    return what.quantities if isinstance(what, SmoothFunction) else ()
+    return what if isinstance(what, SmoothFunction) else None

@@ -21,6 +21,7 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.events import Interval
+from seqid_cli.discover.evidence import evidence_of
 from seqid_cli.discover.heldout import LEAST_GAIN, Gain, gain, gain_of
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.left_out import FOLDS, STRETCH_S, Folds
@@ -28,6 +29,8 @@ from seqid_cli.discover.loop import Account, Loop, candidates_of_model, with_eff
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of
 from seqid_cli.discover.results import Round
+from seqid_cli.discover.rivals import rivals_of
+from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.selection import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.usable import usable_logs
@@ -158,7 +161,7 @@ def _round(loop: Loop) -> bool:
             continue
         if loop.added >= loop.material.options.max_effects:
             break
-        added |= _try(loop, what, taken.term.channels)
+        added |= _try(loop, what, found, taken)
     loop.material = seen
     return added
 
@@ -206,12 +209,13 @@ class Outcome:
         return self.change.certain and self.whole.value > 0.0
 
 
-def _try(loop: Loop, candidate: Candidate, channels: frozenset[int]) -> bool:
+def _try(loop: Loop, candidate: Candidate, found: Investigation, taken: Taken) -> bool:
     """Fit the models of the folds with one effect more; keep it if left-out blocks agree."""
     accounts = _accounts(loop, candidate)
+    channels = taken.term.channels
     outcomes = [(_outcome(loop, account, channels), account) for account in accounts]
     outcome, account = next((both for both in outcomes if both[0].accepted), outcomes[0])
-    told = _told(loop, candidate, account, outcome)
+    told = _shown(loop, _told(loop, candidate, account, outcome), found, taken)
     same = [r for r in loop.rounds if (r.effect, r.joint) == (told.effect, told.joint)]
     loop.rounds = [r for r in loop.rounds if r.accepted or r not in same]
     if outcome.accepted:
@@ -260,6 +264,13 @@ def _told(loop: Loop, candidate: Candidate, account: Account, outcome: Outcome) 
     )
 
 
+def _shown(loop: Loop, told: Round, found: Investigation, taken: Taken) -> Round:
+    """A round with what it rests on."""
+    robot, alike = loop.material.robot, () if taken.term.smooth else named(taken).others
+    shown = evidence_of(found, robot, taken)
+    return replace(told, evidence=shown, rivals=rivals_of(robot, taken, alike))
+
+
 def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcome: Outcome) -> str:
     """Why an effect was refused, or when one that was added came."""
     change = outcome.change
@@ -277,8 +288,9 @@ def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcom
 
 def _add_smooth(loop: Loop) -> None:
     """Add smooth terms of no known cause where they foretell what was left out."""
-    for taken in _investigated(loop).found.smooth:
-        told = _told_smooth(loop, taken)
+    found = _investigated(loop)
+    for taken in found.found.smooth:
+        told = _shown(loop, _told_smooth(loop, taken), found, taken)
         loop.rounds.append(told)
         if told.accepted:
             what, model = taken.term.what, loop.model

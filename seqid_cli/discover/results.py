@@ -15,10 +15,11 @@ Verdict = Literal["effect_found", "nothing_missing", "unexplained"]
 class Evidence:
     """Residual of a joint over what an effect goes with, before and after that is taken off.
 
-    Everything else that was found is taken off in both. `quantity` is a quantity of the contract,
-    or `speed`, `wave` (place on the effect's own wave, in turns), `torque` (the effect's own), of
-    joint `of`; with `sided` the torque is told times the direction of motion. Per bin: mean of the
-    quantity, samples, mean residual and its standard deviation [N m].
+    Before is what the model leaves without it, its base fitted anew, after what it leaves with it,
+    both on blocks that were left out of the fit. `quantity` of joint `of` is one of the contract,
+    or `speed`, `driving_load` (load times direction), `wave` (place on the effect's own wave, in
+    turns), `torque` (the effect's own); with `sided` the torque is told times the direction of
+    motion. Per bin: mean of the quantity, samples, mean residual and its standard deviation [N m].
     """
 
     joint: str
@@ -153,7 +154,8 @@ class Round:
     Gains are shares of the squared error where the effect's joints slide, beside the model of the
     round before; intervals are over blocks of time, 95 %. `training_gain` is on left-out blocks of
     the training logs, and decided; `held_out_gain` was looked at afterwards, of effects that were
-    added, and `confirmed` says whether it is certainly more than nothing.
+    added, and `confirmed` says whether it is certainly more than nothing. `evidence` and `rivals`
+    are of the training logs, beside the model of the round before.
     """
 
     effect: str
@@ -165,6 +167,8 @@ class Round:
     held_out_gain: float | None = None
     interval: tuple[float, float] | None = None
     confirmed: bool | None = None
+    evidence: Evidence | None = None
+    rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True)

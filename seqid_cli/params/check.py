@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.schema import (
     ClosedLoop,
     EffectOfJoint,
@@ -119,6 +120,8 @@ def _closed_loop(key: str, loop: ClosedLoop, joints: Sequence[str]) -> Iterable[
             yield from _interval(f"{key}.{name}[{index}].interval", tried.interval)
             where = f"{key}.{name}[{index}].training_interval"
             yield from _interval(where, tried.training_interval)
+            if tried.evidence is not None:
+                yield from _evidence(f"{key}.{name}[{index}].evidence", tried.evidence, joints)
             if tried.accepted != (name == "rounds"):
                 yield f"{key}.{name}[{index}].accepted", f"contradicts its place in {name}"
     for name in ("before", "after", "noise_floor", "noise_floor_interval", "gain_interval"):
@@ -127,6 +130,13 @@ def _closed_loop(key: str, loop: ClosedLoop, joints: Sequence[str]) -> Iterable[
     for name in ("gain_interval", "noise_floor_interval"):
         for joint, interval in getattr(loop, name).items():
             yield from _interval(f"{key}.{name}.{joint}", interval)
+
+
+def _evidence(key: str, shown: EvidenceEntry, joints: Sequence[str]) -> Iterable[_Problem]:
+    for name in (shown.joint, shown.of):
+        yield from _known(key, name, joints)
+    if not shown.whole:
+        yield key, "x, count, before and after must be of one length"
 
 
 def _interval(key: str, interval: Sequence[float]) -> Iterable[_Problem]:

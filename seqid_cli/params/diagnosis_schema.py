@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
+from seqid_cli.params.base import Struct
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.prediction_schema import FileId
-from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Struct, Tool, Verdict
+from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
 MORE_THAN_NOISE = 3.0  # noise floors, from which what is left at a joint is worth a word
@@ -18,42 +20,6 @@ class EffectParameter(Struct, kw_only=True):
     value: float
     std_error: float
     unit: str
-
-
-class EvidenceEntry(Struct, kw_only=True):
-    """Residual of `joint`, N m, over what an effect goes with, before and after that is taken off.
-
-    Everything else that was found is taken off in both. `quantity` is position, velocity, speed,
-    acceleration, load, temperature or time of joint `of`, `wave` (place on the effect's own wave,
-    in turns) or `torque` (that of the effect itself). Where the effect turns with the direction of
-    motion the torque is told times this (`sided`). Per bin: mean of the quantity, samples, mean
-    residual and its standard deviation; `after` is empty where nothing can be taken off (a push).
-    """
-
-    joint: str
-    quantity: str
-    of: str
-    unit: str
-    sided: bool
-    x: list[float]
-    count: list[int]
-    before: list[float]
-    before_spread: list[float]
-    after: list[float]
-    after_spread: list[float]
-
-
-class RivalEntry(Struct, kw_only=True):
-    """Something that was tried and not taken; `joint` is null for what is of the whole arm.
-
-    `log_gain` is the gain in log predictive density of blocks that were left out [nats]; `why_not`
-    says in words why it was not taken.
-    """
-
-    effect: str
-    joint: str | None
-    log_gain: float
-    why_not: str
 
 
 class FindingEntry(Struct, kw_only=True):

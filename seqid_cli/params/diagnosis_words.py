@@ -5,9 +5,11 @@ from __future__ import annotations
 from seqid_cli.params.diagnosis_schema import (
     MORE_THAN_NOISE,
     DiagnosisFile,
-    EvidenceEntry,
     ResidualEntry,
 )
+from seqid_cli.params.evidence_schema import EvidenceEntry
+
+_MEASURES = {"driving_load": "load times direction"}
 
 
 def nothing_found(file: DiagnosisFile) -> str:
@@ -38,11 +40,9 @@ def over_words(shown: EvidenceEntry) -> str:
     if shown.quantity == "torque":
         return "the effect's own torque"
     if shown.quantity == "wave":
-        return "place on the effect's wave"
-    if shown.quantity == "time":
-        return "time"
+        return "place on its wave"
     other = "" if shown.of == shown.joint else f" of {shown.of}"
-    return f"{shown.quantity}{other}"
+    return f"{_MEASURES.get(shown.quantity, shown.quantity)}{other}"
 
 
 def flatness(shown: EvidenceEntry) -> tuple[float, float] | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.schema import Struct, Tool
+from seqid_cli.params.base import Struct
+from seqid_cli.params.schema import Tool
 
 INSPECTION_SCHEMA = "seqid/inspection@1"
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Struct, Tool, Verdict
+from seqid_cli.params.base import Struct
+from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 
 PREDICTION_SCHEMA = "seqid/prediction@1"
 

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-import msgspec
+from seqid_cli.params.base import Struct
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 
 SCHEMA = "seqid/params@1"
 
 Matrix = list[list[float]]
-
-
-class Struct(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, omit_defaults=False):
-    """Base of all file structures: an unknown key is an error that names its path."""
 
 
 class Tool(Struct, kw_only=True):
@@ -307,7 +304,8 @@ class RefinementRound(Struct, kw_only=True):
     Gains are shares of the squared error that the effect took away where its joints slide:
     `training_gain`, on left-out blocks of the logs that were fitted, decided; `held_out_gain` was
     looked at afterwards, and `confirmed` says whether it is certainly more than nothing. Intervals
-    are 95 % (empty: not known), `interval` that of the held-out gain.
+    are 95 % (empty: not known), `interval` that of the held-out gain. `evidence` and `rivals` are
+    of the logs that were fitted, beside the effects of the rounds before.
     """
 
     effect: str
@@ -319,6 +317,8 @@ class RefinementRound(Struct, kw_only=True):
     held_out_gain: float | None = None
     interval: list[float] = []
     reason: str = ""
+    evidence: EvidenceEntry | None = None
+    rivals: list[RivalEntry] = []
 
 
 class JointRmse(Struct, kw_only=True, omit_defaults=True):

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Literal
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, EvidenceEntry, ResidualEntry
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, ResidualEntry
 from seqid_cli.params.document import join, present
+from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.prediction_schema import PredictionFile
 from seqid_cli.params.read_any import Source
 from seqid_cli.params.schema import ParameterFile, RobotId, Stages
@@ -189,7 +190,7 @@ def _check_names(item: Source) -> None:
     if not isinstance(content, DiagnosisFile):
         return
     for place, shown in _shown(content):
-        if len({len(bins) for bins in _bins(shown)}) > 1:
+        if not shown.whole:
             message = f"{place}: x, count, before and after must be of one length"
             raise ConfigError(message, where=item.path, hint=hint)
 
@@ -199,12 +200,6 @@ def _shown(content: DiagnosisFile) -> Iterable[tuple[str, EvidenceEntry]]:
         for place, part in enumerate(getattr(content, key)):
             if part.evidence is not None:
                 yield f"$.{key}[{place}].evidence", part.evidence
-
-
-def _bins(shown: EvidenceEntry) -> list[Sequence[float]]:
-    """Lists of one length; nothing comes off a push."""
-    after = [shown.after, shown.after_spread] if shown.after or shown.after_spread else []
-    return [shown.x, shown.count, shown.before, shown.before_spread, *after]
 
 
 def _named(content: object) -> Iterable[tuple[str, str]]:

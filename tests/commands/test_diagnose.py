@@ -216,7 +216,7 @@ def test_the_story_of_a_joint(rig: Rig, library: Library) -> None:
     assert "Taken: payload at the whole arm, 60.0 % sure." in lines
     assert "stribeck" not in done.out
     assert "Unexplained: 40.0 % of what is left goes with position, other_joint:elbow." in lines
-    assert "Over it the residual varies by 1 N m; without it, by 0 N m." in lines
+    assert "Over it the residual varies by 1 N m before, 0 N m after." in lines
     spring = next(line for line in lines if line.startswith("spring"))
     assert spring.endswith("explains 75.0 % less")
     drift = next(line for line in lines if line.startswith("drift"))
@@ -239,6 +239,13 @@ def test_the_story_of_a_finding(rig: Rig, library: Library) -> None:
     assert drag.split()[:3] == ["quadratic_drag", "elbow", "120"]
     assert any(line.endswith("record: slow reversals at two accelerations.") for line in lines)
     assert "These motions cannot show: base_tilt, spring." in lines
+
+
+def test_a_push_is_told_of_the_joints_that_it_moves(rig: Rig, library: Library) -> None:
+    push = replace(PAYLOAD, effect="external_contact", separate_by="")
+    library.result = replace(FOUND, findings=(push,), unexplained=())
+    assert "Taken: external_contact" in rig.run(*BASE, "--explain", "elbow").out
+    assert "Nothing was taken." in rig.run(*BASE, "--explain", "shoulder").out
 
 
 def test_the_story_of_nothing(rig: Rig, library: Library) -> None:
@@ -274,7 +281,7 @@ def test_what_the_user_sees(rig: Rig, library: Library) -> None:
     )
     assert lines[5] == "  to tell them apart, record: slow reversals at two accelerations"
     assert "payload: could also be" not in done.out
-    assert "* residual of shoulder N m, o without it" in done.out
+    assert "residual of shoulder N m: * before, o after" in done.out
     assert "position rad" in done.out
     joint = lines[next(k for k, line in enumerate(lines) if "noise floor" in line) + 1].split()
     assert joint == ["shoulder", "0.3", "0.1", "0.08", "to", "0.13", "3", "0.12", "no"]

@@ -12,16 +12,23 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from seqid_cli.params import diagnosis_schema, inspection_schema, prediction_schema, schema
+from seqid_cli.params import (
+    diagnosis_schema,
+    evidence_schema,
+    inspection_schema,
+    prediction_schema,
+    schema,
+)
+from seqid_cli.params.base import Struct
 from tests.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"
-MODULES = (schema, prediction_schema, diagnosis_schema, inspection_schema)
+MODULES = (schema, prediction_schema, evidence_schema, diagnosis_schema, inspection_schema)
 STRUCTS: dict[str, type[msgspec.Struct]] = {
     name: kind
     for module in MODULES
     for name, kind in vars(module).items()
-    if isinstance(kind, type) and issubclass(kind, schema.Struct) and kind is not schema.Struct
+    if isinstance(kind, type) and issubclass(kind, Struct) and kind is not Struct
 }
 # Told where they stand: an object of one or two keys that needs no table.
 INLINE = ("Tool", "FileId", "JointRmse")

@@ -7,14 +7,13 @@ from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EffectParameter,
     EventEntry,
-    EvidenceEntry,
     FindingEntry,
     HiddenEntry,
     ResidualEntry,
-    RivalEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.document import now, tool, with_stage
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import (
     ClosedLoop,
@@ -128,7 +127,19 @@ def closed_loop() -> ClosedLoop:
         reason="no gain on the held-out logs",
     )
     return ClosedLoop(
-        rounds=[RefinementRound(effect="stribeck", joint="elbow", interval=[0.3, 0.5])],
+        rounds=[
+            RefinementRound(
+                effect="stribeck",
+                joint="elbow",
+                interval=[0.3, 0.5],
+                evidence=evidence("elbow", "speed", "rad/s", sided=True),
+                rivals=[
+                    RivalEntry(
+                        effect="spring", joint="elbow", log_gain=9.0, why_not="explains 97.0 % less"
+                    )
+                ],
+            )
+        ],
         refused=[refused],
         before={"elbow": JointRmse(rmse=0.2)},
         after={"elbow": JointRmse(rmse=0.1)},

@@ -134,6 +134,16 @@ def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
         ),
         (("stages", "effects", 0, "joint"), "knee", "$.stages.effects[0].joint: joint 'knee'"),
         (("closed_loop", "rounds", 0, "joint"), "knee", "$.closed_loop.rounds[0].joint: joint 'k"),
+        (
+            ("closed_loop", "rounds", 0, "evidence", "of"),
+            "knee",
+            "$.closed_loop.rounds[0].evidence: joint 'knee'",
+        ),
+        (
+            ("closed_loop", "rounds", 0, "evidence", "after"),
+            [0.1],
+            "$.closed_loop.rounds[0].evidence: x, count, before and after must be of one length",
+        ),
         (("closed_loop", "rounds", 0, "accepted"), False, "$.closed_loop.rounds[0].accepted: "),
         (("closed_loop", "refused", 0, "interval"), [1.0], "$.closed_loop.refused[0].interval: mu"),
         (("closed_loop", "before"), {"knee": {"rmse": 1.0}}, "$.closed_loop.before: joint 'knee'"),

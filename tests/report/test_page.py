@@ -95,6 +95,8 @@ def test_every_section_is_there_with_its_data(page: str, tmp_path: Path) -> None
         "gain of 0.9 standard errors; 2 are asked at least",
         "Events: something pushed the arm",
         "Error before and after refinement",
+        "stribeck at elbow: residual of elbow over speed",
+        "explains 97.0 % less",
         "70.0 % to 80.0 %",
     ):
         assert text in page

@@ -229,6 +229,7 @@ class Linear:
         """What is left (M_c,) N m of every channel."""
         return [self._left(c, slice(None), self.theta) for c in range(len(self._y))]
 
+    @cached_property
     def left_out(self) -> list[Array]:
         """The same of every block where the model is fitted to all others."""
         return [
@@ -296,7 +297,7 @@ class Linear:
     @cached_property
     def _loss(self) -> Array:
         """Weighted squared error (blocks, channels) of blocks that were left out."""
-        left = [x * root for x, root in zip(self.left_out(), self._root, strict=True)]
+        left = [x * root for x, root in zip(self.left_out, self._root, strict=True)]
         sums = [
             np.bincount(block, weights=x**2, minlength=self.rows.blocks)
             for x, block in zip(left, self.rows.block, strict=True)

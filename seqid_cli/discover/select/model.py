@@ -190,12 +190,12 @@ class Model:
 
     def scaled(self) -> list[Array]:
         """Residual (M_j,) of each joint's rows where it was not fitted, over the joint's noise."""
-        left = self.linear.left_out()[: self.ground.n]
+        left = self.linear.left_out[: self.ground.n]
         return [r / s for r, s in zip(left, self.noise.sigma, strict=False)]
 
     def rms(self) -> Array:
         """RMS (n,) N m of each joint's residual where it was not fitted."""
-        return rms_left_out(self.linear, self.ground.n)
+        return rms_of_rows(self.linear.left_out[: self.ground.n])
 
     def covariance(self, term: Term) -> Array:
         """Covariance (k, k) of a term's coefficients, no narrower than they scatter over blocks."""
@@ -206,6 +206,6 @@ class Model:
         return np.asarray(white * np.outer(wider, wider))
 
 
-def rms_left_out(linear: Linear, joints: int) -> Array:
-    """RMS (n,) N m of the first `joints` channels, each block fitted to all others."""
-    return np.array([np.sqrt(np.mean(r**2)) if len(r) else 0.0 for r in linear.left_out()[:joints]])
+def rms_of_rows(left: Sequence[Array]) -> Array:
+    """RMS (channels,) N m of what is left (M_c,) of channels; zero where there are no rows."""
+    return np.array([np.sqrt(np.mean(r**2)) if len(r) else 0.0 for r in left])

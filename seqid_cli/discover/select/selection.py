@@ -31,7 +31,7 @@ from seqid_cli.discover.select.model import (
     SLOW_TERMS_FREE,
     Ground,
     Model,
-    rms_left_out,
+    rms_of_rows,
 )
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.terms import Term, smooth_terms
@@ -82,13 +82,18 @@ class Ranked:
 class Taken:
     """A term of the finished model.
 
-    `rivals` ranks all that touches its channels, itself included, in its place; `without` (n,) N m
-    is the RMS that the joints' blocks leave without it.
+    `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
+    is what the model without it leaves of every channel's blocks, each fitted to all others.
     """
 
     one: Ranked
     rivals: tuple[Ranked, ...]
-    without: Array
+    left: Sequence[Array]
+
+    @property
+    def without(self) -> Array:
+        """RMS (channels,) N m of that."""
+        return rms_of_rows(self.left)
 
     @property
     def term(self) -> Term:
@@ -299,8 +304,7 @@ class _Selection:
         candidates = list(self._candidates(self.model.left(without=term), joints))
         others = self._ranked(linear, candidates, [term.key], term.channels)
         near = [x for x in others if x.term.channels & term.channels]
-        without = rms_left_out(linear, self.model.ground.n)
-        return Taken(one, tuple(sorted([one, *near], key=_by_gain)), without)
+        return Taken(one, tuple(sorted([one, *near], key=_by_gain)), linear.left_out)
 
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it takes away no more than the error of a taken term's law may leave."""

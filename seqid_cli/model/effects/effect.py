@@ -32,7 +32,7 @@ Settings = Mapping[str, float]
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
 
 Family = Literal["friction", "transmission", "body", "measurement"]
-Over = Measure | Literal["wave", "torque"]
+Over = Measure | Literal["driving_load", "wave", "torque"]
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,9 @@ class Effect(abc.ABC):
     later : tuple of str
         Coefficients, the last ones, that files of earlier versions do not have: zero there.
     over : str
-        The quantity that its torque is shown over: one of its joint, the place on its own `wave`
-        (columns are sine, cosine, sine, ...), or its own `torque` where no quantity alone tells it.
+        The quantity that its torque is shown over: one of its joint, `driving_load` (load times
+        direction, above zero where the gear drives), the place on its own `wave` (columns are sine,
+        cosine, sine, ...), or its own `torque` where no quantity alone tells it.
     sided : bool
         Whether it turns with the direction of motion, so that it is shown times the direction.
     alike : tuple of str
@@ -150,7 +151,7 @@ class Effect(abc.ABC):
         return True
 
     def axis(self, joint: int, settings: Settings) -> Axis | None:
-        """Return the quantity that its torque at a joint is shown over; None for wave, torque."""
+        """Return the quantity that it is shown over at a joint; None for what it makes itself."""
         return Axis(cast(Measure, self.over), joint) if self.over in MEASURES else None
 
     def searched(self, settings: Settings) -> int:

@@ -34,7 +34,7 @@ class GearEfficiency(Effect):
 
     name = "gear_efficiency"
     family = "friction"
-    over = "load_size"
+    over = "driving_load"
     sided = True
     alike = ("load_dependent_friction", "torque_saturation", "asymmetric_friction")
     separate_by = (

@@ -9,12 +9,12 @@ from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EventEntry,
     FindingEntry,
-    RivalEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.diagnosis_words import beyond_noise
 from seqid_cli.report.collection import Collection, Diagnosed
-from seqid_cli.report.diagnosis_figures import against_floor, evidence_figure, timeline
+from seqid_cli.report.diagnosis_figures import against_floor, timeline
+from seqid_cli.report.evidence_views import evidence_figure, rivals_table
 from seqid_cli.report.judgement import known_effects
 from seqid_cli.report.sections.parameters import setting_units
 from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
@@ -114,8 +114,8 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
             table
             for table in (
                 _joints(file, collection),
-                *(_rivals(_not_known(part), part.rivals) for part in file.unexplained),
-                *(_rivals(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
+                *(rivals_table(_not_known(part), part.rivals) for part in file.unexplained),
+                *(rivals_table(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
                 _events(file.events),
                 _hidden(file),
             )
@@ -140,27 +140,8 @@ def _finding(item: FindingEntry, collection: Collection) -> FindingView:
         note=item.note,
         known=known,
         figure=evidence_figure(item.evidence, collection) if item.evidence else None,
-        rivals=_rivals("Tried in its place", item.rivals),
+        rivals=rivals_table("Tried in its place", item.rivals),
     )
-
-
-def _rivals(title: str, rivals: Sequence[RivalEntry]) -> Table:
-    columns = (
-        Column("tried"),
-        Column("joint"),
-        Column("gain", numeric=True, unit="nats"),
-        Column("why it was not taken"),
-    )
-    rows = [
-        (
-            effect_words(one.effect),
-            one.joint or "whole arm",
-            f"{one.log_gain:.0f}",
-            one.why_not,
-        )
-        for one in rivals
-    ]
-    return Table(title, columns, rows)
 
 
 def _not_known(part: UnexplainedPart) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from seqid_cli.params.schema import ClosedLoop, RefinementRound
 from seqid_cli.report.collection import Collection
+from seqid_cli.report.evidence_views import evidence_figure, rivals_table
 from seqid_cli.report.row_chart import RowChart
 from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table
 from seqid_cli.report.words import (
@@ -54,16 +55,33 @@ def closed_loop(collection: Collection) -> Section:
         "leave. The gain is the part of the error's variance that the refined model takes away, "
         "with its 95 % interval."
     )
+    figure, added = _figure(collection, loop), [(_title(item), item) for item in loop.rounds]
+    tables = [_errors(collection, loop), _rounds(loop)]
+    tables += [rivals_table(f"Tried in place of {title}", item.rivals) for title, item in added]
     group = Group(
         "loop-errors",
         _headline(loop),
         badge="poor" if loop.verdict == "poor" else "",
-        figures=[figure] if (figure := _figure(collection, loop)) else [],
-        tables=[table for table in (_errors(collection, loop), _rounds(loop)) if table.rows],
+        figures=[*([figure] if figure else []), *_shown(collection, loop)],
+        tables=[table for table in tables if table.rows],
         notes=[*_where(loop), *loop.notes],
         unfolded=True,
     )
     return Section("loop", title, lead, [group])
+
+
+def _title(item: RefinementRound) -> str:
+    return effect_at(item.effect, item.joint)
+
+
+def _shown(collection: Collection, loop: ClosedLoop) -> list[Figure]:
+    """What each effect that was added rests on, on the logs that were fitted."""
+    figures = [
+        evidence_figure(item.evidence, collection, f"{_title(item)}: residual")
+        for item in loop.rounds
+        if item.evidence
+    ]
+    return [figure for figure in figures if figure]
 
 
 def _headline(loop: ClosedLoop) -> str:

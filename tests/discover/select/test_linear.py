@@ -89,7 +89,7 @@ def test_squares_are_those_of_fits_without_the_block(
     rows: Rows, base: list[Part], term: Part, weight: list[Array]
 ) -> None:
     told = Linear(rows, base, weight).foretold([term])[0]
-    before, after = (Linear(rows, parts, weight).left_out() for parts in (base, [*base, term]))
+    before, after = (Linear(rows, parts, weight).left_out for parts in (base, [*base, term]))
     for b in range(BLOCKS):
         squares = [
             sum(

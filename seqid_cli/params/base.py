@@ -1,0 +1,9 @@
+"""The base of all structures of the result files."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Struct(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, omit_defaults=False):
+    """Base of all file structures: an unknown key is an error that names its path."""

@@ -1,0 +1,51 @@
+"""What findings rest on, as it stands in diagnoses and refined parameter files."""
+
+from __future__ import annotations
+
+from seqid_cli.params.base import Struct
+
+
+class EvidenceEntry(Struct, kw_only=True):
+    """Residual of `joint`, N m, over what an effect goes with, before and after that is taken off.
+
+    Before is what the model leaves without the effect, its base fitted anew, after is what it
+    leaves with it, both on blocks that were left out of the fit. `quantity` is position, velocity,
+    speed, acceleration, load, temperature or time of joint `of`, `driving_load` (times direction:
+    above zero where the gear drives), `wave` (place on the effect's own wave, in turns) or `torque`
+    (that of the effect itself). Where the effect turns with the direction of
+    motion the torque is told times this (`sided`). Per bin: mean of the quantity, samples, mean
+    residual and its standard deviation; `after` is empty where nothing can be taken off (a push).
+    """
+
+    joint: str
+    quantity: str
+    of: str
+    unit: str
+    sided: bool
+    x: list[float]
+    count: list[int]
+    before: list[float]
+    before_spread: list[float]
+    after: list[float]
+    after_spread: list[float]
+
+    @property
+    def whole(self) -> bool:
+        """Whether all lists are of one length; those of what is taken off may be empty."""
+        lengths = {len(self.count), len(self.before), len(self.before_spread)}
+        if self.after or self.after_spread:
+            lengths |= {len(self.after), len(self.after_spread)}
+        return lengths == {len(self.x)}
+
+
+class RivalEntry(Struct, kw_only=True):
+    """Something that was tried and not taken; `joint` is null for what is of the whole arm.
+
+    `log_gain` is the gain in log predictive density of blocks that were left out [nats]; `why_not`
+    says in words why it was not taken.
+    """
+
+    effect: str
+    joint: str | None
+    log_gain: float
+    why_not: str

@@ -136,10 +136,6 @@ class _Look:
 
     def told(self, place: Interval, robot: Robot) -> EventAside:
         """Describe an event."""
-        motion = self.scene.motion
-        at = (motion.t >= place.start) & (motion.t <= place.end)
-        thin = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
-        energy = thin * float(np.sum(np.maximum(self.scaled()[at] ** 2 - 1.0, 0.0)))
         begun = self.recording.offset
         event = Event(
             log=str(self.recording.path),
@@ -147,7 +143,7 @@ class _Look:
             end=begun + place.end,
             joints=tuple(robot.joint_names[j] for j in place.joints),
         )
-        return EventAside(event, place.score / GATE, energy)
+        return EventAside(event, place.score / GATE, place.energy(self.scene, self.scaled()))
 
 
 def _beside(scene: Scene, recording: Recording, found: Investigation) -> Scene:

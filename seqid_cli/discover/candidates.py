@@ -23,14 +23,19 @@ TOGETHER = 64  # candidates whose columns are low-passed at once
 class Candidate:
     """An effect at a joint (None: the whole arm) with its settings.
 
-    A `below` one is told by the rows below the cut-off alone, though it would show above it: what
-    is faster than the position loop moves the arm, and the measured torque does not follow.
+    One `apart` has coefficients of its own above the cut-off: what is faster than the position loop
+    moves the arm, and the measured torque does not follow.
     """
 
     effect: Effect
     joint: int | None
     settings: dict[str, float]
-    below: bool = False
+    apart: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of its coefficients; one apart has as many more."""
+        return len(self.effect.coefficients(self.settings))
 
     @property
     def key(self) -> tuple[str, int | None]:
@@ -86,15 +91,24 @@ class Stage:
 
     def _wide(self, candidate: Candidate) -> Channels:
         """Columns below and above the cut-off."""
-        if candidate.below:
-            both = self.columns([replace(candidate, below=False)])[0]
-            return {joint: X for joint, X in both.items() if joint < self.rows.n}
+        if candidate.apart:
+            return self._apart(self.columns([replace(candidate, apart=False)])[0])
         effect = candidate.effect
         per_scene = [
             effect.columns(scene.full or scene, candidate.joint, candidate.settings)
             for scene in self.scenes
         ]
         return both_bands(self.rows, self.high, per_scene)
+
+    def _apart(self, both: Channels) -> Channels:
+        """The same with coefficients of their own above the cut-off; none if all is there."""
+        below = {c: X for c, X in both.items() if c < self.rows.n}
+        if not any(np.any(X, axis=0).all() for X in below.values()):
+            return {}
+        return {
+            c: np.hstack([X, np.zeros_like(X)] if c in below else [np.zeros_like(X), X])
+            for c, X in both.items()
+        }
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""
@@ -120,7 +134,7 @@ class Stage:
 
 
 def _key(candidate: Candidate) -> tuple[object, ...]:
-    return (*candidate.key, candidate.below, *sorted(candidate.settings.items()))
+    return (*candidate.key, candidate.apart, *sorted(candidate.settings.items()))
 
 
 def candidates_of(
@@ -148,4 +162,4 @@ def candidates_of(
                 for settings in effect.grid(scenes, joint, residual):
                     yield Candidate(effect, joint, settings)
                     if effect.wide:
-                        yield Candidate(effect, joint, settings, below=True)
+                        yield Candidate(effect, joint, settings, apart=True)

@@ -40,8 +40,7 @@ from seqid_cli.discover.results import (
     Verdict,
 )
 from seqid_cli.discover.rivals import rivals_of, tried_at
-from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
-from seqid_cli.discover.select.naming import named, reality
+from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.selection import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.usable import usable_logs
@@ -55,7 +54,6 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-TOLD = 0.5  # confidence from which something is told
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
@@ -105,8 +103,7 @@ def diagnose(
 def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = ()) -> Diagnosis:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, taken) for taken in found.found.effects]
-    sure = [taken for taken in found.found.smooth if reality(taken.one.foretold) >= TOLD]
-    rest = _largest_of_each([_unexplained(found, robot, taken) for taken in sure])
+    rest = _largest_of_each([_unexplained(found, robot, taken) for taken in found.found.smooth])
     ordinary = expected(found)
     loud = louder_joints(found, ordinary)
     if found.events or aside:
@@ -170,15 +167,9 @@ def _contact(found: Investigation, robot: Robot, aside: Sequence[EventAside]) ->
 
 def _event_energies(found: Investigation) -> list[float]:
     """Squared residual inside each event above what the rest of the logs has, in noise units."""
-    ground, sigma = found.ground, found.model.noise.sigma[: found.ground.n]
-    energies, left = [], found.model.left()
-    for event in found.events:
-        scene = ground.stage.scenes[event.scene]
-        t = scene.motion.t - scene.motion.t[0]
-        scaled = left[event.scene][(t >= event.start) & (t <= event.end)] / sigma
-        thin = SAMPLES_PER_CUTOFF * scene.motion.lowpass.cutoff_hz / scene.motion.rate_hz
-        energies.append(thin * float(np.sum(np.maximum(scaled**2 - 1.0, 0.0))))
-    return energies
+    scenes, sigma = found.ground.stage.scenes, found.model.noise.sigma[: found.ground.n]
+    left = found.model.left()
+    return [event.energy(scenes[event.scene], left[event.scene] / sigma) for event in found.events]
 
 
 def _apart(found: Investigation, energies: Sequence[float]) -> float:
@@ -217,10 +208,8 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> Finding:
     what, model = taken.term.what, found.model
     assert isinstance(what, Candidate)
     name, effect = named(taken), what.effect
-    at = model.where(taken.term)
-    values = effect.reported(
-        robot, what.joint, what.settings, model.linear.theta[at], model.covariance(taken.term)
-    )
+    found_there = model.coefficients(taken.term), model.covariance(taken.term)
+    values = effect.reported(robot, what.joint, what.settings, *found_there)
     return Finding(
         effect=effect.name,
         joint=None if what.joint is None else robot.joint_names[what.joint],

@@ -28,7 +28,8 @@ from seqid_cli.discover.event_windows import (
     residual_series,
     windows_of,
 )
-from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, Rows
+from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filtering import runs
 from seqid_cli.robust import PER_MEDIAN, gaussian_spread
 
@@ -64,6 +65,20 @@ class Interval:
     joints: tuple[int, ...]
     score: float
 
+    def inside(self, scene: Scene, margin: float = 0.0) -> Mask:
+        """Samples (N,) of its scene between its start and its end, and so many seconds more."""
+        t = scene.motion.t - scene.motion.t[0]
+        return np.asarray((t >= self.start - margin) & (t <= self.end + margin))
+
+    def energy(self, scene: Scene, scaled: Array) -> float:
+        """Squared residual (N, n) in it beyond that of noise, by samples as far apart as rows.
+
+        `scaled` is in units of each joint's noise.
+        """
+        motion = scene.motion
+        thin = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
+        return thin * float(np.sum(np.maximum(scaled[self.inside(scene)] ** 2 - 1.0, 0.0)))
+
 
 def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) -> list[Interval]:
     """Find what stands out against the rest of the logs.
@@ -88,14 +103,6 @@ def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) ->
     return found
 
 
-def event_score(rows: Rows, left_out: Sequence[Array]) -> float:
-    """Largest score of any window of any log: what the gate must be above on clean logs."""
-    top = 0.0
-    for windows in _all_windows(rows, left_out):
-        top = max(top, float(np.max(combined(scores(windows)), initial=0.0)))
-    return top
-
-
 def standing_out(all_windows: Sequence[Windows], *, gate: float = GATE) -> list[Interval]:
     """Places of one log that stand out against the rest of it, however many there are.
 
@@ -116,12 +123,11 @@ def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
     """Samples (N,) of each scene that belong to events or feel them through the low-pass."""
     masks = []
     for number, scene in enumerate(rows.scenes):
-        t = scene.motion.t - scene.motion.t[0]
         margin = 0.5 / scene.motion.lowpass.cutoff_hz
         mask = np.zeros(scene.samples, dtype=bool)
         for event in events:
             if event.scene == number:
-                mask |= (t >= event.start - margin) & (t <= event.end + margin)
+                mask |= event.inside(scene, margin)
         masks.append(mask)
     return masks
 

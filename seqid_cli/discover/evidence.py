@@ -31,7 +31,7 @@ What = Candidate | SmoothFunction
 BINS = 40
 DIGITS = 4
 AROUND_S = 1.0  # shown before and behind a push
-NAMES = {"load_size": "load", "session_time": "time", "motor_angle": "wave"}
+NAMES = {"load_size": "load", "session_time": "time"}
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,8 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> Evidence:
     narrow = channel == j
     take = stage.rows.of if narrow else stage.high.of
     scenes = stage.scenes if narrow else [scene.full or scene for scene in stage.scenes]
-    over = _over(term.what, theta, scenes, j)
+    first = 0 if narrow else len(theta) - term.what.size  # of others above the cut-off
+    over = _over(term.what, theta[first:][: term.what.size], scenes, j)
     x = take(j, over.values) if over.values else term.part.columns[channel] @ theta
     sign = _sign(over, scenes, j, take)
     return _binned(
@@ -134,8 +135,6 @@ def _values(axis: Axis, scenes: Sequence[Scene]) -> list[Array] | None:
     known = [x for x in found if x is not None]
     if len(known) < len(found):
         return _values(Axis("time", axis.joint), scenes) if axis.measure == "session_time" else None
-    if axis.measure == "motor_angle":
-        return [np.mod(axis.order * x / (2 * np.pi), 1.0) for x in known]
     return known
 
 

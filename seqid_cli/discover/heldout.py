@@ -225,13 +225,27 @@ class WholeLogs:
 
 
 def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:
-    """Compare two models on the same samples at some joints, each weighed by its error before."""
-    chosen = [j for j in sorted(joints) if before.squares[:, j].sum() > 0]
-    if not chosen:
+    """Compare two models on the same samples at some joints.
+
+    The samples of a joint within and those beyond the identified friction are each weighed by their
+    mean squared error before: what extrapolation misses does not hide what an effect gains.
+    """
+    chosen = sorted(joints)
+    old = _within_and_beyond(before.squares, before.outside, chosen)
+    new = _within_and_beyond(after.squares, after.outside, chosen)
+    counts = _within_and_beyond(before.samples, before.outside_samples, chosen).sum(axis=0)
+    total = old.sum(axis=0)
+    weight = np.where(total > 0.0, counts / np.maximum(total, 1e-300), 0.0)
+    if not weight.any():
         return Gain(0.0, 0.0, 0.0)
-    old, new = before.squares[:, chosen], after.squares[:, chosen]
-    weight = 1.0 / old.sum(axis=0)
     return gain_of(old @ weight, new @ weight)
+
+
+def _within_and_beyond(every: Array, beyond: Array, joints: Sequence[int]) -> Array:
+    """Sums (B, 2 k) of some joints; what rounding leaves of a difference is nothing."""
+    within = every[:, joints] - beyond[:, joints]
+    within = np.where(within > 1e-12 * every[:, joints], within, 0.0)
+    return np.hstack([within, beyond[:, joints]])
 
 
 def gain_of(old: Array, new: Array) -> Gain:

@@ -22,6 +22,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
+from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.selection import Selected, select, select_again
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
@@ -63,9 +64,16 @@ class Investigation:
 
 
 def investigate(
-    logs: Sequence[Recording], robot: Robot, stages: Stages, options: DiscoverOptions
+    logs: Sequence[Recording],
+    robot: Robot,
+    stages: Stages,
+    options: DiscoverOptions,
+    *,
+    least: float = TOLD,
 ) -> Investigation:
     """Select what a model lacks, and find events in what is left.
+
+    What is less likely than `least` is not told.
 
     Raises
     ------
@@ -82,8 +90,8 @@ def investigate(
     sure = rows.without(gone)
     if not all(map(np.array_equal, sure.used, rows.used)):
         found = select_again(_ground(sure, stages), found)
-    floor = floor_of(logs, found.model, events)
-    return Investigation(tuple(logs), found, floor, tuple(events))
+    told = found.told(least)
+    return Investigation(tuple(logs), told, floor_of(logs, told.model, events), tuple(events))
 
 
 def _ground(rows: Rows, stages: Stages) -> Ground:
@@ -131,7 +139,7 @@ def no_push(
 
 def of_law(event: Interval, scene: Scene, residual: Sequence[Array]) -> bool:
     """Whether an event's residual is small beside the swing of the model's torque around it."""
-    inside, around = _inside_and_around(event, scene)
+    inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
     left = np.sqrt(np.mean(residual[event.scene][inside][:, joints] ** 2, axis=0))
     return bool(np.all(left < LAW * np.ptp(scene.modelled[around][:, joints], axis=0)))
@@ -148,7 +156,7 @@ def of_shape(
     """
     if not model.terms:
         return False
-    inside, around = _inside_and_around(event, scene)
+    inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
     sigma = model.noise.sigma[joints]
     left = residual[event.scene][inside][:, joints] / sigma
@@ -156,10 +164,3 @@ def of_shape(
     strongest = float(np.max(uniform_filter1d(np.mean(torque**2, axis=1), int(inside.sum()))))
     swing = float(np.mean(np.ptp(torque[inside[around]], axis=0) ** 2))
     return bool(np.mean(left**2) < BESIDE**2 * max(strongest, swing))
-
-
-def _inside_and_around(event: Interval, scene: Scene) -> tuple[Mask, Mask]:
-    """Samples (N,) of an event, and those with a little time before and after."""
-    t = scene.motion.t - scene.motion.t[0]
-    inside = (t >= event.start) & (t <= event.end)
-    return inside, (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)

@@ -198,7 +198,7 @@ def with_effects(model: Refitted, robot: Robot) -> Stages:
 def candidates_of_model(effects: Sequence[Fitted]) -> list[Candidate]:
     """The model's effects as candidates, to be fitted again."""
     return [
-        Candidate(f.effect, f.joint, dict(f.settings), below=f.effect.wide)
+        Candidate(f.effect, f.joint, dict(f.settings), apart=f.effect.wide)
         for f in effects
         if isinstance(f, FittedEffect)
     ]

@@ -142,9 +142,10 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 
 
 def _investigated(loop: Loop) -> Investigation:
-    """What the model, with its effects, lacks on the training logs."""
+    """What the model, with its effects, may lack on the training logs: it is tried, not told."""
     material, model = loop.material, loop.model
-    return investigate(material.now(model), material.robot, model.stages, material.options)
+    logs, robot = material.now(model), material.robot
+    return investigate(logs, robot, model.stages, material.options, least=0.0)
 
 
 def _round(loop: Loop) -> bool:

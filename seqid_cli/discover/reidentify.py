@@ -190,7 +190,7 @@ def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
             what.effect,
             what.joint,
             what.settings,
-            fit.linear.theta[fit.where(term)],
+            fit.coefficients(term),
             fit.covariance(term),
             session,
         )

@@ -64,9 +64,9 @@ def _lacking(one: Ranked) -> str:
     options, told = Options(), one.foretold
     if told.total <= 0.0:
         return "foretells left-out blocks worse than nothing does"
-    if told.total <= options.certain * told.error:
-        times = told.total / told.error
-        return f"gain of {times:.1f} standard errors; {options.certain:g} are asked at least"
+    if told.doubt >= options.doubt:
+        chance, most = percent(told.doubt), percent(options.doubt)
+        return f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at most"
     if one.gained.evidence <= options.chance:
         evidence = one.gained.evidence
         return f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked at least"

@@ -13,7 +13,6 @@ from seqid_cli.discover.events import (
     Interval,
     combined,
     event_masks,
-    event_score,
     find_events,
     gaussian,
 )
@@ -124,14 +123,6 @@ def narrow(scene: Scene) -> Array:
 def test_what_recurs_is_no_event(many_rows: list[Rows], law: Callable[[Scene], Array]) -> None:
     for seed, rows in enumerate(many_rows):
         assert find_events(rows, scaled_residual(rows, seed, at_second(law))) == []
-
-
-def test_score_is_what_the_gate_is_held_against(many_rows: list[Rows]) -> None:
-    rows = many_rows[0]
-    left_out = scaled_residual(rows, 1, push(2, 8.0, 0.5, 6.0, [0, 1]))
-    top = event_score(rows, left_out)
-    assert len(find_events(rows, left_out, gate=0.99 * top)) == 1
-    assert find_events(rows, left_out, gate=1.01 * top) == []
 
 
 def test_pushes_all_the_time_are_not_events(many_rows: list[Rows]) -> None:

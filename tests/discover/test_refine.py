@@ -156,6 +156,19 @@ def blocks(squares: Sequence[Sequence[float]]) -> HeldOutError:
     return HeldOutError(values, np.ones_like(values), zero, zero)
 
 
+def test_what_extrapolation_misses_hides_no_gain() -> None:
+    """Half of the samples lie beyond the identified friction, with ten times the error there."""
+    rng, samples = np.random.default_rng(0), np.full((16, 1), 200.0)
+    beyond = 10.0 * rng.uniform(0.2, 1.8, (16, 1))
+    old = HeldOutError(0.2 + beyond, samples, beyond, 0.5 * samples)
+    moved = beyond * rng.uniform(0.9, 1.1, (16, 1))
+    new = HeldOutError(0.1 + moved, samples, moved, 0.5 * samples)
+    assert not gain_of(old.squares[:, 0], new.squares[:, 0]).certain
+    found = gain(old, new, [0])
+    assert found.certain
+    assert found.value == pytest.approx(0.25, abs=0.05)
+
+
 def test_a_certain_loss_at_one_joint_is_seen() -> None:
     old, new = blocks([[1.0, 1.0]] * 12), blocks([[0.1, 1.2]] * 12)
     assert gain(old, new, [0, 1]).certain

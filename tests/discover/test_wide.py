@@ -33,7 +33,7 @@ def ripple(scene: Scene) -> Array:
 
 def found_of(extra: Extra | None, *names: str, seed: int = 0) -> Selected:
     ground = ground_of(arm_scenes(extra, seed=seed))
-    return select(ground, None, [CATALOGUE[name] for name in names])
+    return select(ground, None, [CATALOGUE[name] for name in names]).told()
 
 
 def test_a_line_above_the_cutoff_is_found() -> None:

@@ -174,7 +174,7 @@ class Model:
         at = self.ground.stage.scenes if scenes is None else scenes
         total = [np.zeros_like(scene.motion.q) for scene in at]
         for term in (one for one in self.terms if one is not without):
-            term.what.add_torque(total, at, self.linear.theta[self.where(term)])
+            term.what.add_torque(total, at, self.coefficients(term))
         return total
 
     def left(self, ground: Ground | None = None, without: Term | None = None) -> list[Array]:
@@ -197,9 +197,14 @@ class Model:
         """RMS (n,) N m of each joint's residual where it was not fitted."""
         return rms_of_rows(self.linear.left_out[: self.ground.n])
 
+    def coefficients(self, term: Term) -> Array:
+        """A term's coefficients (k,), those below the cut-off where it has others above."""
+        return self.linear.theta[self.where(term)][: term.what.size]
+
     def covariance(self, term: Term) -> Array:
-        """Covariance (k, k) of a term's coefficients, no narrower than they scatter over blocks."""
-        at = self.where(term)
+        """Covariance (k, k) of these coefficients, no narrower than they scatter over blocks."""
+        first = self.where(term).start
+        at = slice(first, first + term.what.size)
         white = self.linear.covariance[at, at]
         scattered = np.diag(self.linear.jackknife(at))
         wider = np.sqrt(np.maximum(scattered / np.maximum(np.diag(white), 1e-300), 1.0))

@@ -13,20 +13,23 @@ that differ by less than the effect's own does from its law.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.select.linear import Foretold
-from seqid_cli.discover.select.selection import Options, Taken
+from seqid_cli.discover.select.linear import Foretold, weights_of
+
+if TYPE_CHECKING:
+    from seqid_cli.discover.select.selection import Taken
 
 Array = NDArray[np.float64]
 
 CONSTANT, OF_SHARE, OF_GAIN = 0.0, 1.56, 1.13  # of the log odds: of logit(share), log10(gain)
 TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely
-DRAWS = 400  # of weights of the blocks
+TIE = 0.04  # of the gain, by which a smooth function must be better than an effect
+TOLD = 0.5  # probability from which something is told
 SELDOM = 0.05  # share of them, below which a rival is not told
-SEED = 0
 
 
 @dataclass(frozen=True)
@@ -57,10 +60,9 @@ def named(taken: Taken) -> Named:
 def _shares(taken: Taken) -> dict[str, float]:
     """Probability of each name; of smooth functions, which have none, that of the empty one."""
     rivals = taken.rivals
-    rng = np.random.default_rng(SEED)
-    weights = rng.exponential(size=(DRAWS, len(taken.one.foretold.density)))
+    weights = weights_of(len(taken.one.foretold.density))
     gains = weights @ np.array([rival.foretold.density for rival in rivals]).T
-    gains -= Options().tie * taken.one.foretold.total * np.array([r.term.smooth for r in rivals])
+    gains -= TIE * taken.one.foretold.total * np.array([r.term.smooth for r in rivals])
     gains /= max(TEMPER * taken.one.foretold.total, 1.0)
     names = ["" if rival.term.smooth else rival.term.name for rival in rivals]
     every = list(dict.fromkeys(names))

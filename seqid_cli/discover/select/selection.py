@@ -1,7 +1,7 @@
 """Forward and backward selection of what a model lacks.
 
 A term is taken if it foretells blocks of time that were left out better than the model without it:
-by more than `certain` standard errors, and by so much of their squared error that it matters. Of
+surely over drawn blocks, and by so much of their squared error that it matters. Of
 terms that do so equally well, the one of the fewest parameters is taken, and of these the one of
 the largest evidence; smooth functions have many. What does not hold beside terms that came later is
 taken back.
@@ -33,6 +33,7 @@ from seqid_cli.discover.select.model import (
     Model,
     rms_of_rows,
 )
+from seqid_cli.discover.select.naming import TIE, TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.terms import Term, smooth_terms
 from seqid_cli.discover.select.tuning import Tried, Tuner
@@ -48,6 +49,7 @@ LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
 CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
 SMOOTH_SHORTLIST = 3  # smooth functions per joint
+BEHIND = 2.0  # standard errors, by which a term is clearly behind the best
 BATCH = 200  # terms that are tried at once
 
 
@@ -55,17 +57,18 @@ BATCH = 200  # terms that are tried at once
 class Options:
     """What decides.
 
-    `certain` standard errors and `improvement` (share of the squared error left out) that a term
-    must be worth; `chance` is the log evidence that the best of all terms has on noise; an effect's
-    law is known to `law` of its torque; terms that gain within `tie` of each other are equal, and
+    `doubt` is the probability over drawn blocks that a term gains nothing, and `improvement` the
+    share of the squared error left out that it must take away; `chance` is the log evidence that
+    the best of all terms has on noise; an effect's law is known to `law` of its torque, and less
+    than that at its joints is not told; terms that gain within `tie` of each other are equal, and
     an effect goes before a smooth function then; at most `most` terms.
     """
 
-    certain: float = 2.0
+    doubt: float = 0.025
     improvement: float = 0.04
     chance: float = 6.0
     law: float = 0.03
-    tie: float = 0.04
+    tie: float = TIE
     most: int = 8
 
 
@@ -129,30 +132,38 @@ def select(
     ground: Ground,
     options: Options | None = None,
     catalogue: Sequence[Effect] = tuple(CATALOGUE.values()),
-) -> Selected:
+) -> Selection:
     """Select what the model lacks, with the base held in every way; the evidence chooses one.
 
     Models are compared under one noise, that of the one that leaves least.
     """
-    every = [_Selection(Model(ground, hold), options or Options(), catalogue) for hold in HOLDS]
+    every = [Selection(Model(ground, hold), options or Options(), catalogue) for hold in HOLDS]
     for one in every:
         one.run()
     least = min((one.model.noise for one in every), key=lambda noise: noise.level(ground.n))
-    return max(every, key=lambda one: one.worth(least)).selected()
+    return max(every, key=lambda one: one.worth(least))
 
 
-def select_again(ground: Ground, found: Selected, options: Options | None = None) -> Selected:
+def select_again(ground: Ground, found: Selection) -> Selection:
     """Go on from the effects of a selection, on other rows of the same logs."""
     model = Model(ground, found.model.hold)
     model.add(found.model.candidates)
-    again = _Selection(model, options or Options(), tuple(CATALOGUE.values()))
+    again = Selection(model, found.options, found.catalogue)
     again.take_back()
     again.run()
-    return again.selected()
+    return again
 
 
-class _Selection:
-    """A selection under way."""
+class Selection:
+    """Terms are taken and taken back, one by one.
+
+    Parameters
+    ----------
+    model : Model
+        Without terms, or with those to begin with.
+    options : Options
+    catalogue : sequence of Effect
+    """
 
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
@@ -186,29 +197,33 @@ class _Selection:
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
         ranked = self._tried = self._ranked(self.model.linear, self._everywhere(), refused)
-        passing = [one for one in ranked if self._passes(one)]
-        near = [one for one in passing if self._as_good(one, passing[0])]
-        best = min(near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None)
+        best = self._simplest([one for one in ranked if self._passes(one)])
         return best.term if best else None
+
+    def _simplest(self, ranked: Sequence[Ranked]) -> Ranked | None:
+        """Of the best and those that are as good the one with the fewest parameters."""
+        near = [one for one in ranked if self._as_good(one, ranked[0])]
+        return min(near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None)
 
     def _passes(self, one: Ranked) -> bool:
         """Whether a term is worth it."""
         options, told = self.options, one.foretold
-        sure = one.gained.evidence > options.chance and told.total > options.certain * told.error
+        sure = one.gained.evidence > options.chance and told.doubt < options.doubt
         return sure and told.share > options.improvement
 
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, behind = self.options, best.foretold.density - one.foretold.density
-        least = max(options.certain * scatter(behind), options.tie * best.foretold.total, 1.0)
+        least = max(BEHIND * scatter(behind), options.tie * best.foretold.total, 1.0)
         return bool(one.term.channels & best.term.channels) and float(behind.sum()) <= least
 
-    def take_back(self) -> set[Key]:
+    def take_back(self, worth: Callable[[Ranked], bool] | None = None) -> set[Key]:
         """Take back, the weakest first, what is not worth it beside all others."""
+        worth = worth or self._passes
         model, gone = self.model, set[Key]()
         while model.terms:
             every = [_again(term, model.beside(term)) for term in model.terms]
-            weak = [one for one in every if not self._passes(one)]
+            weak = [one for one in every if not worth(one)]
             if not weak:
                 break
             weakest = min(weak, key=lambda one: one.foretold.total)
@@ -263,11 +278,11 @@ class _Selection:
             self._visible = _most_visible(tried)
         had = set() if near else {t.key for t in self.model.terms if not is_wide(t)}
         seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE and t.term.key not in had]
-        shapes = _best_of(seen, lambda t: (*t.term.key, t.candidate.below, t.candidate.kind))
+        shapes = _best_of(seen, lambda t: (*t.term.key, t.candidate.apart, t.candidate.kind))
         first = shapes[:SHORTLIST]
         reach = CLOSE * max((t.evidence for t in first), default=0.0)
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
-        return _best_of(found, lambda t: (*t.term.key, t.candidate.below))
+        return _best_of(found, lambda t: (*t.term.key, t.candidate.apart))
 
     def _smooth(self, linear: Linear, near: frozenset[int] | None) -> list[Tried]:
         g, had = self.model.ground, {term.key for term in self.model.terms}
@@ -285,21 +300,36 @@ class _Selection:
             for t in [one for one in first if one.term.joint == j][:SMOOTH_SHORTLIST]
         ]
 
-    def selected(self) -> Selected:
-        """What was taken, each term with its rivals."""
-        told = [self._taken(term) for term in self.model.terms]
-        kept = tuple(one for one in told if one is not None)
-        taken = {term.key for term in self.model.terms}
-        others = {key: share for key, share in self._visible.items() if key not in taken}
-        tried = tuple(one for one in self._tried if one.term.key not in taken)
-        return Selected(self.model, kept, others, tried)
+    def told(self, least: float = TOLD) -> Selected:
+        """What was taken, each term with its rivals.
 
-    def _taken(self, term: Term) -> Taken | None:
-        """A term and its rivals; none for what may be the error of another's law."""
+        Without what is less likely than `least` to be more than an error of the model's laws. A
+        simpler rival that does as well takes a term's place.
+        """
+        self.take_back(
+            lambda one: (
+                self._passes(one) and reality(one.foretold) >= least and not self._of_a_law(one)
+            )
+        )
+        told = self._all_taken()
+        taken = {term.key for term in self.model.terms}
+        hidden = {key: share for key, share in self._visible.items() if key not in taken}
+        tried = tuple(one for one in self._tried if one.term.key not in taken)
+        return Selected(self.model, told, hidden, tried)
+
+    def _all_taken(self) -> tuple[Taken, ...]:
+        """All terms with their rivals; they give way to simpler ones until none is left."""
+        for number, term in enumerate(self.model.terms):
+            best = self._simplest([r for r in self._taken(term).rivals if self._passes(r)])
+            if best is not None and best.term is not term:
+                self.model.terms[number] = best.term
+                self.model.settle()
+        return tuple(self._taken(term) for term in self.model.terms)
+
+    def _taken(self, term: Term) -> Taken:
+        """A term and its rivals."""
         linear = self.model.beside(term)
         one = _again(term, linear)
-        if self._of_a_law(one):
-            return None
         joints = {None, *(c % self.model.ground.n for c in term.channels)}
         candidates = list(self._candidates(self.model.left(without=term), joints))
         others = self._ranked(linear, candidates, [term.key], term.channels)

@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 
 SIZE = 12  # functions of one quantity, the constant among them
 TENSOR_SIZE = 6  # the same per quantity of a product
-ORDERS = 12  # of the motor's turn
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,7 @@ class SmoothFunction:
 
     @property
     def bending(self) -> Array:
-        """How much each column (k,) bends: its place among the smoothest; waves are all alike."""
-        if not all(axis.knots for axis in self.source.axes):
-            return np.ones(self.size)
+        """How much each column (k,) bends: its place among the smoothest."""
         place = np.arange(1.0, self.size + 1.0)
         return np.sqrt(place) if len(self.source.axes) > 1 else place
 
@@ -97,7 +94,7 @@ def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
     """Return smooth functions of everything measured, for the torque of one joint."""
     every = [*_of_joint(rows, joint), *_of_others(rows, joint), *_of_time(rows, joint)]
     known = [one for one in every if one is not None]
-    return [*known, *_motor_angle(rows, joint), *_products(rows, joint)]
+    return [*known, *_products(rows, joint)]
 
 
 def _of_joint(rows: Rows, j: int) -> list[SmoothFunction | None]:
@@ -169,28 +166,6 @@ def _axis(
     x = rows.of(joint, known)
     knots = knots_of(x, rows.folds_of(joint), size - 1)
     return (None if knots is None else Axis(measure, owner, knots)), x
-
-
-def _motor_angle(rows: Rows, j: int) -> list[SmoothFunction]:
-    """Waves of the motor's turn: constant, with the direction, with the load."""
-    if rows.scenes[0].robot.joints[j].gear_ratio is None:
-        return []
-    laws: tuple[tuple[Factor, tuple[str, ...]], ...] = (
-        ("one", ("position",)),
-        ("direction", ("position", "direction")),
-        ("load", ("position", "load")),
-    )
-    return [
-        SmoothFunction(
-            j,
-            quantities,
-            f"motor angle, order {order}" + (f" x {factor}" if factor != "one" else ""),
-            Shape(j, (Axis("motor_angle", j, order=order),), factor),
-            np.eye(2),
-        )
-        for factor, quantities in laws
-        for order in range(1, ORDERS + 1)
-    ]
 
 
 def _products(rows: Rows, j: int) -> list[SmoothFunction]:

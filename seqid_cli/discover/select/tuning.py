@@ -59,7 +59,7 @@ class Tuner:
 
     def _plausible(self, tried: Tried) -> bool:
         c = tried.candidate
-        found = tried.gained.coefficients
+        found = tried.gained.coefficients[: c.size]
         return c.effect.plausible(self.stage.scenes, c.joint, c.settings, found)
 
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
@@ -133,7 +133,7 @@ class Tuner:
         best = tried
         for number in range(SHARPENED):
             c = best.candidate
-            settings = c.effect.sharpened(c.settings, best.gained.coefficients)
+            settings = c.effect.sharpened(c.settings, best.gained.coefficients[: c.size])
             found = None if settings is None else self._moved(best, **settings)
             stands = number == 0 and c.effect.first_order
             if found is None or (found.evidence <= best.evidence and not stands):

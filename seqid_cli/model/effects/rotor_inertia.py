@@ -47,11 +47,10 @@ class RotorInertia(Effect):
     def grid(
         self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
     ) -> Iterator[dict[str, float]]:
-        """The diagonal term where the file fixes it; the coupling where the model lacks it."""
+        """The diagonal term, and the coupling where the model lacks it."""
         assert joint is not None
         scene = scenes[0]
-        if scene.robot.joints[joint].rotor_inertia is not None:
-            yield {"coupling": 0.0}
+        yield {"coupling": 0.0}
         carried = joint > 0 and not scene.robot.chain.prismatic[joint]
         if carried and scene.model.coupling == "diagonal":
             yield {"coupling": 1.0}
@@ -59,10 +58,12 @@ class RotorInertia(Effect):
     def plausible(
         self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
     ) -> bool:
-        """No rotor is left with a negative inertia."""
+        """No rotor is left with a negative inertia; one that no file gives may have been any."""
         assert joint is not None
-        known = scenes[0].robot.joints[joint].rotor_inertia or 0.0
-        return bool(c[0] >= (0.0 if settings["coupling"] > 0.5 else -known))
+        known = scenes[0].robot.joints[joint].rotor_inertia
+        if settings["coupling"] > 0.5:
+            return bool(c[0] >= 0.0)
+        return known is None or bool(c[0] >= -known)
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """Acceleration times the square of the gear ratio, or the couplings alone."""

@@ -1,8 +1,8 @@
 """Smooth functions of what a motion says: the axes that they are drawn over and their bases.
 
 An axis takes one number per sample from a scene and spreads it over a few functions: cubic
-B-splines between knots, held at the ends, or sine and cosine of a multiple of the motor's angle.
-A shape is the product of one or two axes, times a factor (1, the direction, the load).
+B-splines between knots, held at the ends. A shape is the product of one or two axes, times a
+factor (1, the direction).
 """
 
 from __future__ import annotations
@@ -30,14 +30,12 @@ Measure = Literal[
     "temperature",
     "time",
     "session_time",
-    "motor_angle",
 ]
-Factor = Literal["one", "direction", "load"]
+Factor = Literal["one", "direction"]
 MEASURES: tuple[str, ...] = get_args(Measure)
 FACTORS: tuple[str, ...] = get_args(Factor)
 
 DEGREE = 3
-PASSED, STOPPED = 2.0, 5.0  # times the cut-off: ripples in between fade out, faster ones are left
 
 
 @dataclass(frozen=True)
@@ -52,20 +50,17 @@ class Axis:
     joint : int
         Whose it is (of no matter for times).
     knots : tuple of float
-        Ends of the spline's pieces, ascending, in the measure's unit; empty for `motor_angle`.
-    order : int
-        Waves per turn of the motor, for `motor_angle`.
+        Ends of the spline's pieces, ascending, in the measure's unit.
     """
 
     measure: Measure
     joint: int
     knots: tuple[float, ...] = ()
-    order: int = 0
 
     @property
     def size(self) -> int:
         """Number of functions."""
-        return 2 if self.measure == "motor_angle" else len(self.knots) + DEGREE - 1
+        return len(self.knots) + DEGREE - 1
 
     def values(self, scene: Scene) -> Array | None:
         """Return the quantity (N,), None where the scene does not have it."""
@@ -89,25 +84,13 @@ class Axis:
                 return motion.t - float(motion.t[0])
             case "session_time":
                 return scene.time if scene.shared_clock else None
-            case "motor_angle":
-                return float(scene.gear[j]) * motion.q[:, j]
 
     def basis(self, scene: Scene) -> Array:
         """Compute the functions (N, size) of a scene; zero where it lacks the quantity."""
         x = self.values(scene)
         if x is None:
             return np.zeros((scene.samples, self.size))
-        if self.measure == "motor_angle":
-            waves = np.column_stack([np.sin(self.order * x), np.cos(self.order * x)])
-            return waves * self._passed(scene)[:, None]
         return splines(x, self.knots)
-
-    def _passed(self, scene: Scene) -> Array:
-        """Share (N,) of a ripple that the low-pass lets through; what is faster would alias."""
-        rate = self.order * scene.gear[self.joint] * np.abs(scene.motion.dq[:, self.joint])
-        ratio = rate / (2 * np.pi * scene.motion.lowpass.cutoff_hz)
-        share: Array = np.clip((STOPPED - ratio) / (STOPPED - PASSED), 0.0, 1.0)
-        return share
 
 
 def splines(x: Array, knots: Sequence[float]) -> Array:
@@ -134,10 +117,10 @@ def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Arr
     ----------
     scene : Scene
     joint : int
-        Whose direction or load is the factor.
+        Whose direction is the factor.
     axes : sequence of Axis
     factor : str
-        `one`, `direction` or `load`.
+        `one` or `direction`.
 
     Returns
     -------
@@ -147,8 +130,6 @@ def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Arr
     basis = reduce(_row_product, [axis.basis(scene) for axis in axes])
     if factor == "direction":
         return basis * scene.sign[:, joint, None]
-    if factor == "load":
-        return basis * scene.load[:, joint, None]
     return basis
 
 

@@ -7,8 +7,9 @@ none, N = 1). On a slide N is the motor's angle per length [rad/m], 2 pi over th
 The multiplier m is the law by which the ripple scales:
 
     law 0, constant:   m = 1            cogging, also without current [N m]
-    law 1, torque:     m = tau_model    commutation, phase gains, mesh under load [-]
+    law 1, torque:     m = tau_model    commutation, phase gains [-]
     law 2, direction:  m = s(v)         friction that varies round the turn [N m]
+    law 3, load:       m = tau_load     mesh under what the gear passes to the link [-]
 
 `lag` [s] is how late a fast ripple shows in the measured torque: the drive answers it with a delay
 of its own, and what is left of it shakes the arm. Both ways and at many speeds its waves then fall
@@ -43,7 +44,7 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-LAWS = ("constant", "torque", "direction")
+LAWS = ("constant", "torque", "direction", "load")
 PEAKS = 4  # per law
 USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
@@ -67,7 +68,7 @@ class TorqueRipple(Effect):
     family = "transmission"
     settings = (
         Setting("order", "cycles per motor turn", low=0.0, continuous=False),
-        Setting("law", "1", low=0.0, high=2.0, continuous=False),
+        Setting("law", "1", low=0.0, high=len(LAWS) - 1.0, continuous=False),
         Setting("lag", "s", low=0.0, high=max(LAGS_S), continuous=False),
     )
     wide = True
@@ -80,7 +81,7 @@ class TorqueRipple(Effect):
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return sine and cosine parts."""
-        unit = "1" if settings["law"] == 1.0 else "N m"
+        unit = "1" if settings["law"] in (1.0, 3.0) else "N m"
         return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
 
     def grid(
@@ -128,7 +129,7 @@ class TorqueRipple(Effect):
     def values(
         self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
-        """Return amplitude (N m; law 1: share of the torque) and phase."""
+        """Return amplitude (N m; laws 1, 3: share of the torque) and phase."""
         unit = self.coefficients(settings)[0].unit
         return amplitude_and_phase(
             c, covariance, unit_of(unit, bool(robot.chain.prismatic[joint or 0]))
@@ -165,9 +166,8 @@ def multiplier(scene: Scene, joint: int, law: int) -> Array:
     """What the ripple scales with, (N,)."""
     if law == 0:
         return np.ones(scene.samples)
-    if law == 1:
-        return scene.modelled[:, joint]
-    return scene.sign[:, joint]
+    every = {1: "modelled", 2: "sign", 3: "load"}
+    return np.asarray(getattr(scene, every[law])[:, joint])
 
 
 def highest_order(scenes: Sequence[Scene], joint: int) -> float:

@@ -27,7 +27,6 @@ Array = NDArray[np.float64]
 NAME = "unexplained"
 MOST_AXES = 2
 MOST_KNOTS = 64
-UNITS = {"load": "1"}  # of the coefficients, by factor; N m else
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,6 @@ class SmoothTerm:
             The logs that it was fitted to, for terms of time.
         """
         errors = np.zeros_like(self.coefficients) if std_errors is None else std_errors
-        unit = UNITS.get(self.factor, "N m")
         name = robot.joint_names[self.joint]
         settings: dict[str, str | float | int | bool] = {
             "depends_on": " ".join(self.quantities),
@@ -86,11 +84,10 @@ class SmoothTerm:
         for number, axis in enumerate(self.axes, start=1):
             settings[f"axis_{number}"] = axis.measure
             settings[f"axis_{number}_joint"] = robot.joint_names[axis.joint]
-            settings[f"axis_{number}_order"] = axis.order
             for k, knot in enumerate(axis.knots):
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
         parameters = [
-            Parameter(name=f"c_{k}", value=float(c), std_error=float(e), unit=unit, joint=name)
+            Parameter(name=f"c_{k}", value=float(c), std_error=float(e), unit="N m", joint=name)
             for k, (c, e) in enumerate(zip(self.coefficients, errors, strict=True))
         ]
         return EffectOfJoint(
@@ -131,11 +128,6 @@ def _axis(entry: EffectOfJoint, robot: Robot, number: int) -> Axis:
     measure = cast(Measure, _choice(entry, key, MEASURES))
     owner = entry.settings.get(f"{key}_joint")
     joint = _joint(robot, f"{key}_joint", owner if isinstance(owner, str) else None)
-    order = entry.settings.get(f"{key}_order", 0)
-    if measure == "motor_angle":
-        if not isinstance(order, int) or order < 1:
-            raise _damaged(entry.joint, f"{key}_order", f"{order!r}, expected a whole number >= 1")
-        return Axis(measure, joint, order=order)
     return Axis(measure, joint, _knots(entry, key))
 
 

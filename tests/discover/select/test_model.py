@@ -76,7 +76,7 @@ def test_what_is_left_is_known_at_all_samples() -> None:
     for scene, a, b, shown in zip(rows.scenes, left, with_it, model.shown(), strict=True):
         assert not a[~scene.slides].any()
         np.testing.assert_allclose((b - a)[scene.slides], shown[scene.slides], atol=1e-9)
-    value = model.linear.theta[model.where(term)][0]
+    value = model.coefficients(term)[0]
     assert value == pytest.approx(DRAG, abs=4.0 * float(np.sqrt(model.covariance(term)[0, 0])))
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.rows import rows_of
-from seqid_cli.discover.select.selection import Selected, select
+from seqid_cli.discover.select.selection import Selected, Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.select.smoothest import knots_of, smoothest
 from seqid_cli.discover.select.terms import smooth_terms
@@ -46,11 +46,11 @@ def both_places(scene: Scene) -> Array:
     return 0.4 * np.sin(2 * scene.motion.q[:, 1]) * np.cos(3 * scene.motion.q[:, 0])
 
 
-def ripple(scene: Scene) -> Array:
-    return 0.3 * scene.sign[:, 1] * np.sin(2 * scene.gear[1] * scene.motion.q[:, 1])
-
-
 def selected(seed: int, extra: Extra | None) -> Selected:
+    return selection(seed, extra).told()
+
+
+def selection(seed: int, extra: Extra | None) -> Selection:
     """What is selected without any effect to choose from, beside coloured noise."""
     rng, scenes = np.random.default_rng(seed), []
     for scene in related_scenes(seed, logs=3):
@@ -75,18 +75,10 @@ def selected(seed: int, extra: Extra | None) -> Selected:
     ],
 )
 def test_the_right_quantity_is_named_first(extra, quantities: set[str], seed: int) -> None:
-    first = selected(seed, at_joint(1, extra)).taken[0].term.what
+    first = selection(seed, at_joint(1, extra)).model.terms[0].what
     assert isinstance(first, SmoothFunction)
     assert first.joint == 1
     assert set(first.quantities) == quantities
-
-
-def test_waves_of_the_motor_are_found_by_order() -> None:
-    first = selected(2, at_joint(1, ripple)).taken[0]
-    what = first.term.what
-    assert isinstance(what, SmoothFunction)
-    assert what.label == "motor angle, order 2 x direction"
-    assert first.one.foretold.share > 0.5
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.effects.smooth import Axis, greville, shape, splines
+from seqid_cli.model.effects.smooth import Axis, greville, splines
 from seqid_cli.model.effects.unexplained import SmoothTerm
 from tests.model.effects.scenes import scene_of, two_joint_robot, wander
 
@@ -58,18 +56,6 @@ def test_a_term_survives_the_file() -> None:
     assert {p.unit for p in entry.parameters} == {"N m"}
 
 
-def test_a_ripple_that_the_filter_stops_is_left_out() -> None:
-    scene = scene_of(wander(4.0, rests=()))
-    axis = Axis("motor_angle", 0, order=6)
-    waves = shape(scene, 0, [axis], "one")
-    rate = 6 * scene.gear[0] * np.abs(scene.motion.dq[:, 0]) / (2 * np.pi)
-    cutoff = scene.motion.lowpass.cutoff_hz
-    assert np.all(waves[rate > 5.01 * cutoff] == 0.0)
-    slow = rate < 1.99 * cutoff
-    assert slow.any()
-    np.testing.assert_allclose(np.sum(waves[slow] ** 2, axis=1), 1.0, atol=1e-12)
-
-
 def test_what_a_scene_lacks_gives_no_torque() -> None:
     scene = scene_of(wander(4.0, rests=()))
     for measure in ("temperature", "session_time"):
@@ -111,12 +97,3 @@ def test_an_unknown_joint_is_refused() -> None:
     entry.joint = "wing"
     with pytest.raises(ConfigError, match="'wing', expected one of joint_1, joint_2"):
         SmoothTerm.from_stage(entry, robot)
-
-
-def test_the_load_as_factor_has_no_unit() -> None:
-    axis = Axis("motor_angle", 1, order=2)
-    term = SmoothTerm(1, ("position", "load"), (axis,), "load", np.ones(2))
-    entry = term.to_stage(two_joint_robot(), np.array([0.1, 0.2]))
-    assert [(p.unit, p.std_error) for p in entry.parameters] == [("1", 0.1), ("1", 0.2)]
-    back = SmoothTerm.from_stage(entry, two_joint_robot())
-    assert replace(back, coefficients=term.coefficients).axes == (axis,)

@@ -138,4 +138,6 @@ def test_what_was_tried_on_a_clean_arm_falls_short_of_what_is_asked() -> None:
     every = [rival for joint in found.joints.values() for rival in joint.tried]
     assert every
     for rival in every:
-        assert rival.why_not.endswith(("asked at least", "allowed at most", "than nothing does")), rival
+        assert rival.why_not.endswith(("asked at least", "allowed at most", "than nothing does")), (
+            rival
+        )

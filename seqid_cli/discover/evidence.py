@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +26,13 @@ from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all scenes
 What = Candidate | SmoothFunction
 
-BINS = 40
+CELLS = 80  # of the quantity's range, that bins are made of
+LEAST = 0.02  # of the samples, up to which cells are joined into one bin
+GAP = 2  # cells without a sample, that no bin goes over
 DIGITS = 4
 AROUND_S = 1.0  # shown before and behind a push
 NAMES = {"load_size": "load", "session_time": "time"}
@@ -148,9 +152,8 @@ def _turn(X: Array, theta: Array) -> Array:
 def _binned(
     robot: Robot, j: int, over: _Over, x: Array, y: Array, left: Array | None = None
 ) -> Evidence:
-    """Bins of about equally many samples, in the order of x (M,); y, left (M,) N m."""
-    parts = np.array_split(np.argsort(x, kind="stable"), min(BINS, max(len(x), 1)))
-    bins = [part for part in parts if len(part)]
+    """Means and spreads over x (M,) of y, left (M,) N m."""
+    bins = _bins(x)
     after = [left[part] for part in bins] if left is not None else []
     names = robot.joint_names
     return Evidence(
@@ -165,6 +168,22 @@ def _binned(
         after=_each(np.mean, after),
         after_spread=_each(np.std, after),
     )
+
+
+def _bins(x: Array) -> list[Index]:
+    """Indices of each bin of x (M,), ascending: narrow, with enough samples, over no gap."""
+    low, span = float(np.min(x, initial=np.inf)), float(np.ptp(x)) if len(x) else 0.0
+    if span == 0.0:
+        return [np.arange(len(x))] if len(x) else []
+    cell = np.minimum((CELLS * (x - low) / span).astype(np.intp), CELLS - 1)
+    count, ends = np.bincount(cell, minlength=CELLS), [0]
+    there = np.flatnonzero(count)
+    for at, after in pairwise(there.tolist()):
+        held = int(count[ends[-1] : at + 1].sum())
+        if held >= LEAST * len(x) or after - at > GAP:
+            ends.append(at + 1)
+    number = np.searchsorted(ends, cell, side="right") - 1
+    return [np.flatnonzero(number == k) for k in range(len(ends))]
 
 
 def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> tuple[float, ...]:

@@ -33,6 +33,7 @@ NODES_PER_CUTOFF = 6.0
 LONGEST_S, SHORTEST_S = 20.0, 0.3
 MOST_NODES = 60_000
 LOCKED_NOISE = 0.01  # rad/s^2 that a locked joint's encoder may add
+LEAST_HZ = 3.0  # below which a locked joint's encoder is not followed
 LEAST_OFFSET = 1e-4  # rad, of a locked joint, that is worth an unknown
 JERK_SLACK = 3.0
 REPEATED = 2.0  # swings that repeat themselves repeat their quantisation errors
@@ -177,11 +178,11 @@ def _segment(source: _Source, own: slice) -> Segment | None:
     if len(nodes) < 4 * REACH:
         return None
     chain = range(source.link + 1)
-    moves: Mask = np.any(source.motion.moving[own], axis=0)
-    moving = tuple(j for j in chain if moves[j])
-    resting = tuple(j for j in chain if not moves[j])
     wide = np.arange(nodes[0] - REACH * every, nodes[-1] + REACH * every + 1, every)
     views = {j: encoder_view(recording.q[:, j], float(source.steps[j])) for j in chain}
+    moves: Mask = np.any(source.motion.moving[own], axis=0)
+    moving = tuple(j for j in chain if moves[j] or _hunts(source, j, views[j], own))
+    resting = tuple(j for j in chain if j not in moving)
     q = source.smooth[nodes].copy()
     dq, ddq = np.zeros_like(q), np.zeros_like(q)
     for j in resting:
@@ -200,7 +201,7 @@ def _segment(source: _Source, own: slice) -> Segment | None:
         moving=moving,
         start=source.smooth[wide][:, list(moving)],
         encoders=tuple(_encoder_rows(source, j, views[j], wide, own) for j in moving),
-        jerk=np.array([_jerk(source.motion.ddq[own, j], rate) for j in moving]),
+        jerk=np.full(len(moving), _jerk(source.motion.ddq[own], rate)),
         locked=locked,
         offset_sigma=np.array([off[j] for j in locked]),
         readings=source.readings,
@@ -211,17 +212,33 @@ def _segment(source: _Source, own: slice) -> Segment | None:
 
 
 def _jerk(ddq: Array, rate_hz: float) -> float:
-    """Standard deviation that a moving joint's jerk is given, rad/s^3."""
-    return max(JERK_SLACK * float(np.sqrt(np.mean((np.diff(ddq) * rate_hz) ** 2))), 1.0)
+    """Standard deviation that moving joints' jerks are given, rad/s^3.
+
+    Joints push each other: one that hunts within a few counts jerks as the others do, whatever its
+    encoder shows of it.
+    """
+    rms = np.sqrt(np.mean((np.diff(ddq, axis=0) * rate_hz) ** 2, axis=0))
+    return max(JERK_SLACK * float(np.max(rms)), 1.0)
+
+
+def _hunts(source: _Source, j: int, view: EncoderView, own: slice) -> bool:
+    """Whether a joint leaves a code of an encoder that is too coarse to show how."""
+    codes = view.q[own]
+    return _still_hz(view, source.recording.rate_hz) < LEAST_HZ and bool(np.ptp(codes) > 0.0)
+
+
+def _still_hz(view: EncoderView, rate_hz: float) -> float:
+    """Cut-off up to which an encoder shows a locked joint's acceleration to LOCKED_NOISE."""
+    density = (view.step**2 / 12 + view.white) * 2 / rate_hz
+    return float((5 * LOCKED_NOISE**2 / (max(density, 1e-24) * (2 * np.pi) ** 4)) ** 0.2)
 
 
 def _locked_motion(q: Array, recording: Recording, view: EncoderView) -> tuple[Array, ...]:
     """What a locked joint does: no more than its encoder shows of it without its noise."""
-    density = (view.step**2 / 12 + view.white) * 2 / recording.rate_hz
-    hz = (5 * LOCKED_NOISE**2 / (max(density, 1e-24) * (2 * np.pi) ** 4)) ** 0.2
+    hz = _still_hz(view, recording.rate_hz)
     lowpass = Lowpass(min(hz, recording.rate_hz / NODES_PER_CUTOFF), recording.rate_hz)
     long_enough = len(q) > 4 * lowpass.settling
-    if hz < 3.0 or not long_enough:
+    if hz < LEAST_HZ or not long_enough:
         mean = np.full(len(q), float(np.mean(q[recording.valid])))
         return mean, np.zeros(len(q)), np.zeros(len(q))
     smooth = lowpass(q, recording.valid)

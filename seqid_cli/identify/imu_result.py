@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_deflection import SIGNIFICANT
 from seqid_cli.identify.imu_fit import Fit
-from seqid_cli.identify.imu_model import channels_of, tilted
+from seqid_cli.identify.imu_model import MOTION, channels_of, design, mounted, tilted
 from seqid_cli.identify.imu_pairs import Pair, best_references, condition_of
 from seqid_cli.identify.imu_segments import Segment
 from seqid_cli.motion.imu_array import layout
@@ -58,6 +58,7 @@ def calibration_of(
         noise_density=density,
         time_offset_s=constants.delay if delay_known else 0.0,
         time_offset_std_error_s=delay_error if delay_known else None,
+        acceleration_std_error=_acceleration_error(robot, imu, fit),
         lever=_listed(constants.lever, lever),
         lever_std_errors=_listed(sigma[3:6], lever),
         samples=fit.kept,
@@ -74,6 +75,27 @@ def calibration_of(
     )
     _add_sensors(calibration, imu, fit, known, _densities(segments))
     return calibration
+
+
+def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
+    """Relative standard error of the accelerations that the readings give of the last joint.
+
+    That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the constants,
+    all channels together take it by a'da / a'a too large.
+    """
+    axis = robot.chain.axis[imu.after_joint]
+    x = np.zeros((1, MOTION))
+    if robot.chain.prismatic[imu.after_joint]:
+        x[0, :3] = axis
+    else:
+        x[0, 3:12] = np.cross(np.eye(3), axis).ravel()  # rows of the matrix dw x
+    channels = mounted(imu, fit.constants)
+    k = channels.accelerometers
+    a = (channels.matrix @ x[0])[:k]
+    slope = a @ design(channels, x, np.zeros((1, len(channels.axes))))[0, :k]
+    slope[7 : 7 + len(channels.axes)] = 0.0  # a bias is no acceleration
+    slope /= max(float(a @ a), 1e-300)
+    return float(np.sqrt(slope @ fit.covariance @ slope))
 
 
 @dataclass(frozen=True)

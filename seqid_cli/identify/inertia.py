@@ -41,6 +41,7 @@ from seqid_cli.identify.posterior import (
     sensitivity_of,
 )
 from seqid_cli.identify.rigid_stage import (
+    imu_moves,
     not_excited,
     parameters_of,
     representative_of,
@@ -346,7 +347,7 @@ class InertiaEquations:
             for factor, other in near.items()
         }
         check = cutoff_check((solution, posterior), there, self.surfaces)
-        posterior = posterior.with_doubt(check.doubt)
+        posterior = posterior.with_doubt(check.doubt).with_doubt(self.imu_moves(solution.theta))
         stage = self._describe(solution, posterior, fixed, coupling)
         return with_cutoff_check(stage, check, self.basis)
 
@@ -385,6 +386,15 @@ class InertiaEquations:
         errors = self.robot.torque_constant_errors
         moves = constant_moves(solution, errors, known, by_gravity)
         return solution, replace(posterior, constants=moves)
+
+    def imu_moves(self, theta: Array) -> Array:
+        """By what the errors of the IMUs that took part move the parameters (b, d)."""
+        names = {name for use in self.uses for name in use.imus}
+        imus = self.stages.imu.imus if self.stages.imu else {}
+        errors = {name: imus[name].acceleration_std_error or 0.0 for name in names}
+        inertia = np.where(self.basis.gravity & bool(self.stages.gravity), 0.0, theta)
+        reflected = gear_ratios(self.robot) ** 2 * self.rotors
+        return imu_moves(self.robot, self.basis, inertia, reflected, errors)
 
     @property
     def independent_share(self) -> float:

@@ -239,6 +239,7 @@ class ImuCalibration(Struct, kw_only=True):
     noise_density: float | None = None  # rad/s^2/sqrt(Hz), of the angular acceleration
     time_offset_s: float = 0.0  # the IMU's stamp minus the encoder's of the same instant
     time_offset_std_error_s: float | None = None  # null: not determined, the offset is taken as 0
+    acceleration_std_error: float | None = None  # relative, of the last joint's own acceleration
     lever: list[float | None] = []  # m, the IMU's origin in the link's frame
     lever_std_errors: list[float | None] = []
     accelerometer_bias: list[float | None] = []  # m/s^2

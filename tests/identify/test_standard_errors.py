@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,6 +11,10 @@ from scipy.signal import lfilter
 
 from seqid_cli.identify.equations import blocks
 from seqid_cli.identify.least_squares import Accumulator, solve
+from seqid_cli.identify.rigid_stage import imu_moves
+from seqid_cli.robot.base import free_basis
+from tests.plants.rigs import two_joint
+from tests.study.lab import robot_of
 
 Array = NDArray[np.float64]
 
@@ -69,3 +75,22 @@ def test_the_white_noise_formula_would_not(errors: tuple[float, Array, Array]) -
 def test_the_estimate_has_no_bias(errors: tuple[float, Array, Array]) -> None:
     _, robust, _ = errors
     assert np.abs(robust.mean(axis=0)).max() < 4 * robust.std() / np.sqrt(SEEDS)
+
+
+def test_an_imu_moves_the_inertias_of_the_links_that_it_follows() -> None:
+    robot = robot_of("planar", two_joint())
+    basis = free_basis(robot)
+    inertia = np.where(basis.gravity, 0.0, np.arange(1.0, basis.size + 1))
+    reflected = np.array([0.0, 0.5])
+    first, second = (replace(robot.imus[0], name=n, after_joint=j) for n, j in (("a", 0), ("b", 1)))
+    arm = replace(robot, imus=(second, first))
+    links = np.array([basis.joint_index(k) for k in range(basis.size)])
+    whole = inertia + 0.5 * np.array([name == "Izz_2" for name in basis.names])
+
+    both = imu_moves(arm, basis, inertia, reflected, {"a": 0.1, "b": 0.01})
+    assert both == pytest.approx(
+        np.column_stack([0.1 * whole * (links == 0), 0.01 * whole * (links == 1)])
+    )
+    alone = imu_moves(arm, basis, inertia, reflected, {"b": 0.01})
+    assert alone == pytest.approx(0.01 * whole[:, None])
+    assert imu_moves(arm, basis, inertia, reflected, {}).shape == (basis.size, 0)

@@ -13,6 +13,7 @@ from seqid_cli.discover.select.linear import Channels
 from seqid_cli.discover.wide import both_bands, full_residual, high_band
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
@@ -157,9 +158,16 @@ def candidates_of(
         joints: list[int | None] = [None] if effect.arm else list(range(n))
         if effect.shared and n > 1:
             joints.append(None)
-        for joint in joints:
+        only = _only(effect, narrow[0].robot, joints)
+        for joint in only:
             if (near is None or joint in near) and effect.available(scenes, joint):
                 for settings in effect.grid(scenes, joint, residual):
                     yield Candidate(effect, joint, settings)
                     if effect.wide:
                         yield Candidate(effect, joint, settings, apart=True)
+
+
+def _only(effect: Effect, robot: Robot, joints: Sequence[int | None]) -> Sequence[int | None]:
+    """Of these joints, the one where the robot file wants its own effect to be looked for."""
+    asked = {own.name: own.joint for own in robot.effects}.get(effect.name)
+    return joints if asked is None else [joint for joint in joints if joint == asked]

@@ -11,8 +11,8 @@ from .toml_read import ReadRobotFile, read_robot_file
 from .urdf_text import UrdfText, check_names, read_urdf_text
 
 if TYPE_CHECKING:
-    from .toml_schema import ImuEntry, JointEntry
-    from .types import Array, Chain, Imu, Joint, Robot
+    from .toml_schema import EffectEntry, ImuEntry, JointEntry
+    from .types import Array, Chain, Imu, Joint, OwnEffect, Robot
 
 
 def load_robot(path: Path) -> Robot:
@@ -68,6 +68,7 @@ def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> Robot:
         imus=tuple(_imu(entry, names) for entry in content.imu),
         channels=Channels(**msgspec.structs.asdict(content.channels)),
         nominal=nominal,
+        effects=tuple(_effect(entry, names) for entry in content.effect),
     )
 
 
@@ -114,6 +115,19 @@ def _joint(entry: JointEntry, prismatic: bool) -> Joint:
         encoder_resolution=entry.encoder_resolution,
         position_limits=entry.position_limits,
         velocity_limit=entry.velocity_limit,
+    )
+
+
+def _effect(entry: EffectEntry, joints: list[str]) -> OwnEffect:
+    from .formula import parse_formula
+    from .types import OwnEffect
+
+    text = entry.torque
+    return OwnEffect(
+        name=entry.name,
+        joint=None if entry.joint is None else joints.index(entry.joint),
+        formula=None if text is None else parse_formula(text, len(joints), entry.settings),
+        settings=entry.settings,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,8 @@ from string import Formatter
 from typing import NoReturn
 
 from ..errors import ConfigError
-from .toml_schema import ImuEntry, JointEntry, RobotFile
+from .formula import SYMBOLS, FormulaError, is_coefficient, parse_formula, symbol_of
+from .toml_schema import EffectEntry, ImuEntry, JointEntry, RobotFile
 
 PATTERN_FIELDS = frozenset({"name", "index", "index0"})
 JOINT_CHANNELS = ("position", "velocity", "current", "torque", "temperature")
@@ -25,6 +27,9 @@ _MEANING = {  # what each number of a joint is, for hints
     "velocity_limit": "It is the largest speed in rad/s.",
 }
 _POSITIVE = ("torque_constant", "encoder_resolution", "velocity_limit")
+
+
+_WORD = re.compile(r"[a-z][a-z0-9_]{0,40}")
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
@@ -63,7 +68,32 @@ class _Checks:
             self.joint(f"joint[{k}]", joint)
         for k, imu in enumerate(robot.imu):
             self.imu(f"imu[{k}]", imu, [joint.name for joint in robot.joint])
+        self.unique("effect", [effect.name for effect in robot.effect])
+        for k, effect in enumerate(robot.effect):
+            self.effect(f"effect[{k}]", effect, [joint.name for joint in robot.joint])
         self.channels(robot)
+
+    def effect(self, key: str, effect: EffectEntry, joints: list[str]) -> None:
+        named = f" (effect {effect.name!r})"
+        if _WORD.fullmatch(effect.name) is None:
+            self.fail(f"{key}.name is {effect.name!r}", "Use small letters, digits and _.")
+        if effect.joint is not None and effect.joint not in joints:
+            hint = f"{nearest(effect.joint, joints)}Joints: {', '.join(joints)}; or leave it out."
+            self.fail(f"{key}.joint is {effect.joint!r}, which is no joint{named}", hint)
+        for name, (low, high) in effect.settings.items():
+            taken = symbol_of(name) or is_coefficient(name) or not _WORD.fullmatch(name)
+            if taken or not -math.inf < low < high < math.inf:
+                hint = "Write width = [lowest, highest], under a name that no symbol has."
+                self.fail(f"{key}.settings.{name} is [{low}, {high}]{named}", hint)
+        if effect.torque is None:
+            return
+        try:
+            parse_formula(effect.torque, len(joints), effect.settings)
+        except FormulaError as problem:
+            hint = (
+                f"Write a sum of terms as in 'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}."
+            )
+            self.fail(f"{key}.torque {problem}{named}", hint)
 
     def text(self, key: str, value: str) -> None:
         if not value.strip() or not value.isprintable():

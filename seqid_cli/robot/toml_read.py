@@ -21,6 +21,7 @@ from .toml_schema import (
     AccelerometerEntry,
     ChannelsEntry,
     DhEntry,
+    EffectEntry,
     ImuEntry,
     JointEntry,
     RobotFile,
@@ -167,6 +168,7 @@ def _keys_at(at: str) -> tuple[str, ...]:
         "imu": ImuEntry,
         "imu.accelerometers": AccelerometerEntry,
         "channels": ChannelsEntry,
+        "effect": EffectEntry,
     }
     table = tables.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile)
     return table.__struct_fields__
@@ -174,7 +176,7 @@ def _keys_at(at: str) -> tuple[str, ...]:
 
 def _named(document: dict[str, object], at: str) -> str:
     """`` (joint 'elbow')`` where `at` points into a table that has a name."""
-    match = re.match(r"(joint|imu)\[(\d+)\]", at)
+    match = re.match(r"(joint|imu|effect)\[(\d+)\]", at)
     if match is None:
         return ""
     entry = cast("list[dict[str, object]]", document[match[1]])[int(match[2])]

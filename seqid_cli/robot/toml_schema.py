@@ -68,6 +68,15 @@ class ChannelsEntry(Table, frozen=True):
     effort: Literal["torque", "current"] | None = None
 
 
+class EffectEntry(Table, frozen=True):
+    """One `[[effect]]`: a formula, or the name of an effect that an installed package offers."""
+
+    name: str
+    joint: str | None = None
+    torque: str | None = None
+    settings: dict[str, tuple[float, float]] = {}
+
+
 class RobotFile(Table, frozen=True):
     """The whole document."""
 
@@ -77,4 +86,5 @@ class RobotFile(Table, frozen=True):
     joint: tuple[JointEntry, ...]
     urdf: str | None = None
     imu: tuple[ImuEntry, ...] = ()
+    effect: tuple[EffectEntry, ...] = ()
     channels: ChannelsEntry = ChannelsEntry()

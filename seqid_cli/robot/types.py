@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from seqid_cli.robot.formula import Formula
 
 Array = NDArray[np.float64]
 
@@ -85,6 +88,19 @@ class Chain:
 
 
 @dataclass(frozen=True)
+class OwnEffect:
+    """An effect that the robot file adds to the catalogue: a formula, or a package's (None).
+
+    `joint` is where it is looked for, None for everywhere; `settings` have their limits.
+    """
+
+    name: str
+    joint: int | None = None
+    formula: Formula | None = None
+    settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Robot:
     """A robot file, read and checked.
 
@@ -102,6 +118,7 @@ class Robot:
     imus: tuple[Imu, ...] = ()
     channels: Channels = field(default_factory=Channels)
     nominal: Array | None = None
+    effects: tuple[OwnEffect, ...] = ()
 
     @property
     def n(self) -> int:

@@ -38,7 +38,7 @@ from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.terms import Term, smooth_terms
 from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.registry import catalogue_of
 
 Array = NDArray[np.float64]
 Key = tuple[str, int | None]
@@ -131,12 +131,14 @@ class Selected:
 def select(
     ground: Ground,
     options: Options | None = None,
-    catalogue: Sequence[Effect] = tuple(CATALOGUE.values()),
+    catalogue: Sequence[Effect] | None = None,
 ) -> Selection:
     """Select what the model lacks, with the base held in every way; the evidence chooses one.
 
     Models are compared under one noise, that of the one that leaves least.
     """
+    if catalogue is None:
+        catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
     every = [Selection(Model(ground, hold), options or Options(), catalogue) for hold in HOLDS]
     for one in every:
         one.run()

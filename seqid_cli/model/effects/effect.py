@@ -15,7 +15,7 @@ import abc
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,23 +125,23 @@ class Effect(abc.ABC):
         What to record to tell it from those, as an instruction.
     """
 
-    name: ClassVar[str]
-    family: ClassVar[Family]
-    arm: ClassVar[bool] = False
-    shared: ClassVar[bool] = False
-    settings: ClassVar[tuple[Setting, ...]] = ()
-    passes: ClassVar[int] = 2
-    wide: ClassVar[bool] = False
-    timing: ClassVar[bool] = False
-    first_order: ClassVar[bool] = False
-    slow: ClassVar[bool] = False
-    change: ClassVar[bool] = False
-    apart: ClassVar[bool] = False
-    later: ClassVar[tuple[str, ...]] = ()
-    over: ClassVar[Over] = "torque"
-    sided: ClassVar[bool] = False
-    alike: ClassVar[tuple[str, ...]] = ()
-    separate_by: ClassVar[str]
+    name: str
+    family: Family
+    arm: bool = False
+    shared: bool = False
+    settings: tuple[Setting, ...] = ()
+    passes: int = 2
+    wide: bool = False
+    timing: bool = False
+    first_order: bool = False
+    slow: bool = False
+    change: bool = False
+    apart: bool = False
+    later: tuple[str, ...] = ()
+    over: Over = "torque"
+    sided: bool = False
+    alike: tuple[str, ...] = ()
+    separate_by: str
 
     def local(self, settings: Settings) -> bool:
         """Whether its torque at a moment follows from the motion just before and after it.

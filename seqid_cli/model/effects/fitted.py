@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.unexplained import NAME as UNEXPLAINED
 from seqid_cli.model.effects.unexplained import SmoothTerm
@@ -141,11 +141,12 @@ def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
 
 
 def _restored(key: str, entry: EffectOfJoint, robot: Robot) -> FittedEffect:
-    effect = CATALOGUE.get(entry.effect)
+    effect = catalogue_of(robot).get(entry.effect)
     if effect is None:
         raise ConfigError(
             f"{key}.effect: no effect named {entry.effect!r} is known to this version",
-            hint="A newer seqid wrote the file: update, or take the effect out of the file.",
+            hint=f"An effect of your own must stand in {robot.source.name} as [[effect]]; a newer "
+            "seqid may have written the file: update, or take the effect out of it.",
         )
     settings = _settings(key, effect, entry)
     coefficients = _coefficients(key, effect, entry, settings)

@@ -1,9 +1,13 @@
-"""The catalogue: every effect, by name. Adding one is a file and a line here."""
+"""The catalogue: every effect, by name. Adding one is a file and a line here.
+
+A robot file adds its own (`own`) without touching the source.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.actuator_lag import ActuatorLag
 from seqid_cli.model.effects.asymmetric_friction import AsymmetricFriction
 from seqid_cli.model.effects.backlash import Backlash
@@ -17,6 +21,7 @@ from seqid_cli.model.effects.gear_efficiency import GearEfficiency
 from seqid_cli.model.effects.joint_elasticity import JointElasticity
 from seqid_cli.model.effects.load_dependent_friction import LoadDependentFriction
 from seqid_cli.model.effects.nonlinear_viscous import NonlinearViscous
+from seqid_cli.model.effects.own import own_effect
 from seqid_cli.model.effects.payload import Payload
 from seqid_cli.model.effects.periodic_disturbance import PeriodicDisturbance
 from seqid_cli.model.effects.position_dependent_friction import PositionDependentFriction
@@ -32,6 +37,7 @@ from seqid_cli.model.effects.torque_constant import TorqueConstant
 from seqid_cli.model.effects.torque_ripple import TorqueRipple
 from seqid_cli.model.effects.torque_saturation import TorqueSaturation
 from seqid_cli.model.effects.transmission_coupling import TransmissionCoupling
+from seqid_cli.robot.types import Robot
 
 _ALL: tuple[Effect, ...] = (
     Stribeck(),
@@ -64,3 +70,21 @@ _ALL: tuple[Effect, ...] = (
 )
 
 CATALOGUE: Mapping[str, Effect] = {effect.name: effect for effect in _ALL}
+
+
+def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
+    """The catalogue with what the robot file adds.
+
+    Raises
+    ------
+    ConfigError
+        If an effect of the robot file has a name of the catalogue, or cannot be loaded.
+    """
+    for asked in robot.effects:
+        if asked.name in CATALOGUE:
+            raise ConfigError(
+                f"effect {asked.name!r} is one of the catalogue",
+                where=str(robot.source),
+                hint="Give it another name; those of the catalogue are looked for anyway.",
+            )
+    return {**CATALOGUE, **{asked.name: own_effect(asked, robot) for asked in robot.effects}}

@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 from seqid_cli.identify.trials import Ramps, Trial, configurations, gravity_columns
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import PER_MEDIAN
 
 Array = NDArray[np.float64]
 
+BEYOND = 2.0  # times noise and usual size: torques of acceleration that are not taken off but out
 FEWEST_WINDOWS = 6  # of a configuration, that tell its inertia
 
 
@@ -77,8 +79,22 @@ def without_acceleration(
 
 def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:
     mean = np.full(len(trial.q), trial.velocity)
-    off = inertia * trial.ddq + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
-    return replace(trial, tau=trial.tau - off)
+    pushed = inertia * trial.ddq
+    off = pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
+    return _settled(replace(trial, tau=trial.tau - off), pushed)
+
+
+def _settled(trial: Trial, pushed: Array) -> Trial:
+    """Without the slices whose acceleration takes a torque `pushed` (K,) beyond noise and usual.
+
+    At the ends a controller settles faster than the path follows: what is taken off is as wrong
+    there as it is large.
+    """
+    noise = PER_MEDIAN * float(np.median(np.abs(np.diff(trial.tau, 2)))) / np.sqrt(6.0)
+    usual = float(np.median(np.abs(pushed)))
+    kept = np.abs(pushed) <= BEYOND * np.hypot(noise, usual)
+    names = ("q", "dq", "ddq", "tau", "t")
+    return replace(trial, **{name: getattr(trial, name)[kept] for name in names})
 
 
 @dataclass(frozen=True)

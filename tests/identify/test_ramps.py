@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.ramps import without_acceleration
@@ -96,3 +97,23 @@ def test_without_ramps_nothing_is_taken_off_and_the_error_says_so() -> None:
     known, unknown = without_acceleration(robot, [*given, *elsewhere], surface())
     assert unknown.inertia == 0.0
     assert unknown.std_error >= 0.9 * known.inertia
+
+
+def test_slices_in_which_a_controller_still_settles_are_left_out() -> None:
+    robot = planar_2r()
+    (given, *_) = [t for t in trials_of(robot) if t.velocity > 1.0]
+    pushed = np.where(np.arange(len(given.q)) < 3, 4.0, 0.0)  # rad/s^2 by a path that overshoots
+    trial = replace(given, ddq=pushed, tau=given.tau + 0.2 * INERTIA * pushed)
+    (group,) = without_acceleration(robot, [trial, *trials_of(robot)], surface())
+    kept = group.trials[0]
+    assert kept.t == pytest.approx(trial.t[3:])
+    assert len(kept.q) == len(kept.dq) == len(kept.ddq) == len(kept.tau) == len(kept.t)
+    assert abs(friction_left([kept]).mean()) < 0.05
+
+
+def test_acceleration_within_the_noise_is_taken_off_and_left_in() -> None:
+    robot = planar_2r()
+    given = trials_of(robot)
+    (group,) = without_acceleration(robot, given, surface())
+    counts = [len(t.q) for t in group.trials]
+    assert sum(counts) > 0.9 * sum(len(t.q) for t in given)

@@ -1,0 +1,125 @@
+"""Formulas of own effects: what the grammar takes, and what it refuses with a reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.formula import LONGEST, FormulaError, Symbol, parse_formula
+
+ARM = """\
+schema = "seqid/robot@1"
+name = "arm"
+gravity = [0, 0, -9.81]
+joint = [
+  { name = "shoulder", dh = { alpha = 0, a = 0, d = 0, theta0 = 0 } },
+  { name = "elbow", dh = { alpha = 0, a = 0.3, d = 0, theta0 = 0 } },
+]
+"""
+
+REFUSED = {
+    "c * __import__('os').system('true')": "may have",
+    "c * exec(q)": "calls",
+    "c * (lambda: 1)()": "may have",
+    "c * q.real": "may have",
+    "c * q[0]": "may have",
+    "c * [1, 2]": "may have",
+    "c * 'a'": "may have",
+    "c * True": "may have",
+    "c * 1j": "may have",
+    "c if q else c1": "may have",
+    "c * (q := 1)": "may have",
+    "c * q // 2": "operator",
+    "c * q @ q": "operator",
+    "q * dq": "no coefficient",
+    "c1 * c2 * q": "multiplies coefficients",
+    "c1 * q + 3": "without a coefficient",
+    "q / c1": "divides",
+    "c1 ** 2 * q": "divides by a coefficient, or has a power",
+    "sin(c1 * q)": "inside sin()",
+    "c * dp": "did you mean",
+    "c * min(q)": "takes 2",
+    "c * abs(q, dq)": "takes 1",
+    "c * dq_3": "has 2 joints",
+    "c * q +": "cannot be read",
+    "": "cannot be read",
+    "c * q\0": "cannot be read",
+    "c * " + "(" * 300 + "q" + ")" * 300: "long",
+    "c * " + "-" * 100 + "q": "deep",
+    "c * width": "'width'",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED, ids=range(len(REFUSED)))
+def test_what_is_no_formula_is_refused_with_its_reason(text: str) -> None:
+    with pytest.raises(FormulaError) as caught:
+        parse_formula(text, 2)
+    assert REFUSED[text] in str(caught.value)
+
+
+def test_coefficients_and_symbols_are_found() -> None:
+    found = parse_formula(
+        "-c2 * sign(dq) * abs(load) + c10 * tanh(q_2 / width) ** 2 - c", 2, ["width"]
+    )
+    assert found.coefficients == ("c", "c2", "c10")
+    assert found.symbols == {Symbol("dq"), Symbol("load"), Symbol("q", 1)}
+
+
+def test_a_setting_must_be_used() -> None:
+    with pytest.raises(FormulaError, match="width"):
+        parse_formula("c * q", 2, ["width"])
+
+
+@given(st.text(alphabet="c12qd*+-/() .sinabte_xp0,[]'\"=:~\n\\", max_size=LONGEST + 50))
+def test_no_text_does_anything_but_be_read_or_refused(text: str) -> None:
+    try:
+        coefficients = parse_formula(text, 2).coefficients
+    except FormulaError as refused:
+        coefficients = refused.args
+    assert coefficients
+
+
+def robot_file(folder: Path, table: str) -> Path:
+    path = folder / "robot.toml"
+    path.write_text(f"{ARM}\n[[effect]]\n{table}\n", encoding="utf-8")
+    return path
+
+
+def test_a_robot_file_has_its_effects(tmp_path: Path) -> None:
+    table = (
+        'name = "cable"\njoint = "elbow"\ntorque = "c * tanh(q / w)"\nsettings = { w = [0.1, 1] }'
+    )
+    (own,) = load_robot(robot_file(tmp_path, table)).effects
+    assert (own.name, own.joint, own.settings) == ("cable", 1, {"w": (0.1, 1.0)})
+    assert own.formula is not None
+    assert own.formula.coefficients == ("c",)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ('name = "Cable"', "effect[0].name"),
+        ('name = "cable"\njoint = "elbo"', "did you mean 'elbow'"),
+        ('name = "cable"\ntorque = "c * exp(c)"', "effect[0].torque"),
+        ('name = "cable"\ntorque = "c * q"\nsettings = { dq = [1, 2] }', "effect[0].settings.dq"),
+        ('name = "cable"\ntorque = "c * w"\nsettings = { w = [2, 1] }', "effect[0].settings.w"),
+        ('name = "cable"\ntorque = "c * w"\nsettings = { w = [nan, 1] }', "effect[0].settings.w"),
+        ('name = "cable"\nformula = "c * q"', "effect[0].formula"),
+        ('name = "cable"\n[[effect]]\nname = "cable"', "cable"),
+    ],
+)
+def test_what_is_wrong_is_said_with_file_key_and_remedy(
+    tmp_path: Path, table: str, said: str
+) -> None:
+    path = robot_file(tmp_path, table)
+    with pytest.raises(ConfigError) as caught:
+        load_robot(path)
+    text = f"{caught.value.message} {caught.value.hint}"
+    assert said.lower() in text.lower()
+    assert caught.value.where == str(path)
+    assert caught.value.hint

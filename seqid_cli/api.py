@@ -28,6 +28,7 @@ from seqid_cli.commands.app import COMMANDS, load_command
 from seqid_cli.commands.render import Screen
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.inspection_schema import InspectionFile
+from seqid_cli.params.plan_schema import PlanFile
 from seqid_cli.params.prediction_schema import PredictionFile
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.scale.options import EngineName
@@ -294,6 +295,69 @@ def inspect(
     own = {"robot": _optional(robot), "output": _optional(output), "time": time}
     found = _run("inspect", logs=_names(logs), **own)
     assert isinstance(found, InspectionFile)
+    return found
+
+
+def plan(
+    what: Literal["inertia"],
+    robot: PathLike,
+    parameters: Paths = (),
+    *,
+    output: PathLike | None = None,
+    trajectories: PathLike | None = None,
+    duration: float = 150.0,
+    move_duration: float | None = None,
+    together: bool = False,
+    ramp: float = 0.5,
+    share: float = 0.95,
+    lock: Sequence[str] = (),
+    speed_scale: float = 1.0,
+    seed: int = 0,
+) -> PlanFile:
+    """Plan the moves to record next, and the standard errors that they will give.
+
+    Parameters
+    ----------
+    what : {"inertia"}
+        The stage to record for.
+    robot : path
+        The robot file; limits are the tighter of its own and its URDF's.
+    parameters : path or sequence of paths
+        What is identified already.
+    output, trajectories : path, optional
+        Where the plan goes, and the folder for a CSV file of each move.
+    duration, move_duration : float
+        Time in s that the moves may take, and of each (20 ramps when left out).
+    together : bool
+        Whether all joints move at once.
+    ramp : float
+        Time in s from rest to the largest speed.
+    share : float
+        Share of all limits to use.
+    lock : sequence of str
+        Joints that are kept still.
+    speed_scale : float
+        Slows the files down, for the first run on the robot.
+    seed : int
+        Of the moves that are drawn.
+    """
+    found = _run(
+        "plan",
+        what=what,
+        robot=Path(robot),
+        parameters=_paths(parameters),
+        output=_optional(output),
+        trajectories=_optional(trajectories),
+        duration=duration,
+        move_duration=move_duration,
+        together=together,
+        ramp=ramp,
+        share=share,
+        lock=list(lock),
+        speed_scale=speed_scale,
+        seed=seed,
+    )
+    assert isinstance(found, PlanFile)
     return found
 
 

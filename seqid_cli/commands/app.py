@@ -45,6 +45,7 @@ COMMANDS: Mapping[str, Entry] = {
     "diagnose": Entry("diagnose", "Find out which physical effects a model lacks."),
     "refine": Entry("refine", "Add the effects that a model lacks, checked on held-out logs."),
     "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
+    "plan": Entry("plan", "Plan what to record next, and the errors that it will give."),
     "report": Entry("report", "Write the results as one HTML page, the verdict first."),
     "export": Entry("export", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
     "compare": Entry("compare", "Compare two results against their standard errors."),

@@ -11,6 +11,7 @@ import msgspec
 from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.inspection_schema import INSPECTION_SCHEMA, InspectionFile
+from seqid_cli.params.plan_schema import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA, PredictionFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
@@ -20,6 +21,7 @@ DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     PREDICTION_SCHEMA: PredictionFile,
     DIAGNOSIS_SCHEMA: DiagnosisFile,
     INSPECTION_SCHEMA: InspectionFile,
+    PLAN_SCHEMA: PlanFile,
 }
 
 

@@ -16,6 +16,7 @@ from seqid_cli.params import (
     diagnosis_schema,
     evidence_schema,
     inspection_schema,
+    plan_schema,
     prediction_schema,
     schema,
 )
@@ -23,7 +24,14 @@ from seqid_cli.params.base import Struct
 from tests.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"
-MODULES = (schema, prediction_schema, evidence_schema, diagnosis_schema, inspection_schema)
+MODULES = (
+    schema,
+    prediction_schema,
+    evidence_schema,
+    diagnosis_schema,
+    inspection_schema,
+    plan_schema,
+)
 STRUCTS: dict[str, type[msgspec.Struct]] = {
     name: kind
     for module in MODULES

@@ -1,0 +1,211 @@
+"""`seqid plan`: the experiment to run next, and the errors that it will give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from seqid_cli.commands.job import exit_code
+from seqid_cli.commands.options import Output, RobotPath, Strict
+from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.errors import UsageError
+from seqid_cli.params.files import check_output
+from seqid_cli.params.io import check_robot, file_sha256, read_joined, write_json_atomic
+from seqid_cli.params.plan_schema import PlanFile
+from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.options import MOVE_RAMPS, PlanOptions
+from seqid_cli.robot.file import load_robot
+
+EXAMPLES = (
+    "seqid plan inertia -r sample_logs/six_joint/robot.toml -p gravity.json -o plan.json",
+    "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
+    " --trajectories moves",
+)
+
+
+def _share(value: float) -> float:
+    if not 0.0 < value <= 1.0:
+        message = f"{value} is not above 0 and at most 1"
+        raise typer.BadParameter(message)
+    return value
+
+
+def _seconds(value: float | None) -> float | None:
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        message = f"{value} is not a positive time"
+        raise typer.BadParameter(message)
+    return value
+
+
+What = Annotated[Literal["inertia"], typer.Argument(help="The stage to record for.")]
+PlanParameters = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "-p",
+        "--parameters",
+        metavar="FILE",
+        help="What is identified already: torque and noise are taken from it; repeat it to join.",
+    ),
+]
+Trajectories = Annotated[
+    Path | None,
+    typer.Option(metavar="FOLDER", help="Where each move goes as a CSV file; made if missing."),
+]
+Duration = Annotated[
+    float,
+    typer.Option(metavar="S", callback=_seconds, help="Time that the inertia moves may take."),
+]
+MoveDuration = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S", callback=_seconds, help="Length of each of these moves; 20 ramps by default."
+    ),
+]
+Together = Annotated[
+    bool, typer.Option("--together", help="Move all joints at once instead of two at a time.")
+]
+Ramp = Annotated[
+    float,
+    typer.Option(
+        metavar="S",
+        callback=_seconds,
+        help="Time from rest to the largest speed: what limits the acceleration.",
+    ),
+]
+LimitShare = Annotated[
+    float,
+    typer.Option("--share", metavar="X", callback=_share, help="Share of all limits to use."),
+]
+Lock = Annotated[
+    list[str] | None,
+    typer.Option("--lock", metavar="JOINT", help="Keep a joint still; repeat it for several."),
+]
+SpeedScale = Annotated[
+    float,
+    typer.Option(
+        metavar="X", callback=_share, help="Slow the files down, for the first run on the robot."
+    ),
+]
+Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Of the moves that are drawn.")]
+
+
+def run(
+    context: typer.Context,
+    what: What,
+    robot: RobotPath,
+    parameters: PlanParameters = None,
+    output: Output = None,
+    trajectories: Trajectories = None,
+    duration: Duration = PlanOptions.duration_s,
+    move_duration: MoveDuration = None,
+    together: Together = False,
+    ramp: Ramp = 0.5,
+    share: LimitShare = 0.95,
+    lock: Lock = None,
+    speed_scale: SpeedScale = 1.0,
+    seed: Seed = 0,
+    strict: Strict = False,
+) -> int:
+    """Plan the moves to record next, within the limits, and the standard errors they will give.
+
+    Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a robot.
+    """
+    screen = screen_of(context)
+    given = parameters or []
+    _check_paths(output, trajectories, [robot, *given])
+    length = MOVE_RAMPS * ramp if move_duration is None else move_duration
+    if duration < length:
+        message = f"--duration {duration:g} s is shorter than one move of {length:g} s"
+        raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
+    loaded = load_robot(robot)
+    stages = Stages()
+    if given:
+        file = read_joined(given)
+        stages = file.stages
+        for warning in check_robot(file, loaded, where=str(given[0])):
+            screen.warn(warning)
+
+    from seqid_cli.plan.limits import limits_of
+    from seqid_cli.plan.make import make_plan
+
+    options = PlanOptions(duration_s=duration, move_s=length, together=together, seed=seed)
+    limits = limits_of(loaded, ramp_s=ramp, share=share, locked=lock or ())
+    ids = [FileId(path=str(path), sha256=file_sha256(path)) for path in given]
+    plan = make_plan(what, loaded, limits, stages, options, ids)
+    if trajectories is not None:
+        plan = _with_trajectories(plan, trajectories, speed_scale)
+    if output is not None:
+        write_json_atomic(output, plan, inputs=[robot, *given])
+    screen.document(plan)
+    _show(screen, plan)
+    _tell_written(screen, output, trajectories)
+    poor = any(not verdict.good for verdict in plan.verdicts)
+    return exit_code(untrusted=strict and poor, partial=())
+
+
+def _check_paths(output: Path | None, trajectories: Path | None, inputs: Sequence[Path]) -> None:
+    if output is not None:
+        check_output(output, inputs)
+    if trajectories is not None:
+        if trajectories.exists() and not trajectories.is_dir():
+            hint = "Name a folder for the files of the moves."
+            raise UsageError("is a file, not a folder", where=str(trajectories), hint=hint)
+        check_output(trajectories.parent / f"{trajectories.name}.csv")
+
+
+def _with_trajectories(plan: PlanFile, folder: Path, speed_scale: float) -> PlanFile:
+    import msgspec
+
+    from seqid_cli.params.files import writing
+    from seqid_cli.plan.trajectories import write_csv
+
+    with writing(folder):
+        folder.mkdir(exist_ok=True)
+    moves = write_csv(folder, plan.moves, plan.robot.joints, speed_scale)
+    return msgspec.structs.replace(plan, moves=moves)
+
+
+def _show(screen: Screen, plan: PlanFile) -> None:
+    rows = [
+        (
+            move.name,
+            " ".join(move.joints),
+            number(move.duration_s),
+            "unknown" if move.torque_share is None else percent(move.torque_share),
+        )
+        for move in plan.moves
+    ]
+    screen.table(("move", "joints", "seconds", "of torque limit"), rows)
+    for name, stage in plan.stages.items():
+        screen.table(
+            ("parameter", "value now", "std error then", "unit"),
+            [(p.name, number(p.value), number(p.std_error), p.unit) for p in stage.parameters],
+        )
+        errors = ", ".join(f"{joint} {number(x)}" for joint, x in stage.torque_error.items())
+        screen.result(
+            f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
+            f" {number(stage.condition)}; torque error by the parameters, N m: {errors}"
+        )
+        if stage.not_excited:
+            screen.remark(f"not excited: {'; '.join(stage.not_excited)}")
+    for verdict in plan.verdicts:
+        if not verdict.good:
+            screen.warn(verdict.reason)
+    for note in plan.notes:
+        screen.remark(note)
+    screen.note(f"noise of the torque: {plan.noise_origin}")
+    screen.result(
+        f"{len(plan.moves)} moves, {plan.duration_s:.0f} s of motion,"
+        f" {plan.total_s:.0f} s with the ways between them"
+    )
+
+
+def _tell_written(screen: Screen, output: Path | None, trajectories: Path | None) -> None:
+    for path in (trajectories, output):
+        if path is not None:
+            screen.note(f"written: {path}")

@@ -1,0 +1,176 @@
+"""What is believed of the robot before the experiment: its torque, the noise, what is known.
+
+The noise counts by its one-sided density S: 2 / S of information per second and (N m)^2. A residual
+of standard deviation s below a cut-off f has S = s^2 / f. What the friction surface misses, of
+standard deviation r, changes slowly: it adds r^2 over `FRICTION_HZ`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.inertia import gravity_prior, slowest_speeds
+from seqid_cli.model.friction import FrictionSurface, friction_torque
+from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.plan.limits import Limits
+from seqid_cli.plan.shapes import COARSE_HZ, COEFFICIENTS, SPARSE, Drawn, Moves, Shapes
+from seqid_cli.robot.base import Basis, base_regressor, free_basis, gear_ratios, standard_names
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+NOISE_SHARE = 0.03  # of a joint's usual torque, where nothing was measured
+NOISE_HZ = 25.0  # the bandwidth of that noise
+FRICTION_HZ = 2.0  # bandwidth of what a friction surface misses, in moves of the inertia stage
+URDF_SHARE = 0.1  # relative standard error of what a URDF says
+CERTAIN = 3.0  # standard errors between the torque that is expected and its limit
+REST_SHARE = 0.02  # of the largest speed: below it, friction's sign is uncertain
+TYPICAL = 60  # all-joint moves that stand for the work of the robot
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A robot before the experiment.
+
+    Attributes
+    ----------
+    theta : (b,) array or None
+        Base parameters; None where neither a stage nor a URDF tells any.
+    root : (b, k) array
+        Their covariance as ``root @ root.T``.
+    density : (n,) array
+        Information per second and (N m)^2.
+    prior : (b, b) array
+        Information on the base parameters that earlier stages hold.
+    slow : (n,) array
+        Speed below which a joint's samples do not count.
+    """
+
+    robot: Robot
+    basis: Basis
+    limits: Limits
+    surfaces: list[FrictionSurface | None]
+    theta: Array | None
+    root: Array
+    density: Array
+    prior: Array
+    slow: Array
+    noise_origin: str
+
+    def regressor(self, moves: Moves) -> Array:
+        """Rows H (M, N, n, b) of the base parameters."""
+        M, N, n = moves.q.shape
+        states = (x.reshape(-1, n) for x in (moves.q, moves.dq, moves.ddq))
+        H = base_regressor(self.robot, self.basis, *states, use_compiled=False)
+        return H.reshape(M, N, n, self.basis.size)
+
+    def information(self, moves: Moves, H: Array) -> Array:
+        """Information (M, b, b) of moves: the samples that slide, weighted by the noise."""
+        step = float(moves.t[1] - moves.t[0])
+        slide = moves.dq**2 / (moves.dq**2 + self.slow**2)
+        rows = np.sqrt(step * self.density * slide)[..., None] * H
+        flat = rows.reshape(len(H), -1, H.shape[3])
+        return np.asarray(flat.transpose(0, 2, 1) @ flat)
+
+    def torque(self, moves: Moves, H: Array) -> Array:
+        """Torque (M, N, n) N m that the joints need, and `CERTAIN` standard errors on top."""
+        if self.theta is None:
+            return np.zeros(H.shape[:3])
+        n = self.robot.n
+        rotors = [joint.rotor_inertia or 0.0 for joint in self.robot.joints]
+        tau = H @ self.theta + gear_ratios(self.robot) ** 2 * np.array(rotors) * moves.ddq
+        states = (moves.q.reshape(-1, n), moves.dq.reshape(-1, n))
+        tau += friction_torque(self.surfaces, *states).reshape(tau.shape)
+        doubt = np.sqrt(np.sum((H @ self.root) ** 2, axis=3))
+        return np.asarray(np.abs(tau) + CERTAIN * doubt)
+
+    def overload(self, moves: Moves, H: Array) -> Array:
+        """Largest torque of each move over its limit (M,); at most 1 where the limits hold."""
+        share = self.torque(moves, H) / self.limits.torque
+        return np.asarray(share.max(axis=(1, 2)))
+
+
+def belief_of(robot: Robot, stages: Stages, limits: Limits) -> Belief:
+    """Gather what stages and the URDF say of a robot."""
+    basis = free_basis(robot)
+    surfaces = friction_surfaces(stages, robot)
+    theta, root = _parameters(robot, basis, stages)
+    prior = gravity_prior(stages.gravity, basis)
+    known = np.zeros((basis.size, basis.size)) if prior is None else prior.A.T @ prior.A
+    slow = np.maximum(slowest_speeds(surfaces), REST_SHARE * limits.speed)
+    blank = Belief(robot, basis, limits, surfaces, theta, root, np.ones(robot.n), known, slow, "")
+    density, origin = _density(blank, stages)
+    return Belief(robot, basis, limits, surfaces, theta, root, density, known, slow, origin)
+
+
+def typical(belief: Belief, seed: int) -> Moves:
+    """All-joint moves that stand for the robot's work: errors of the torque count there."""
+    rng = np.random.default_rng(seed)
+    size = (TYPICAL, belief.robot.n)
+    moving = belief.limits.moves[:, None]
+    drawn = Drawn(
+        rng.normal(size=(*size, COEFFICIENTS)) * moving, rng.uniform(size=size), np.ones(size)
+    )
+    shapes = Shapes.over(10.0, COARSE_HZ)
+    return shapes.moves(drawn, belief.limits).every(SPARSE)
+
+
+def _parameters(robot: Robot, basis: Basis, stages: Stages) -> tuple[Array | None, Array]:
+    """Base parameters that are believed, best source last, and the root of their covariance."""
+    theta, spread = None, np.zeros((basis.size, 0))
+    if robot.nominal is not None:
+        phi = np.append(robot.nominal.ravel(), np.zeros(robot.n))
+        theta = basis.expression @ phi
+        spread = URDF_SHARE * basis.expression * phi
+    for stage in (stages.gravity, stages.inertia):
+        if stage is not None and stage.parameters:
+            theta, spread = _replaced(theta, spread, stage, basis, robot.n)
+    return theta, spread
+
+
+def _replaced(
+    theta: Array | None, spread: Array, stage: RigidStage, basis: Basis, n: int
+) -> tuple[Array, Array]:
+    """What a stage identified takes the place of what was believed before."""
+    phi = np.array([stage.representative.get(name, 0.0) for name in standard_names(n)])
+    own = [basis.names.index(parameter.name) for parameter in stage.parameters]
+    new = basis.expression @ phi if theta is None else theta.copy()
+    new[own] = [parameter.value for parameter in stage.parameters]
+    kept = spread.copy()
+    kept[own] = 0.0
+    values, vectors = np.linalg.eigh(np.array(stage.covariance))
+    added = np.zeros((basis.size, len(own)))
+    added[own] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return new, np.hstack([kept, added])
+
+
+def _density(belief: Belief, stages: Stages) -> tuple[Array, str]:
+    """Information per second and (N m)^2 of each joint, and where it comes from."""
+    assumed, origin = _assumed_noise(belief)
+    noise = assumed**2 / NOISE_HZ
+    inertia = stages.inertia
+    measured = inertia.rmse if inertia is not None and inertia.cutoff_hz else {}
+    friction = stages.friction.joints if stages.friction else {}
+    for j, name in enumerate(belief.robot.joint_names):
+        if inertia is not None and inertia.cutoff_hz and name in measured:
+            noise[j] = measured[name] ** 2 / inertia.cutoff_hz
+        if name in friction:
+            noise[j] += friction[name].rmse ** 2 / FRICTION_HZ
+    return 2.0 / noise, "what the stages left of the torque" if measured else origin
+
+
+def _assumed_noise(belief: Belief) -> tuple[Array, str]:
+    """Standard deviation (n,) N m of the torque, where none was measured."""
+    if belief.theta is None:
+        return np.ones(belief.robot.n), "assumed: 1 N m, as no torque is known"
+    moves = typical(belief, seed=0)[:20]
+    H = belief.regressor(moves)
+    sizes = np.sqrt(np.mean((H @ belief.theta) ** 2, axis=(0, 1)))
+    floor = NOISE_SHARE * float(sizes.max())
+    return np.maximum(NOISE_SHARE * sizes, 0.1 * floor), (
+        "assumed: a thirtieth of the usual torque; errors are relative to that"
+    )

@@ -1,0 +1,108 @@
+"""From a robot file and what is known to a plan file: the one way that all plans are made."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.plan_schema import (
+    PLAN_SCHEMA,
+    JointLimits,
+    PlanFile,
+    PlannedMove,
+    PlannedStage,
+)
+from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.schema import Stages, Verdict
+from seqid_cli.plan.belief import Belief, belief_of
+from seqid_cli.plan.inertia import plan_inertia
+from seqid_cli.plan.limits import Limits
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.robot.types import Robot
+
+
+def make_plan(
+    what: str,
+    robot: Robot,
+    limits: Limits,
+    stages: Stages,
+    options: PlanOptions,
+    parameters: Sequence[FileId] = (),
+) -> PlanFile:
+    """Plan the moves of one stage.
+
+    Raises
+    ------
+    ConfigError
+        Nothing can be moved within the limits.
+    """
+    belief = belief_of(robot, stages, limits)
+    planned = plan_inertia(belief, stages, options)
+    names = robot.joint_names
+    noise = np.sqrt(2.0 / belief.density)
+    durations = [move.duration_s for move in planned.moves]
+    return PlanFile(
+        schema=PLAN_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(robot),
+        what=what,
+        seed=options.seed,
+        parameters=list(parameters),
+        limits={name: _limits(limits, j) for j, name in enumerate(names)},
+        noise_density={name: float(noise[j]) for j, name in enumerate(names)},
+        noise_origin=belief.noise_origin,
+        moves=planned.moves,
+        stages={what: planned.stage},
+        duration_s=sum(durations),
+        total_s=sum(durations) + _ways(planned.moves, limits, names),
+        verdicts=_verdicts(what, planned.stage),
+        notes=_notes(belief),
+    )
+
+
+def _limits(limits: Limits, j: int) -> JointLimits:
+    torque = float(limits.torque[j])
+    return JointLimits(
+        position=[float(limits.lower[j]), float(limits.upper[j])],
+        speed=float(limits.speed[j]),
+        acceleration=float(limits.acceleration[j]),
+        torque=torque if np.isfinite(torque) else None,
+        moves=bool(limits.moves[j]),
+    )
+
+
+def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) -> float:
+    """Time in s from the end of each move to the start of the next, at half the largest speed."""
+    total = 0.0
+    for before, after in itertools.pairwise(moves):
+        gaps = np.array([abs(after.start[name] - before.start[name]) for name in names])
+        speed, ramp = limits.speed / 2, np.divide(limits.speed, 2 * limits.acceleration)
+        total += float(np.max((gaps / speed + ramp)[limits.moves]))
+    return total
+
+
+def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
+    if stage.rank is None or stage.structural_rank is None:
+        return []
+    reason = f"{what}: rank {stage.rank} of {stage.structural_rank}"
+    return [Verdict(good=stage.rank == stage.structural_rank, reason=reason)]
+
+
+def _notes(belief: Belief) -> list[str]:
+    names = np.array(belief.robot.joint_names)
+    open_ended = names[~np.isfinite(belief.limits.torque) & belief.limits.moves]
+    notes = []
+    if belief.theta is None:
+        notes.append("no torque is known (neither -p nor a URDF with inertias): none was checked")
+    elif len(open_ended):
+        notes.append(f"no torque limit in a URDF, none was checked: {', '.join(open_ended)}")
+    if not any(belief.surfaces):
+        notes.append("friction is not known: it is not part of the torque that was checked")
+    still = names[~belief.limits.moves]
+    if len(still):
+        notes.append(f"kept still: {', '.join(still)}")
+    return notes

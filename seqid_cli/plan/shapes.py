@@ -1,0 +1,141 @@
+"""Fourier moves that start and stop smoothly, and whose limits hold by construction.
+
+A joint follows q(t) = c + A y(t) with the shape
+
+    y(t) = w(t) sum_k [a_k sin(k W t) + b_k cos(k W t)],    W = 2 pi / T.
+
+The window w rises from 0 to 1 over half a period of the highest harmonic, as
+10 x^3 - 15 x^4 + 6 x^5, and falls alike, so that position, velocity and acceleration meet rest. The
+amplitude A is the largest that range, speed and acceleration allow; the centre c is placed by a
+share in [0, 1] of the room that is left. So every set of coefficients is a move within the limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.plan.limits import Limits
+
+Array = NDArray[np.float64]
+
+HARMONICS = 5
+COEFFICIENTS = 2 * HARMONICS
+COARSE_HZ = 25.0  # five samples and more to a period of the highest harmonic of a 2 s move
+SPARSE = 4  # of the coarse samples, one in so many carries the information
+
+
+@dataclass(frozen=True)
+class Moves:
+    """Moves (M, N, n) over common times t (N,) s: positions, speeds and accelerations."""
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+
+    def every(self, step: int) -> Moves:
+        """One sample in `step`."""
+        some = slice(None, None, step)
+        return Moves(self.t[some], self.q[:, some], self.dq[:, some], self.ddq[:, some])
+
+    def __getitem__(self, which: slice | NDArray[np.intp]) -> Moves:
+        """Some of the moves."""
+        return Moves(self.t, self.q[which], self.dq[which], self.ddq[which])
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What describes M moves.
+
+    `coefficients` (M, n, 2 K), `place` (M, n) shares of the free room, `extent` (M, n) shares of
+    the largest amplitude. A joint whose coefficients are zero stands still at its place.
+    """
+
+    coefficients: Array
+    place: Array
+    extent: Array
+
+    def __len__(self) -> int:
+        """Number of moves."""
+        return len(self.place)
+
+    def __getitem__(self, which: slice | NDArray[np.intp] | list[int]) -> Drawn:
+        """Some of the moves."""
+        return Drawn(*(array[which] for array in self.arrays))
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """All that describes the moves."""
+        return self.coefficients, self.place, self.extent
+
+    def smaller(self, which: NDArray[np.intp] | list[int], factor: float) -> Drawn:
+        """The same with smaller amplitudes of some moves."""
+        extent = self.extent.copy()
+        extent[which] *= factor
+        return Drawn(self.coefficients, self.place, extent)
+
+
+def joined(parts: Sequence[Drawn]) -> Drawn:
+    """The moves of all parts."""
+    return Drawn(
+        *(np.concatenate(arrays) for arrays in zip(*(p.arrays for p in parts), strict=True))
+    )
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """The 2 K shapes of unit coefficients and their first two derivatives, each (2 K, N)."""
+
+    t: Array
+    y: Array
+    dy: Array
+    ddy: Array
+
+    @classmethod
+    def over(cls, seconds: float, rate_hz: float) -> Shapes:
+        """Sample them from 0 to `seconds`, both ends included."""
+        t = np.linspace(0.0, seconds, round(seconds * rate_hz) + 1)
+        w, dw, ddw = _window(t, seconds, seconds / (2 * HARMONICS))
+        pace = 2 * np.pi / seconds * np.repeat(np.arange(1, HARMONICS + 1), 2)[:, None]
+        lag = np.tile([0.0, np.pi / 2], HARMONICS)[:, None]
+        s, ds = np.sin(pace * t + lag), pace * np.cos(pace * t + lag)
+        dds = -(pace**2) * s
+        return cls(t, w * s, dw * s + w * ds, ddw * s + 2 * dw * ds + w * dds)
+
+    def moves(self, drawn: Drawn, limits: Limits) -> Moves:
+        """Scale and place shapes so that they use the limits and keep them."""
+        y, dy, ddy = (drawn.coefficients @ part for part in (self.y, self.dy, self.ddy))
+        low = y.min(axis=2)
+        span = y.max(axis=2) - low
+        room = limits.range
+        amplitude = _largest(
+            (room, span),
+            (limits.speed, np.abs(dy).max(axis=2)),
+            (limits.acceleration, np.abs(ddy).max(axis=2)),
+        )
+        still = span <= 0
+        amplitude = np.where(still, 0.0, drawn.extent * amplitude)
+        free = limits.lower + drawn.place * (room - amplitude * span)
+        scaled = [(amplitude[:, :, None] * part).transpose(0, 2, 1) for part in (y, dy, ddy)]
+        centre = free - amplitude * np.where(still, 0.0, low)
+        return Moves(self.t, centre[:, None] + scaled[0], scaled[1], scaled[2])
+
+
+def _largest(*bounds: tuple[Array, Array]) -> Array:
+    """The factor that meets the tightest of some limits, each (limit (n,), used by one (M, n))."""
+    factors = [limit / np.maximum(used, 1e-12) for limit, used in bounds]
+    return np.asarray(np.min(factors, axis=0))
+
+
+def _window(t: Array, seconds: float, ramp: float) -> tuple[Array, Array, Array]:
+    up, down = np.clip(t / ramp, 0.0, 1.0), np.clip((seconds - t) / ramp, 0.0, 1.0)
+    x = np.minimum(up, down)
+    sign = np.where(up <= down, 1.0, -1.0) / ramp
+    w = x**3 * (10 - 15 * x + 6 * x**2)
+    dw = 30 * x**2 * (1 - x) ** 2
+    ddw = 60 * x * (1 - x) * (1 - 2 * x)
+    return w, sign * dw, ddw / ramp**2

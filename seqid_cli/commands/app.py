@@ -37,6 +37,7 @@ class Entry(NamedTuple):
 COMMANDS: Mapping[str, Entry] = {
     "init": Entry("init", "Write a robot file from a log and a URDF, to be completed."),
     "inspect": Entry("inspect", "Look through logs: what is in them and what is wrong."),
+    "run": Entry("run_all", "Run every stage on a folder of logs, then predict and report."),
     "friction": Entry("friction", "Identify joint friction from constant-velocity moves."),
     "gravity": Entry("gravity", "Identify the gravity parameters, given the friction."),
     "imu-calib": Entry("imu_calib", "Find how accelerometers and IMUs are mounted on the links."),

@@ -145,6 +145,9 @@ def parsed(words: Sequence[str]) -> dict[str, Any]:
         return dict(context.params)
 
 
+RUNS_LAST = "report.html"  # that `run` writes into its folder
+
+
 def read_by(words: Sequence[str]) -> Iterator[str]:
     """Yield the paths that a command reads."""
     asked = parsed(words)
@@ -159,7 +162,8 @@ def written_by(words: Sequence[str]) -> list[str]:
     """Return the paths that a command writes."""
     asked = parsed(words)
     names = WRITTEN[:1] if words[0] == "report" else WRITTEN
-    return [str(asked[name]) for name in names if asked.get(name) is not None]
+    paths = [str(asked[name]) for name in names if asked.get(name) is not None]
+    return [str(Path(path) / RUNS_LAST) for path in paths] if words[0] == "run" else paths
 
 
 @contextlib.contextmanager

@@ -299,7 +299,7 @@ def inspect(
 
 
 def plan(
-    what: Literal["inertia"],
+    what: Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"],
     robot: PathLike,
     parameters: Paths = (),
     *,
@@ -318,8 +318,8 @@ def plan(
 
     Parameters
     ----------
-    what : {"inertia"}
-        The stage to record for.
+    what : {"friction", "gravity", "imu-calib", "inertia", "validation", "all"}
+        The stage to record for, or a whole session.
     robot : path
         The robot file; limits are the tighter of its own and its URDF's.
     parameters : path or sequence of paths

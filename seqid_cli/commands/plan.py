@@ -22,6 +22,7 @@ from seqid_cli.plan.options import MOVE_RAMPS, PlanOptions
 from seqid_cli.robot.file import load_robot
 
 EXAMPLES = (
+    "seqid plan all -r sample_logs/six_joint/robot.toml -o plan.json --trajectories moves",
     "seqid plan inertia -r sample_logs/six_joint/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
     " --trajectories moves",
@@ -42,7 +43,10 @@ def _seconds(value: float | None) -> float | None:
     return value
 
 
-What = Annotated[Literal["inertia"], typer.Argument(help="The stage to record for.")]
+What = Annotated[
+    Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"],
+    typer.Argument(help="The stage to record for, or a whole session."),
+]
 PlanParameters = Annotated[
     list[Path] | None,
     typer.Option(
@@ -182,6 +186,10 @@ def _show(screen: Screen, plan: PlanFile) -> None:
     ]
     screen.table(("move", "joints", "seconds", "of torque limit"), rows)
     for name, stage in plan.stages.items():
+        for note in stage.notes:
+            screen.remark(note)
+        if stage.rank is None:
+            continue
         screen.table(
             ("parameter", "value now", "std error then", "unit"),
             [(p.name, number(p.value), number(p.std_error), p.unit) for p in stage.parameters],

@@ -61,6 +61,11 @@ class Belief:
     slow: Array
     noise_origin: str
 
+    @property
+    def checks_torque(self) -> bool:
+        """Whether torque and a limit of it are known at all."""
+        return self.theta is not None and bool(np.isfinite(self.limits.torque).any())
+
     def regressor(self, moves: Moves) -> Array:
         """Rows H (M, N, n, b) of the base parameters."""
         M, N, n = moves.q.shape

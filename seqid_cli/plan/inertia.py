@@ -23,7 +23,7 @@ from seqid_cli.plan.choose import (
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.promise import promise_of
 from seqid_cli.plan.refine import refine
-from seqid_cli.plan.shapes import COARSE_HZ, Drawn, Moves, Shapes
+from seqid_cli.plan.shapes import COARSE_HZ, SPARSE, Drawn, Moves, Shapes
 
 Array = NDArray[np.float64]
 
@@ -33,10 +33,14 @@ OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {tor
 
 @dataclass(frozen=True)
 class Planned:
-    """The moves of a stage and what they promise."""
+    """The moves of a stage and what they promise.
+
+    `information` (b, b) is what they tell of the base parameters, for the stages that follow.
+    """
 
     moves: list[PlannedMove]
     stage: PlannedStage
+    information: Array | None = None
 
 
 def plan_inertia(
@@ -65,17 +69,17 @@ def plan_inertia(
     groups = groups_of(belief.limits, together=options.together)
     rng = np.random.default_rng(options.seed)
     pool = draw_pool(belief, goal, shapes, groups, options.pool, rng)
-    _check_torque(belief, pool, options)
+    check_torque(belief, pool, options)
     chosen = pool.drawn[choose(goal, pool, count, known)]
     refined = refine(belief, goal, shapes, chosen, known, sweeps=options.sweeps)
-    drawn, moves = _within_torque(belief, refined, Shapes.over(options.move_s, DENSE_HZ))
+    drawn, moves = within_torque(belief, refined, options)
     coarse = shapes.moves(drawn, belief.limits)
     each, _ = assess(belief, goal, coarse)
-    stage = promise_of(belief, goal, stages, coarse, each, known)
-    return Planned(_described(belief, drawn, moves, options), stage)
+    stage = promise_of(belief, goal, stages, coarse.every(SPARSE), each, known)
+    return Planned(described(belief, drawn, moves, options), stage)
 
 
-def _check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
+def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
     """Stop where the pool is empty, naming the joint that the load is too heavy for."""
     if pool.joints:
         return
@@ -94,8 +98,9 @@ def _check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
     raise ConfigError(text, where=str(belief.robot.source), hint=hint)
 
 
-def _within_torque(belief: Belief, drawn: Drawn, shapes: Shapes) -> tuple[Drawn, Moves]:
+def within_torque(belief: Belief, drawn: Drawn, options: PlanOptions) -> tuple[Drawn, Moves]:
     """Make moves smaller until their torques hold on dense samples too."""
+    shapes = Shapes.over(options.move_s, DENSE_HZ)
     moves = shapes.moves(drawn, belief.limits)
     overload = _dense_overload(belief, moves)
     while (over := np.flatnonzero(overload > 1.0)).size:
@@ -111,11 +116,11 @@ def _dense_overload(belief: Belief, moves: Moves) -> Array:
     return np.array([belief.overload(move, belief.regressor(move))[0] for move in one])
 
 
-def _described(
+def described(
     belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions
 ) -> list[PlannedMove]:
+    """The moves as the plan file holds them."""
     names = belief.robot.joint_names
-    known = belief.theta is not None and bool(np.isfinite(belief.limits.torque).any())
     shares = _dense_overload(belief, moves)
     found = []
     for k in range(len(drawn)):
@@ -131,7 +136,7 @@ def _described(
                 duration_s=options.move_s,
                 start={name: float(x) for name, x in zip(names, start, strict=True)},
                 fourier=motions,
-                torque_share=float(shares[k]) if known else None,
+                torque_share=float(shares[k]) if belief.checks_torque else None,
             )
         )
     return found

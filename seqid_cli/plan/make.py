@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,9 +18,13 @@ from seqid_cli.params.plan_schema import (
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of
-from seqid_cli.plan.inertia import plan_inertia
+from seqid_cli.plan.friction import plan_friction
+from seqid_cli.plan.gravity import plan_gravity
+from seqid_cli.plan.imu import plan_imu
+from seqid_cli.plan.inertia import Planned, plan_inertia
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.validation import plan_validation
 from seqid_cli.robot.types import Robot
 
 
@@ -32,7 +36,7 @@ def make_plan(
     options: PlanOptions,
     parameters: Sequence[FileId] = (),
 ) -> PlanFile:
-    """Plan the moves of one stage.
+    """Plan the moves of one stage, or of all in the order of the work.
 
     Raises
     ------
@@ -40,10 +44,13 @@ def make_plan(
         Nothing can be moved within the limits.
     """
     belief = belief_of(robot, stages, limits)
-    planned = plan_inertia(belief, stages, options)
+    found: dict[str, Planned] = {}
+    for name in _stages(what, robot):
+        found[name] = _planned(name, belief, stages, options, found)
+    moves = [move for planned in found.values() for move in planned.moves]
     names = robot.joint_names
     noise = np.sqrt(2.0 / belief.density)
-    durations = [move.duration_s for move in planned.moves]
+    durations = [move.duration_s for move in moves]
     return PlanFile(
         schema=PLAN_SCHEMA,
         created=now(),
@@ -55,13 +62,41 @@ def make_plan(
         limits={name: _limits(limits, j) for j, name in enumerate(names)},
         noise_density={name: float(noise[j]) for j, name in enumerate(names)},
         noise_origin=belief.noise_origin,
-        moves=planned.moves,
-        stages={what: planned.stage},
+        moves=moves,
+        stages={name: planned.stage for name, planned in found.items()},
         duration_s=sum(durations),
-        total_s=sum(durations) + _ways(planned.moves, limits, names),
-        verdicts=_verdicts(what, planned.stage),
+        total_s=sum(durations) + _ways(moves, limits, names),
+        verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned.stage)],
         notes=_notes(belief),
     )
+
+
+def _stages(what: str, robot: Robot) -> tuple[str, ...]:
+    """The stages of a plan; a session calibrates IMUs where the robot has any."""
+    if what != "all":
+        return (what,)
+    imu = ("imu-calib",) if robot.imus else ()
+    return ("friction", "gravity", *imu, "inertia", "validation")
+
+
+def _planned(
+    name: str,
+    belief: Belief,
+    stages: Stages,
+    options: PlanOptions,
+    before: Mapping[str, Planned],
+) -> Planned:
+    """Plan a stage; the inertia stage builds on what the gravity stage before it will tell."""
+    if name == "friction":
+        return plan_friction(belief, options)
+    if name == "gravity":
+        return plan_gravity(belief, stages, options)
+    if name == "imu-calib":
+        return plan_imu(belief, options)
+    if name == "validation":
+        return plan_validation(belief, options)
+    gravity = before.get("gravity")
+    return plan_inertia(belief, stages, options, gravity.information if gravity else None)
 
 
 def _limits(limits: Limits, j: int) -> JointLimits:

@@ -14,7 +14,7 @@ from seqid_cli.params.plan_schema import PlanGrowth, PlannedStage, PredictedPara
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.choose import VAGUE, Goal
-from seqid_cli.plan.shapes import SPARSE, Moves
+from seqid_cli.plan.shapes import Moves
 
 Array = NDArray[np.float64]
 
@@ -29,15 +29,14 @@ class Spread:
     whole: Array
 
 
-def spread_of(belief: Belief, goal: Goal, stages: Stages, moves: Moves, total: Array) -> Spread:
-    """Covariance after `moves` with the scaled information `total`, friction's errors passed on.
+def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Array) -> Spread:
+    """Covariance after moves with the scaled information `total`, friction's errors passed on.
 
     Friction was subtracted: an error d of a surface's coefficients moves the parameters by
     -C (H' D F) d, and by what it moved gravity's parameters through their prior.
     """
     C = goal.covariance(total)
     whole = C.copy()
-    some = moves.every(SPARSE)
     H = belief.regressor(some)
     step = float(some.t[1] - some.t[0])
     slide = some.dq**2 / (some.dq**2 + belief.slow**2)
@@ -84,17 +83,29 @@ def growth_of(goal: Goal, have: Array, each: Array, seconds: float) -> list[Plan
 
 
 def promise_of(
-    belief: Belief, goal: Goal, stages: Stages, moves: Moves, each: Array, have: Array
+    belief: Belief,
+    goal: Goal,
+    stages: Stages,
+    moves: Moves,
+    each: Array,
+    have: Array,
+    *,
+    wanted: NDArray[np.bool_] | None = None,
 ) -> PlannedStage:
-    """Describe what moves with scaled informations `each` (M, b, b) give on top of `have`."""
+    """Describe what moves with scaled informations `each` (M, b, b) give on top of `have`.
+
+    `moves` are the samples that the information was taken from, `wanted` (b,) the parameters that
+    the stage is about; all by default.
+    """
     basis = belief.basis
+    wanted = np.ones(basis.size, dtype=bool) if wanted is None else wanted
     total = have + each.sum(axis=0)
     spread = spread_of(belief, goal, stages, moves, total)
     errors = np.sqrt(np.diag(spread.whole))
     vague = errors * goal.scale > OPEN_SHARE * VAGUE
     known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
     told = goal.prior - np.eye(len(total)) / VAGUE**2
-    rank, condition = rank_and_condition(total + told)
+    rank, condition = rank_and_condition((total + told)[np.ix_(wanted, wanted)])
     seconds = float(moves.t[-1])
     return PlannedStage(
         parameters=[
@@ -107,13 +118,13 @@ def promise_of(
                 expression=basis.expression_text(k),
             )
             for k in range(basis.size)
-            if not vague[k] and basis.names[k] not in known
+            if wanted[k] and not vague[k] and basis.names[k] not in known
         ],
         rank=rank,
-        structural_rank=basis.size,
+        structural_rank=int(wanted.sum()),
         condition=condition,
-        not_excited=[basis.expression_text(int(k)) for k in np.flatnonzero(vague)],
-        torque_error=_torque_error(belief, spread.whole),
+        not_excited=[basis.expression_text(int(k)) for k in np.flatnonzero(vague & wanted)],
+        torque_error=_torque_error(belief, spread.whole * np.outer(wanted, wanted)),
         growth=growth_of(goal, have, each, seconds),
         duration_s=seconds * len(each),
     )

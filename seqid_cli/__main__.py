@@ -7,19 +7,44 @@ import sys
 from collections.abc import Sequence
 
 from seqid_cli import __version__
+from seqid_cli.errors import EXIT_INTERRUPTED
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit code."""
+    try:
+        return _run(argv)
+    except KeyboardInterrupt:  # while commands are still being imported, say
+        if argv is not None:
+            raise
+        sys.stderr.write("seqid: interrupted\n")
+        return EXIT_INTERRUPTED
+
+
+def _run(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        from seqid_cli.commands.streams import prepare_process
+
+        prepare_process()
     if arguments == ["--version"]:  # before Typer is imported: three times as fast
-        sys.stdout.write(f"seqid {__version__}\n")
-        return 0
+        return _version()
     # Small matrices: a second BLAS thread costs many times what it gains, and changes last digits.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from seqid_cli.commands.app import run
 
     return run(arguments)
+
+
+def _version() -> int:
+    try:
+        sys.stdout.write(f"seqid {__version__}\n")
+        sys.stdout.flush()
+    except OSError:
+        from seqid_cli.commands.app import run
+
+        return run(["--version"])  # which knows what to do
+    return 0
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@ Library code raises; only the command layer prints and exits.
 
 from __future__ import annotations
 
+EXIT_INTERRUPTED = 130
+
 
 class SeqidError(Exception):
     """A problem that the user can act on.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import importlib
 import json
-import os
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
@@ -18,10 +17,10 @@ from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
 from seqid_cli.commands.options import screen_options
-from seqid_cli.errors import SeqidError, UsageError
+from seqid_cli.commands.streams import cannot_be_written, give_up_output
+from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
 EXIT_BUG = 70
-EXIT_INTERRUPTED = 130
 _BUG = "this is a bug in seqid"
 _HELP = "From recorded robot logs to a dynamic model that an engineer trusts."
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -107,8 +106,12 @@ def run(arguments: Sequence[str]) -> int:
         code = _guarded(arguments)
         sys.stdout.flush()
     except BrokenPipeError:  # the reader has seen enough, as `head` does; the files are complete
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        give_up_output()
         return 0
+    except OSError as error:
+        give_up_output()
+        sys.stderr.write(f"seqid: error: standard output cannot be written: {error.strerror}\n")
+        return UsageError.exit_code
     return code
 
 
@@ -123,8 +126,10 @@ def _guarded(arguments: Sequence[str]) -> int:
         problem: SeqidError = UsageError(error.format_message(), hint=f"See {name} --help.")
     except SeqidError as error:
         problem = error
-    except BrokenPipeError:
-        raise
+    except OSError as error:
+        if isinstance(error, BrokenPipeError) or cannot_be_written(error):
+            raise
+        return _report_bug(name, error, arguments)
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write(f"{name}: interrupted\n")
         return EXIT_INTERRUPTED

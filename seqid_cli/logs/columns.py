@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -206,3 +209,12 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
         f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the end of the "
         f"log ({interval:.3g} s between samples): write time as float64 or timestamp"
     ]
+
+
+def readable(path: Path) -> Path | BinaryIO:
+    """What Arrow opens: a file by its name, or open already where it cannot spell the name."""
+    try:
+        name = str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        return path.open("rb")
+    return path if name == os.fsencode(path) else path.open("rb")

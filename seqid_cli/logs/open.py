@@ -138,6 +138,8 @@ def check_log(path: Path) -> str:
     where = str(path)
     try:
         path = storage_file(path)
+        if path.exists() and not path.is_file():  # a pipe would be waited for without end
+            raise InputError("is no regular file", hint="Copy it into one first.", where=where)
         with path.open("rb") as file:
             head = file.read(_HEAD)
             size = file.seek(0, os.SEEK_END)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -26,6 +27,9 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
         raise UsageError("its folder does not exist", where=str(path), hint=hint)
     if path.is_dir():
         raise UsageError("is a folder, not a file", where=str(path), hint="Name a file in it.")
+    if _is_special(path) and path != Path(os.devnull):
+        hint = "A pipe or a device may wait without end: name a file, and copy it there afterwards."
+        raise UsageError("is no regular file", where=str(path), hint=hint)
     if not os.access(path if _is_special(path) else folder, os.W_OK):
         message = f"the folder {folder} is not writable"
         raise UsageError(message, where=str(path), hint="Choose another output with -o.")
@@ -70,6 +74,7 @@ def replacing(path: Path) -> Iterator[Path]:
         return
     target = path.resolve()
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    _without_leftovers(target)
     try:
         yield temporary
         with writing(path):
@@ -79,6 +84,25 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _without_leftovers(target: Path) -> None:
+    """Remove what runs that were killed have left beside a file."""
+    for path in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
+        process = path.suffixes[-2][1:]
+        if process.isdecimal() and int(process) != os.getpid() and not _runs(int(process)):
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # somebody else's
+        return True
+    return True
 
 
 def write_text_atomic(path: Path, text: str, *, inputs: Iterable[Path] = ()) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -84,12 +85,21 @@ def test_outputs_that_cannot_be_written(tmp_path: Path) -> None:
         check_output(Path("-"))
 
 
-def test_a_full_disk_is_a_message() -> None:
-    full = Path("/dev/full")
-    if not full.exists():
-        pytest.skip("no /dev/full on this system")
+def test_a_full_disk_is_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
     with pytest.raises(UsageError, match="No space left"):
-        write_text_atomic(full, "x")
+        write_text_atomic(tmp_path / "out.json", "x")
+    assert not list(tmp_path.iterdir())
+
+
+def test_pipes_and_devices_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(UsageError, match="no regular file"):
+            check_output(path)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

@@ -303,6 +303,7 @@ def plan(
     robot: PathLike,
     parameters: Paths = (),
     *,
+    have: Paths = (),
     output: PathLike | None = None,
     trajectories: PathLike | None = None,
     duration: float = 150.0,
@@ -324,6 +325,8 @@ def plan(
         The robot file; limits are the tighter of its own and its URDF's.
     parameters : path or sequence of paths
         What is identified already.
+    have : path or sequence of paths
+        Logs that the inertia stage will get as well.
     output, trajectories : path, optional
         Where the plan goes, and the folder for a CSV file of each move.
     duration, move_duration : float
@@ -346,6 +349,7 @@ def plan(
         what=what,
         robot=Path(robot),
         parameters=_paths(parameters),
+        have=_names(have),
         output=_optional(output),
         trajectories=_optional(trajectories),
         duration=duration,

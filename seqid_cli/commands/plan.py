@@ -13,6 +13,7 @@ from seqid_cli.commands.job import exit_code
 from seqid_cli.commands.options import Output, RobotPath, Strict
 from seqid_cli.commands.render import Screen, number, percent, screen_of
 from seqid_cli.errors import UsageError
+from seqid_cli.logs.open import expand
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import check_robot, file_sha256, read_joined, write_json_atomic
 from seqid_cli.params.plan_schema import PlanFile
@@ -54,6 +55,14 @@ PlanParameters = Annotated[
         "--parameters",
         metavar="FILE",
         help="What is identified already: torque and noise are taken from it; repeat it to join.",
+    ),
+]
+Have = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--have",
+        metavar="LOG",
+        help="Logs that the inertia stage will get as well; repeat it per path, folder or glob.",
     ),
 ]
 Trajectories = Annotated[
@@ -103,6 +112,7 @@ def run(
     what: What,
     robot: RobotPath,
     parameters: PlanParameters = None,
+    have: Have = None,
     output: Output = None,
     trajectories: Trajectories = None,
     duration: Duration = PlanOptions.duration_s,
@@ -126,6 +136,10 @@ def run(
     if duration < length:
         message = f"--duration {duration:g} s is shorter than one move of {length:g} s"
         raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
+    if have and what not in ("inertia", "all"):
+        hint = "Leave it out, or plan the inertia stage."
+        raise UsageError(f"--have counts for the inertia stage, not for {what}", hint=hint)
+    files = expand(have, screen.warn) if have else []
     loaded = load_robot(robot)
     stages = Stages()
     if given:
@@ -134,13 +148,15 @@ def run(
         for warning in check_robot(file, loaded, where=str(given[0])):
             screen.warn(warning)
 
+    from seqid_cli.inspect.screening import read_screened
     from seqid_cli.plan.limits import limits_of
     from seqid_cli.plan.make import make_plan
 
     options = PlanOptions(duration_s=duration, move_s=length, together=together, seed=seed)
     limits = limits_of(loaded, ramp_s=ramp, share=share, locked=lock or ())
     ids = [FileId(path=str(path), sha256=file_sha256(path)) for path in given]
-    plan = make_plan(what, loaded, limits, stages, options, ids)
+    recorded = (read_screened(file, loaded, imus=False).recording for file in files)
+    plan = make_plan(what, loaded, limits, stages, options, ids, recorded)
     if trajectories is not None:
         plan = _with_trajectories(plan, trajectories, speed_scale)
     if output is not None:

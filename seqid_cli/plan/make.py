@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.plan_schema import (
     PLAN_SCHEMA,
@@ -20,12 +22,15 @@ from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.friction import plan_friction
 from seqid_cli.plan.gravity import plan_gravity
+from seqid_cli.plan.have import information_of
 from seqid_cli.plan.imu import plan_imu
 from seqid_cli.plan.inertia import Planned, plan_inertia
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.validation import plan_validation
 from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
 
 
 def make_plan(
@@ -35,8 +40,11 @@ def make_plan(
     stages: Stages,
     options: PlanOptions,
     parameters: Sequence[FileId] = (),
+    have: Iterable[Recording] = (),
 ) -> PlanFile:
     """Plan the moves of one stage, or of all in the order of the work.
+
+    `have` are logs that the inertia stage will get as well: only what they lack is planned.
 
     Raises
     ------
@@ -45,8 +53,11 @@ def make_plan(
     """
     belief = belief_of(robot, stages, limits)
     found: dict[str, Planned] = {}
+    known = information_of(belief, have)
     for name in _stages(what, robot):
-        found[name] = _planned(name, belief, stages, options, found)
+        found[name] = _planned(name, belief, stages, options, known)
+        told = found[name].information
+        known = known if told is None else known + told
     moves = [move for planned in found.values() for move in planned.moves]
     names = robot.joint_names
     noise = np.sqrt(2.0 / belief.density)
@@ -84,9 +95,9 @@ def _planned(
     belief: Belief,
     stages: Stages,
     options: PlanOptions,
-    before: Mapping[str, Planned],
+    known: Array,
 ) -> Planned:
-    """Plan a stage; the inertia stage builds on what the gravity stage before it will tell."""
+    """Plan a stage; inertia adds to what is `known` (b, b) by logs and by the gravity plan."""
     if name == "friction":
         return plan_friction(belief, options)
     if name == "gravity":
@@ -95,8 +106,7 @@ def _planned(
         return plan_imu(belief, options)
     if name == "validation":
         return plan_validation(belief, options)
-    gravity = before.get("gravity")
-    return plan_inertia(belief, stages, options, gravity.information if gravity else None)
+    return plan_inertia(belief, stages, options, known)
 
 
 def _limits(limits: Limits, j: int) -> JointLimits:

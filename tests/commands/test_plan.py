@@ -83,3 +83,13 @@ def test_mistakes_are_told(rig: Rig, more: tuple[str, ...], text: str) -> None:
     done = rig.run("plan", "inertia", "-r", TWO, *more)
     assert done.code == 2
     assert text in done.err
+
+
+def test_have_is_for_the_inertia_stage(rig: Rig) -> None:
+    logs = str(SAMPLES / "two_joint" / "inertia")
+    done = rig.run("plan", "friction", "-r", TWO, "--have", logs)
+    assert done.code == 2
+    assert "--have counts for the inertia stage, not for friction" in done.err
+    short = ("--duration", "8", "--move-duration", "4")
+    assert rig.run("plan", "inertia", "-r", TWO, "--have", logs, *short).code == 0
+    assert rig.run("plan", "inertia", "-r", TWO, "--have", "none.parquet").code == 2

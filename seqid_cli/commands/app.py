@@ -18,6 +18,7 @@ from typer.core import TyperGroup, TyperOption
 from seqid_cli import __version__
 from seqid_cli.commands.options import screen_options
 from seqid_cli.commands.streams import cannot_be_written, give_up_output
+from seqid_cli.commands.visible import visible
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
 EXIT_BUG = 70
@@ -158,9 +159,9 @@ def _invoke(arguments: Sequence[str]) -> int:
 def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> None:
     if "--debug" in arguments:
         traceback.print_exception(problem)
-    sys.stderr.write(f"{name}: error: {problem}\n")
+    sys.stderr.write(visible(f"{name}: error: {problem}\n"))
     if problem.hint:
-        sys.stderr.write(f"  hint: {problem.hint}\n")
+        sys.stderr.write(visible(f"  hint: {problem.hint}\n"))
     _report_json(
         arguments,
         code=problem.exit_code,
@@ -175,7 +176,7 @@ def _report_bug(name: str, error: Exception, arguments: Sequence[str]) -> int:
     hint = "Report it with the command line and the output of the same command with --debug."
     if "--debug" in arguments:
         traceback.print_exception(error)
-    sys.stderr.write(f"{name}: error: {message}\n  hint: {hint}\n")
+    sys.stderr.write(visible(f"{name}: error: {message}\n  hint: {hint}\n"))
     _report_json(arguments, code=EXIT_BUG, message=message, hint=hint, where="")
     return EXIT_BUG
 

@@ -14,6 +14,7 @@ from seqid_cli.commands.options import Clock, Logs, Output
 from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import Screen, screen_of
 from seqid_cli.commands.show_inspection import show_inspection
+from seqid_cli.commands.visible import visible
 from seqid_cli.logs.open import expand
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.files import check_output
@@ -87,8 +88,8 @@ def _exit_code(screen: Screen, report: InspectReport, *, strict: bool) -> int:
     unreadable = [f for f in report.findings if f.code == "unreadable"]
     if unreadable:
         first = unreadable[0]
-        sys.stderr.write(f"seqid {screen.command}: error: {first.log}: {first.message}\n")
-        sys.stderr.write(f"  hint: {first.remedy}\n")
+        said = f"seqid {screen.command}: error: {first.log}: {first.message}\n"
+        sys.stderr.write(visible(f"{said}  hint: {first.remedy}\n"))
         return EXIT_UNREADABLE
     if strict and any(finding.severity == "error" for finding in report.findings):
         return EXIT_UNTRUSTED

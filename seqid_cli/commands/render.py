@@ -11,6 +11,7 @@ import typer
 
 from seqid_cli import shares
 from seqid_cli.commands.options import screen_flag
+from seqid_cli.commands.visible import visible, visible_cell
 from seqid_cli.params.encode import encode
 
 Row = Sequence[str]
@@ -34,23 +35,24 @@ class Screen:
         """Print a result as a table."""
         if self.json or not rows:
             return
-        sys.stdout.write(rich_table(columns, rows) if self.color else plain_table(columns, rows))
+        cells = [[visible_cell(cell) for cell in row] for row in rows]
+        sys.stdout.write(rich_table(columns, cells) if self.color else plain_table(columns, cells))
 
     def result(self, line: str) -> None:
         """Print one line of the result."""
         if not self.json:
-            sys.stdout.write(line + "\n")
+            sys.stdout.write(visible(line) + "\n")
 
     def document(self, document: object) -> None:
         """Print the result as JSON where that was asked for."""
         if self.json:
-            sys.stdout.write(encode(document))
+            sys.stdout.write(visible(encode(document)))
 
     def warn(self, message: str) -> None:
         """Say what may be wrong, once."""
         if message not in self.said:
             self.said.add(message)
-            sys.stderr.write(f"seqid {self.command}: warning: {message}\n")
+            sys.stderr.write(f"seqid {self.command}: warning: {visible(message)}\n")
 
     def knows(self, messages: Iterable[str]) -> None:
         """Keep messages from being said: they were, in other words."""
@@ -65,12 +67,12 @@ class Screen:
     def note(self, message: str) -> None:
         """Say what is good to know."""
         if not self.quiet:
-            sys.stderr.write(f"{message}\n")
+            sys.stderr.write(f"{visible(message)}\n")
 
     def detail(self, message: str) -> None:
         """Say what only `-v` asks for."""
         if self.verbose:
-            sys.stderr.write(f"{message}\n")
+            sys.stderr.write(f"{visible(message)}\n")
 
 
 def screen_of(context: typer.Context) -> Screen:

@@ -1,0 +1,68 @@
+"""Names that steer a terminal are shown, not obeyed."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from seqid_cli.__main__ import main
+from seqid_cli.commands.render import Screen
+from seqid_cli.commands.visible import visible, visible_cell
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs" / "one_joint"
+EVIL = "a\x1b]0;owned\x07\x9b2J\u202etxt\x00b"
+STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
+
+
+def test_they_are_escaped_as_json_does() -> None:
+    assert visible("a\x1b[2Jb\tc\n") == "a\\u001b[2Jb\tc\n"
+    assert visible_cell("a\tb\nc") == "a\\tb\\nc"
+    assert visible("Gelenk ö, 关节") == "Gelenk ö, 关节"
+
+
+@given(st.text())
+def test_nothing_that_steers_is_left(text: str) -> None:
+    shown = visible(text)
+    assert not STEERING.search(shown)
+    shown.encode("utf-8")
+
+
+@pytest.mark.parametrize("color", [False, True])
+def test_every_way_to_the_screen_shows_them(
+    color: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    screen = Screen("inspect", verbose=True, color=color)
+    screen.table(("log", "x"), [(EVIL, "1")])
+    screen.result(EVIL)
+    screen.warn(EVIL)
+    screen.remark(EVIL)
+    screen.detail(EVIL)
+    shown = capsys.readouterr()
+    assert "]0;owned" in shown.out
+    assert not re.search("\x1b\\]|[\x00\x07\x9b\u202e]", shown.out + shown.err)
+
+
+def test_json_stays_json(capsys: pytest.CaptureFixture[str]) -> None:
+    Screen("inspect", json=True).document({"name": EVIL})
+    text = capsys.readouterr().out
+    assert not STEERING.search(text)
+    assert json.loads(text) == {"name": EVIL}
+
+
+def test_a_file_s_name_does_not_reach_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / f"{EVIL.replace(chr(0), '')}.parquet"
+    shutil.copy(next((SAMPLES / "friction").iterdir()), log)
+    for arguments in (["inspect", str(log)], ["inspect", str(log), "--json"]):
+        assert main(arguments) == 0
+        shown = capsys.readouterr()
+        assert not STEERING.search(shown.out + shown.err)
+    assert main(["friction", str(log) + "x", "-r", str(SAMPLES / "robot.toml")]) == 2
+    assert not STEERING.search(capsys.readouterr().err)

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import ast
 import difflib
+import math
 import re
+import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -34,7 +36,14 @@ _SYMBOL = re.compile(rf"({'|'.join(SYMBOLS)})(?:_([1-9][0-9]{{0,2}}))?")
 
 
 class FormulaError(ValueError):
-    """A formula that cannot be used; the text says where and why."""
+    """A formula that cannot be used: why, and at which column of its text, from 1."""
+
+    def __init__(self, reason: str, column: int | None = None) -> None:
+        super().__init__(reason)
+        self.reason, self.column = reason, column
+
+    def __str__(self) -> str:
+        return self.reason if self.column is None else f"{self.reason} (column {self.column})"
 
 
 @dataclass(frozen=True)
@@ -73,12 +82,9 @@ def parse_formula(text: str, joints: int, settings: Collection[str] = ()) -> For
     """
     if len(text) > LONGEST:
         raise FormulaError(f"is {len(text)} characters long, more than {LONGEST}")
-    try:
-        tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
-        reason = getattr(problem, "msg", None) or str(problem) or "too deep"
-        raise FormulaError(f"cannot be read: {reason}") from None
-    reader = _Reader(joints, frozenset(settings))
+    before = len(text) - len(text.lstrip())
+    tree = _tree(text.strip(), before)
+    reader = _Reader(joints, frozenset(settings), before)
     if not reader.linear(tree, 0):
         raise FormulaError("has no coefficient: write one (c, or c1, c2, ...) before each term")
     unused = sorted(set(settings) - reader.used)
@@ -86,6 +92,20 @@ def parse_formula(text: str, joints: int, settings: Collection[str] = ()) -> For
         raise FormulaError(f"does not use the setting {unused[0]!r}")
     names = sorted(reader.coefficients, key=lambda name: int(name[1:] or 0))
     return Formula(text, tree, tuple(names), frozenset(reader.symbols))
+
+
+def _tree(text: str, before: int) -> ast.expr:
+    for k, sign in enumerate(text):
+        if not " " <= sign <= "~":
+            raise FormulaError(f"cannot be read: has {sign!a}", before + k + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's advice about what is refused anyway
+            return ast.parse(text, mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
+        reason = getattr(problem, "msg", None) or str(problem) or "too deep"
+        column = getattr(problem, "offset", 0) or len(text) + 1  # 0: it ends too early
+        raise FormulaError(f"cannot be read: {reason}", before + column) from None
 
 
 def symbol_of(name: str) -> Symbol | None:
@@ -104,8 +124,8 @@ def is_coefficient(name: str) -> bool:
 class _Reader:
     """Goes through a tree; tells whether each part is linear in coefficients or free of them."""
 
-    def __init__(self, joints: int, settings: frozenset[str]) -> None:
-        self.joints, self.settings = joints, settings
+    def __init__(self, joints: int, settings: frozenset[str], before: int) -> None:
+        self.joints, self.settings, self.before = joints, settings, before
         self.coefficients: set[str] = set()
         self.symbols: set[Symbol] = set()
         self.used: set[str] = set()
@@ -114,8 +134,18 @@ class _Reader:
         """Whether it holds coefficients; raises where it is neither linear in nor free of them."""
         if depth > DEEPEST:
             raise FormulaError(f"is nested more than {DEEPEST} deep")
+        try:
+            return self._linear(node, depth)
+        except FormulaError as problem:
+            if problem.column is None:
+                problem.column = self.before + node.col_offset + 1
+            raise
+
+    def _linear(self, node: ast.expr, depth: int) -> bool:
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                if not _finite(value):
+                    raise FormulaError("has a number that is too large")
                 return False
             case ast.Name(id=name):
                 return self._name(name)
@@ -154,6 +184,13 @@ class _Reader:
             raise FormulaError(f"calls {name} with {len(arguments)} arguments, it takes {wanted}")
         if any(self.linear(argument, depth + 1) for argument in arguments):
             raise FormulaError(f"has a coefficient inside {name}(): terms must be linear in them")
+        return False
+
+
+def _finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer beyond what a float holds
         return False
 
 

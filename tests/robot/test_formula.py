@@ -52,6 +52,10 @@ REFUSED = {
     "c * " + "(" * 300 + "q" + ")" * 300: "long",
     "c * " + "-" * 100 + "q": "deep",
     "c * width": "'width'",
+    "c * 1" + "0" * 400: "too large",
+    "c * 1e999 * q": "too large",
+    "c * '\\d'": "may have",
+    "c * 2\u03b8": "cannot be read",
 }
 
 
@@ -60,6 +64,23 @@ def test_what_is_no_formula_is_refused_with_its_reason(text: str) -> None:
     with pytest.raises(FormulaError) as caught:
         parse_formula(text, 2)
     assert REFUSED[text] in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "column"),
+    [("c1 * q + c2 * dp", 15), ("  c * dp", 7), ("c * sin(c1 * q)", 5), ("c * q +", 8)],
+)
+def test_the_column_of_what_is_wrong_is_said(text: str, column: int) -> None:
+    with pytest.raises(FormulaError, match=rf"\(column {column}\)$"):
+        parse_formula(text, 2)
+
+
+@pytest.mark.filterwarnings("error")
+def test_python_gives_no_advice_about_a_formula() -> None:
+    with pytest.raises(FormulaError, match="may have"):
+        parse_formula("c * q(1)(2)", 2)
+    with pytest.raises(FormulaError, match="may have"):
+        parse_formula("c * '\\d'", 2)
 
 
 def test_coefficients_and_symbols_are_found() -> None:

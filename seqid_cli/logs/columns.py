@@ -10,11 +10,13 @@ from typing import BinaryIO
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import STAMP_LIMIT_NS, Array, Rows, Stamps
 
 ARROW_ERRORS = (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError)
+ROOM, MOST_TIMES = 256 << 20, 500  # bytes in memory of any table; of one byte of a larger one
 NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 # An epoch time of this size cannot be seconds: the largest that it can be in each unit.
 _EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
@@ -209,6 +211,25 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
         f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the end of the "
         f"log ({interval:.3g} s between samples): write time as float64 or timestamp"
     ]
+
+
+def opened_table(path: Path, **options: object) -> pq.ParquetFile:
+    """Open a Parquet file whose values have room.
+
+    Raises
+    ------
+    InputError
+        A few bytes of it stand for more values than any log has.
+    """
+    file = pq.ParquetFile(readable(path), **options)
+    size, room = path.stat().st_size, 8 * file.metadata.num_rows * file.metadata.num_columns
+    if room > ROOM + MOST_TIMES * size:
+        raise InputError(
+            f"its {size} bytes unpack to {room}, {room // size} times as many",
+            hint="No recording repeats itself like that: copy it again, or leave it out.",
+            where=str(path),
+        )
+    return file
 
 
 def readable(path: Path) -> Path | BinaryIO:

@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs import mcap, parquet, parquet_blocks
-from seqid_cli.logs.columns import ARROW_ERRORS, readable
+from seqid_cli.logs.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.long_health import LongHealth
 from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
 from seqid_cli.logs.lost_samples import suspicious
@@ -200,7 +199,7 @@ def likely_rows(path: Path) -> int:
     kind, path = check_log(Path(path)), storage_file(Path(path))
     try:
         if kind == "parquet":
-            with pq.ParquetFile(readable(path)) as file:
+            with opened_table(path) as file:
                 return int(file.metadata.num_rows)
         if kind == "mcap":
             size = path.stat().st_size

@@ -29,9 +29,15 @@ _INDEX = struct.Struct("<HI")
 _ENTRY = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
 _STEP = 1 << 20
 _LIMIT = 1 << 30  # bytes in one unpacked chunk; recorders write about 1 MB
+SMALL, MOST_TIMES = 16 << 20, 200  # bytes that any log may have; of one packed byte beyond them
 _HEAD = RECORD.size + MESSAGE_SIZE
 
 Integers = NDArray[np.int64]
+
+
+def allowed(packed: int) -> int:
+    """Bytes that so many packed ones of a log may become: no sensor repeats itself like that."""
+    return SMALL + MOST_TIMES * packed
 
 
 class DamageError(Exception):
@@ -62,10 +68,11 @@ class Contents(NamedTuple):
 
 
 class Unpacker:
-    """Unpacks chunks; keeps the decompressor, which is costly to make."""
+    """Unpacks the chunks of one file; keeps the decompressor, which is costly to make."""
 
     def __init__(self) -> None:
         self._zstd = zstandard.ZstdDecompressor()
+        self._packed = self._unpacked = 0
 
     def unpack(self, content: bytes, complete: bool) -> tuple[bytes, bool]:
         """Return the records in a chunk, and whether they are all of them.
@@ -91,6 +98,10 @@ class Unpacker:
         name = content[CHUNK.size : CHUNK.size + length].decode("ascii", "replace")
         (packed,) = struct.unpack_from("<Q", content, start - 8)
         payload = memoryview(content)[start : start + packed]
+        self._packed += len(payload)
+        if self._unpacked + size > allowed(self._packed):
+            raise DamageError(f"it unpacks to {size} bytes, {size // max(len(payload), 1)} times")
+        self._unpacked += size
         whole = complete and packed <= len(content) - start
         data, fault = self._decompress(name, payload, min(size, _LIMIT))
         if not whole:

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.columns import ARROW_ERRORS, is_number, readable
+from seqid_cli.logs.columns import ARROW_ERRORS, is_number, opened_table
 from seqid_cli.logs.list_names import list_entries
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tabular import read_table
@@ -143,7 +143,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
         The file is damaged.
     """
     try:
-        with pq.ParquetFile(readable(path)) as file:
+        with opened_table(path) as file:
             fields = _flat(file.schema_arrow)
             lists = {
                 name: length
@@ -178,7 +178,7 @@ def list_columns(path: Path) -> list[tuple[str, str, int]]:
         The file is damaged.
     """
     try:
-        with pq.ParquetFile(readable(path)) as file:
+        with opened_table(path) as file:
             rows = file.metadata.num_rows
             columns = [file.schema.column(i) for i in range(len(file.schema))]
             return [(column.path, column.physical_type.lower(), rows) for column in columns]
@@ -218,7 +218,7 @@ def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
 
 def _load(path: Path, columns: list[str]) -> pa.Table:
     try:
-        with pq.ParquetFile(readable(path), page_checksum_verification=True) as file:
+        with opened_table(path, page_checksum_verification=True) as file:
             table = file.read(columns=columns)
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from seqid_cli.logs import parquet
-from seqid_cli.logs.columns import ARROW_ERRORS, readable
+from seqid_cli.logs.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.tabular import make_plan, read_table
 from seqid_cli.robot.types import Robot
@@ -58,7 +58,7 @@ def _opened(path: Path, pool: pa.MemoryPool) -> pq.ParquetFile:
     usual = pa.default_memory_pool()
     pa.set_memory_pool(pool)
     try:
-        return pq.ParquetFile(readable(path), pre_buffer=False, page_checksum_verification=True)
+        return opened_table(path, pre_buffer=False, page_checksum_verification=True)
     finally:
         pa.set_memory_pool(usual)  # a reader keeps the one that it was opened with
 

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.columns import readable
+from seqid_cli.logs.columns import opened_table
 from seqid_cli.params.prediction_schema import PredictionFile
 from seqid_cli.report.collection import Collection, Prediction
 
@@ -149,7 +149,7 @@ def _guarded(path: Path) -> pq.ParquetFile:
         what = "is not a file" if path.exists() else "does not exist"
         raise InputError(what, where=where, hint=_HINT)
     try:
-        file = pq.ParquetFile(readable(path))
+        file = opened_table(path)
     except (pa.ArrowException, OSError) as error:
         message = f"cannot be read as Parquet: {_first_line(error)}"
         raise InputError(message, where=where, hint=_HINT) from error

@@ -29,6 +29,9 @@ from .toml_schema import (
 )
 
 SIZE_LIMIT = 4 * 2**20  # bytes
+MOST_PARTS = 32  # of a dotted key
+_PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')"
+_DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS}}}")
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,14 @@ def _beside(path: Path) -> str:
 
 def _parse(path: Path, raw: bytes) -> dict[str, object]:
     try:
-        return tomllib.loads(raw.decode("utf-8"))
+        text = raw.decode("utf-8")
+        if _DEEP_KEY.search(text):  # each part is a table, and the parser keeps the way to each
+            message, hint = (
+                f"a key has more than {MOST_PARTS} parts",
+                "Write tables by their names.",
+            )
+            raise ConfigError(message, where=str(path), hint=hint)
+        return tomllib.loads(text)
     except UnicodeDecodeError as problem:
         line = raw.count(b"\n", 0, problem.start) + 1
         message = f"line {line} is not UTF-8 text"

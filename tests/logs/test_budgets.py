@@ -1,0 +1,75 @@
+"""A few bytes that stand for gigabytes end in a message, before the gigabytes are there."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import zstandard
+
+from seqid_cli.__main__ import main
+from seqid_cli.errors import ConfigError, InputError
+from seqid_cli.logs.columns import ROOM, opened_table
+from seqid_cli.logs.mcap_chunks import CHUNK, SMALL, DamageError, Unpacker
+from seqid_cli.robot.file import load_robot
+
+EMPTY = struct.pack("<BQ", 0x80, 0)  # a record of a kind of somebody's own
+
+
+def chunk(raw: bytes) -> bytes:
+    packed = zstandard.ZstdCompressor().compress(raw)
+    head = CHUNK.pack(0, 1, len(raw), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    return head + packed
+
+
+def test_a_chunk_of_empty_records_is_refused() -> None:
+    with pytest.raises(DamageError, match="times"):
+        Unpacker().unpack(chunk(EMPTY * (2 * SMALL // len(EMPTY))), True)
+
+
+def test_many_small_chunks_are_refused_when_they_are_too_much_together() -> None:
+    unpacker, one = Unpacker(), chunk(EMPTY * (SMALL // 4 // len(EMPTY)))
+    for _ in range(4):
+        unpacker.unpack(one, True)
+    with pytest.raises(DamageError, match="times"):
+        unpacker.unpack(one, True)
+
+
+def test_chunks_of_a_recording_have_no_end(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(size=SMALL // 32).tobytes()
+    unpacker, one = Unpacker(), chunk(noise)
+    assert all(unpacker.unpack(one, True) == (noise, True) for _ in range(12))
+
+
+@pytest.fixture
+def repeated(tmp_path: Path) -> Path:
+    """A table of one value, times a lot."""
+    rows = ROOM // 8
+    one = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, dtype=np.int8)), pa.array([0.0]))
+    pq.write_table(pa.table({"time": one, "j.position": one}), tmp_path / "log.parquet")
+    return tmp_path / "log.parquet"
+
+
+def test_a_table_of_one_value_is_refused(
+    repeated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InputError, match="times as many") as caught:
+        opened_table(repeated)
+    assert caught.value.where == str(repeated)
+    assert main(["inspect", str(repeated)]) == 2
+    said = capsys.readouterr().err
+    assert str(repeated) in said
+    assert "bug" not in said
+
+
+@pytest.mark.parametrize("text", [".".join("a" * 1000) + " = 1", f"[{' . '.join('a' * 1000)}]"])
+def test_a_key_of_many_parts_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(f'schema = "seqid/robot@1"\n{text}\n')
+    with pytest.raises(ConfigError, match="32 parts") as caught:
+        load_robot(path)
+    assert caught.value.where == str(path)

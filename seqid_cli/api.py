@@ -14,7 +14,6 @@ subclass of `SeqidError` (see `seqid_cli.errors`) where the command would exit w
 
 from __future__ import annotations
 
-import importlib
 import os
 import warnings
 from collections.abc import Sequence
@@ -22,9 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import typer
-
-from seqid_cli.commands.app import COMMANDS, load_command
+from seqid_cli.commands.app import call
 from seqid_cli.commands.render import Screen
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.inspection_schema import InspectionFile
@@ -408,9 +405,8 @@ def _workers(
 
 def _run(name: str, **arguments: Any) -> Any:
     """Run a command's own function on a screen that only keeps the document."""
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
     screen = _Collected(command=name, quiet=True, json=True)
-    module.run(typer.Context(load_command(name), info_name=name, obj=screen), **arguments)
+    call(name, screen, **arguments)
     return screen.documents[-1]
 
 

@@ -8,7 +8,7 @@ import json
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 from typer._click import Command, Context, HelpFormatter, Parameter
@@ -20,6 +20,9 @@ from seqid_cli.commands.options import screen_options
 from seqid_cli.commands.streams import cannot_be_written, give_up_output
 from seqid_cli.commands.visible import visible
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
+
+if TYPE_CHECKING:
+    from seqid_cli.commands.render import Screen
 
 EXIT_BUG = 70
 _BUG = "this is a bug in seqid"
@@ -99,6 +102,13 @@ def load_command(name: str) -> Command:
     command = typer.main.get_command(app)
     command.params.extend(screen_options())
     return command
+
+
+def call(name: str, screen: Screen, **arguments: Any) -> int:
+    """Run a command's own function on a caller's screen; errors are raised as they are."""
+    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
+    context = typer.Context(load_command(name), info_name=name, obj=screen)
+    return int(module.run(context, **arguments))
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -200,14 +199,12 @@ def _outcome(screen: Screen, step: Step, *, force: bool) -> Outcome:
         screen.note(f"{step.command}: {step.writes} is newer than its logs, kept")
         return Outcome(step.command, str(step.writes), good, kept=True)
     screen.note(f"--- {step.command}")
-    from seqid_cli.commands.app import COMMANDS, load_command
+    from seqid_cli.commands.app import call
 
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[step.command].module}")
     own = (
         _Silent(step.command) if screen.json else replace(screen, command=step.command, said=set())
     )
-    place = typer.Context(load_command(step.command), info_name=step.command, obj=own)
-    code = module.run(place, **step.arguments)
+    code = call(step.command, own, **step.arguments)
     good = code != POOR
     return Outcome(step.command, str(step.writes), good, kept=False, partial=code == PARTIAL)
 

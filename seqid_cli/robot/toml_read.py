@@ -112,11 +112,8 @@ def _parse(path: Path, raw: bytes) -> dict[str, object]:
     try:
         text = raw.decode("utf-8")
         if _DEEP_KEY.search(text):  # each part is a table, and the parser keeps the way to each
-            message, hint = (
-                f"a key has more than {MOST_PARTS} parts",
-                "Write tables by their names.",
-            )
-            raise ConfigError(message, where=str(path), hint=hint)
+            message = f"a key has more than {MOST_PARTS} parts"
+            raise ConfigError(message, where=str(path), hint="Write tables by their names.")
         return tomllib.loads(text)
     except UnicodeDecodeError as problem:
         line = raw.count(b"\n", 0, problem.start) + 1

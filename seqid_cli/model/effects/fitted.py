@@ -105,9 +105,10 @@ def fitted_effects(
         the message names the key.
     """
     found: list[Fitted] = []
+    catalogue = catalogue_of(robot) if stages.effects else {}
     for index, entry in enumerate(stages.effects or []):
         if entry.effect != UNEXPLAINED:
-            found.append(_restored(f"$.stages.effects[{index}]", entry, robot))
+            found.append(_restored(f"$.stages.effects[{index}]", entry, robot, catalogue))
         elif unexplained:
             found.append(FittedTerm(SmoothTerm.from_stage(entry, robot), entry.session))
     return found
@@ -140,8 +141,10 @@ def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
     )
 
 
-def _restored(key: str, entry: EffectOfJoint, robot: Robot) -> FittedEffect:
-    effect = catalogue_of(robot).get(entry.effect)
+def _restored(
+    key: str, entry: EffectOfJoint, robot: Robot, catalogue: Mapping[str, Effect]
+) -> FittedEffect:
+    effect = catalogue.get(entry.effect)
     if effect is None:
         raise ConfigError(
             f"{key}.effect: no effect named {entry.effect!r} is known to this version",

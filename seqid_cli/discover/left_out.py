@@ -87,7 +87,7 @@ def left_out_error(
     folds : Folds
     robot : Robot
     models : sequence of Stages
-        One per fold; a single one if none has seen any of the logs.
+        Of the folds from the first on. Samples of folds that have none do not count.
     options : InertiaOptions
         With `slides_from`, so that all models are judged on the same samples.
     """
@@ -97,10 +97,7 @@ def left_out_error(
         for number, (log, prediction) in enumerate(zip(logs, found, strict=True)):
             if fold == 0:
                 sums.append(BlockSums.of(prediction))
-            counts = prediction.sliding
-            if len(models) > 1:
-                own = folds.of_samples(number, prediction.t - prediction.t[0], _length(log))
-                counts = counts & (own == fold)[:, None]
+            own = folds.of_samples(number, prediction.t - prediction.t[0], _length(log))
             sums[number].seen = 0
-            sums[number].add(prediction, counts)
+            sums[number].add(prediction, prediction.sliding & (own == fold)[:, None])
     return joined(sums)

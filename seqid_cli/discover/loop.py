@@ -29,7 +29,7 @@ class Account:
     """Which effects a model has, and the models of its folds, each fitted without one of them.
 
     `late` are the effects that came after the file was identified; `kept` says whether the stages
-    stayed as they were in the last fit.
+    stayed as they were in the last fit. Models of the first folds only make a first look.
     """
 
     models: tuple[Refitted, ...]
@@ -64,8 +64,10 @@ class Loop:
         What that gains is no effect's. A file that has seen these very logs must be.
         """
         known, late = candidates_of_model(model.effects), model.late
-        as_it_is = Account((model,), tuple(known), late, kept=True)
-        loop = cls(material, Folds.of(material.training), (model,), as_it_is, [model], model)
+        folds = Folds.of(material.training)
+        base = (model,) * folds.count
+        as_it_is = Account(base, tuple(known), late, kept=True)
+        loop = cls(material, folds, base, as_it_is, [model], model)
         anew = loop.account(known, late, kept=False)
         everywhere = range(material.robot.n)
         before, after = loop.error_of(as_it_is), loop.error_of(anew)
@@ -88,17 +90,27 @@ class Loop:
         self, candidates: Sequence[Candidate], late: frozenset[Key], *, kept: bool
     ) -> Account:
         """Fit the models of all folds with these effects."""
-        models = tuple(
-            refitted(
-                self._without(fold),
-                self.base[fold % len(self.base)],
-                candidates,
-                late=late,
-                kept=kept,
-            )
-            for fold in range(self.folds.count)
+        return self.completed(Account((), tuple(candidates), late, kept))
+
+    def first_look(self, account: Account) -> Account:
+        """The account with the model of the first fold alone."""
+        return replace(account, models=(self._of_fold(account, 0),))
+
+    def completed(self, account: Account) -> Account:
+        """The account with the models of all folds."""
+        rest = range(len(account.models), self.folds.count)
+        return replace(
+            account, models=(*account.models, *(self._of_fold(account, fold) for fold in rest))
         )
-        return Account(models, tuple(candidates), late, kept)
+
+    def _of_fold(self, account: Account, fold: int) -> Refitted:
+        return refitted(
+            self._without(fold),
+            self.base[fold],
+            account.candidates,
+            late=account.late,
+            kept=account.kept,
+        )
 
     def error_of(self, account: Account) -> HeldOutError:
         """Squared errors of the models of the folds where they have seen nothing."""
@@ -125,7 +137,10 @@ class Loop:
         return there.beside(held_out_error(before, material.robot, stages, options=motion))
 
     def _without(self, fold: int) -> Material:
-        """What a fold's model is fitted to; a log of which nothing is left is nowhere in it."""
+        """What a fold's model is fitted to; a log of which nothing is left is nowhere in it.
+
+        What the stage says of other cut-offs is asked of the whole model alone.
+        """
         logs = self.folds.without(self.material.training, fold)
         gone = {identity(log) for log in logs if not log.valid.any()}
         earlier = {
@@ -133,7 +148,10 @@ class Loop:
             for stage, own in self.material.earlier.items()
         }
         kept = tuple(log for log in logs if identity(log) not in gone)
-        return replace(self.material, training=kept, earlier=earlier)
+        options = self.material.options
+        motion = replace(options.motion, neighbours=())
+        options = replace(options, motion=motion)
+        return replace(self.material, training=kept, earlier=earlier, options=options)
 
     def accept(self, told: Round, account: Account) -> None:
         """Take effects into the model of all training logs."""

@@ -212,10 +212,7 @@ class Outcome:
 
 def _try(loop: Loop, candidate: Candidate, found: Investigation, taken: Taken) -> bool:
     """Fit the models of the folds with one effect more; keep it if left-out blocks agree."""
-    accounts = _accounts(loop, candidate)
-    channels = taken.term.channels
-    outcomes = [(_outcome(loop, account, channels), account) for account in accounts]
-    outcome, account = next((both for both in outcomes if both[0].accepted), outcomes[0])
+    outcome, account = _first_accepted(loop, _accounts(loop, candidate), taken.term.channels)
     told = _shown(loop, _told(loop, candidate, account, outcome), found, taken)
     same = [r for r in loop.rounds if (r.effect, r.joint) == (told.effect, told.joint)]
     loop.rounds = [r for r in loop.rounds if r.accepted or r not in same]
@@ -231,16 +228,32 @@ def _try(loop: Loop, candidate: Candidate, found: Investigation, taken: Taken) -
 def _accounts(loop: Loop, candidate: Candidate) -> list[Account]:
     """The accounts of one effect more, the one first that explains the logs of all stages better.
 
-    What is in the logs that the file was identified from was there all along.
+    A first look decides which. What is in the logs that the file was identified from was there all
+    along.
     """
     known, late = candidates_of_model(loop.model.effects), loop.model.late
-    early = loop.account([*known, candidate], late, kept=False)
+    every = (*known, candidate)
+    early = Account((), every, late, kept=False)
     if loop.material.known:
         return [early]
-    after = loop.account([*known, candidate], late | {candidate.key}, kept=True)
-    errors = loop.error_everywhere(early), loop.error_everywhere(after)
-    change = gain(*errors, range(loop.material.robot.n))
-    return [after, early] if change.value > 0.0 else [early, after]
+    after = Account((), every, late | {candidate.key}, kept=True)
+    looks = [loop.first_look(account) for account in (early, after)]
+    before, then = map(loop.error_everywhere, looks)
+    change = gain(before, then, range(loop.material.robot.n))
+    return looks[::-1] if change.value > 0.0 else looks
+
+
+def _first_accepted(
+    loop: Loop, accounts: Sequence[Account], channels: frozenset[int]
+) -> tuple[Outcome, Account]:
+    """The first account that left-out blocks accept; the first one where they accept none."""
+    refused = []
+    for account in map(loop.completed, accounts):
+        outcome = _outcome(loop, account, channels)
+        if outcome.accepted:
+            return outcome, account
+        refused.append((outcome, account))
+    return refused[0]
 
 
 def _outcome(loop: Loop, account: Account, channels: frozenset[int]) -> Outcome:

@@ -13,8 +13,9 @@ fitted, beside a base that may move within the errors that the file gives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import msgspec
 import numpy as np
@@ -45,6 +46,7 @@ LOOSE = 3.0  # variance of a direction over that of its parameters, from which i
 CLEAR = 2.0  # standard errors, that such a direction must move by to leave the file
 TURNS = 6  # of effects and stages, at most
 SETTLED = 0.3  # standard errors, that coefficients still move by when they have settled
+STALLED = 0.7  # of the step before: larger ones never settle, logs of earlier stages contradict
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
 
 Key = tuple[str, int | None]  # name of an effect, and its joint
@@ -112,6 +114,15 @@ class Material:
         fitted = [log for log in self.training if identity(log) in own]
         return [*self.before(stage, model), *self.freed(fitted, model.stages, model.effects)]
 
+    def as_they_were(self, stage: str, freed: Sequence[Recording]) -> bool:
+        """Whether logs of an earlier stage are still what it was identified from."""
+        logs = {identity(log): log for log in self.earlier.get(stage, ())}
+        return len(logs) == len(freed) and not any(
+            _changed(logs[identity(log)], log).any()
+            or not np.array_equal(logs[identity(log)].valid, log.valid)
+            for log in freed
+        )
+
     @property
     def known(self) -> bool:
         """Whether the file was identified from all of the training logs."""
@@ -141,14 +152,11 @@ def refitted(
     kept : bool
         Whether the stages are right as they are, and only the effects are fitted.
     """
-    stages, effects = model.stages, list[FittedEffect]()
-    for turn in range(0 if kept else TURNS):
-        fit = _fitted(material, stages, candidates, FREE)
-        before, effects = effects, _effects_of(material, fit)
-        stages = _stages(material, Refitted(stages, tuple(effects), late), fit)
-        candidates = fit.candidates
-        if not candidates or (turn > 0 and _settled(before, effects)):
-            break
+    stages = model.stages
+    if not kept:
+        stages, candidates = _in_turns(material, stages, candidates, late)
+    if not candidates:
+        return Refitted(stages, (), late)
     fit = _fitted(material, stages, candidates, HELD)
     # Their errors are beside a base that may move; but it is the file's that they are written to.
     effects = _effects_of(material, fit)
@@ -159,15 +167,38 @@ def refitted(
     return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
 
 
-def _settled(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> bool:
-    """Whether coefficients have moved by next to nothing of their standard errors."""
-    return all(
-        np.all(
-            np.abs(new.coefficients - old.coefficients)
-            <= SETTLED * np.sqrt(np.diag(new.covariance))
-        )
+def _in_turns(
+    material: Material,
+    stages: Stages,
+    candidates: Sequence[Candidate],
+    late: frozenset[Key],
+) -> tuple[Stages, Sequence[Candidate]]:
+    """Fit effects, then identify the stages without them, until the effects settle."""
+    before, effects, step = list[FittedEffect](), list[FittedEffect](), np.inf
+    for _ in range(TURNS):
+        fit = cache(partial(_fitted, material, stages, candidates, FREE))
+        if candidates:
+            before, effects = effects, _effects_of(material, fit())
+        stages = _stages(material, Refitted(stages, tuple(effects), late), fit)
+        if not candidates:
+            break
+        candidates = fit().candidates
+        last, step = step, _step(before, effects) if before else np.inf
+        if step <= SETTLED or step > STALLED * last:
+            break
+    return stages, candidates
+
+
+def _step(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> float:
+    """By how many of their standard errors coefficients have moved, at most."""
+    return max(
+        float(np.max(np.abs(new.coefficients - old.coefficients) / _errors(new)))
         for old, new in zip(before, after, strict=True)
     )
+
+
+def _errors(effect: FittedEffect) -> Array:
+    return np.sqrt(np.maximum(np.diag(effect.covariance), 1e-300))
 
 
 def _fitted(
@@ -198,8 +229,8 @@ def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
     ]
 
 
-def _stages(material: Material, model: Refitted, fit: Model) -> Stages:
-    """Every stage again, on logs without the effects."""
+def _stages(material: Material, model: Refitted, fit: Callable[[], Model]) -> Stages:
+    """Every stage again, on logs without the effects; `fit` where stages move as it says."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     friction, earlier = stages.friction, material.earlier
     if friction is not None and friction.method == "simultaneous":
@@ -207,11 +238,12 @@ def _stages(material: Material, model: Refitted, fit: Model) -> Stages:
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
         new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
-        return held(found, stages, fit) if material.known else found
+        return held(found, stages, fit()) if material.known else found
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
     if all(earlier.get(stage) for stage in needed):
         return _sequential(material, model)
-    return moved(stages, fit, fit.linear.theta)
+    joint = fit()
+    return moved(stages, joint, joint.linear.theta)
 
 
 def _sequential(material: Material, model: Refitted) -> Stages:
@@ -222,7 +254,8 @@ def _sequential(material: Material, model: Refitted) -> Stages:
         new.friction = _friction(material, model, stages.friction)
     if stages.gravity is not None:
         freed = material.before_or_now("gravity", model)
-        new.gravity = identify_gravity(freed, robot, new, options=motion.motion)
+        if new.friction is not stages.friction or not material.as_they_were("gravity", freed):
+            new.gravity = identify_gravity(freed, robot, new, options=motion.motion)
     if stages.inertia is not None:
         freed = [*material.before("inertia", model), *material.now(model)]
         new.inertia = identify_inertia(freed, robot, new, options=motion)

@@ -158,12 +158,18 @@ class Linear:
 
     def _of_channel(self, channel: int) -> tuple[Index, Array]:
         """Parameters (p_c,) that a channel knows, and its weighted columns (M_c, p_c)."""
-        index, columns = [np.zeros(0, dtype=np.intp)], [np.zeros((len(self.rows.y[channel]), 0))]
-        for part, where in zip(self.parts, self.where, strict=True):
-            if channel in part.columns:
-                index.append(np.arange(where.start, where.stop))
-                columns.append(part.columns[channel])
-        return np.concatenate(index), np.hstack(columns) * self._root[channel][:, None]
+        here = [
+            (np.arange(where.start, where.stop), part.columns[channel])
+            for part, where in zip(self.parts, self.where, strict=True)
+            if channel in part.columns
+        ]
+        index = np.concatenate([np.zeros(0, dtype=np.intp), *(own for own, _ in here)])
+        B, first = np.empty((len(self.rows.y[channel]), len(index))), 0
+        for own, columns in here:
+            at = slice(first, first + len(own))
+            np.multiply(columns, self._root[channel][:, None], out=B[:, at])
+            first = at.stop
+        return index, B
 
     @cached_property
     def prior(self) -> Array:
@@ -186,8 +192,17 @@ class Linear:
         return A, b
 
     @cached_property
+    def _sums(self) -> tuple[Array, Array]:
+        """B'wB (p, p) and B'wy (p,) of all blocks."""
+        A, b = np.zeros((self.size, self.size)), np.zeros(self.size)
+        for (index, B), y in zip(self._own, self._y, strict=True):
+            A[np.ix_(index, index)] += B.T @ B
+            b[index] += B.T @ y
+        return A, b
+
+    @cached_property
     def _scale(self) -> Array:
-        diagonal = np.diag(self.prior) + np.einsum("bpp->p", self._products[0])
+        diagonal = np.diag(self.prior) + np.diag(self._sums[0])
         return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
 
     def _factor(self, A: Array) -> tuple[Array, bool]:
@@ -202,17 +217,19 @@ class Linear:
 
     @cached_property
     def _whole(self) -> tuple[tuple[Array, bool], Array]:
-        A, b = self._products
-        factor = self._factor(A.sum(axis=0))
-        return factor, self._solved(factor, b.sum(axis=0))
+        A, b = self._sums
+        factor = self._factor(A)
+        return factor, self._solved(factor, b)
 
     @cached_property
     def _without(self) -> list[tuple[tuple[Array, bool], Array]]:
         """Factor and solution (p,) without each block."""
-        A, b = self._products
-        factors = [self._factor(A.sum(axis=0) - own) for own in A]
-        total = b.sum(axis=0)
-        return [(f, self._solved(f, total - own)) for f, own in zip(factors, b, strict=True)]
+        A, b = self._sums
+        return [
+            (factor, self._solved(factor, b - own_b))
+            for own_A, own_b in zip(*self._products, strict=True)
+            for factor in [self._factor(A - own_A)]
+        ]
 
     @property
     def theta(self) -> Array:
@@ -239,7 +256,7 @@ class Linear:
         scaled = self.prior * np.outer(self._scale, self._scale)
         scaled[np.diag_indices(self.size)] += RIDGE
         before = 2.0 * float(np.sum(np.log(np.diag(cho_factor(scaled)[0])) - np.log(self._scale)))
-        return 0.5 * (float(self._products[1].sum(axis=0) @ theta) - logarithms + before - squares)
+        return 0.5 * (float(self._sums[1] @ theta) - logarithms + before - squares)
 
     def residual(self) -> list[Array]:
         """What is left (M_c,) N m of every channel."""

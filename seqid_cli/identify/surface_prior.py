@@ -97,6 +97,8 @@ class Sizes:
         every = np.ones((len(fast), 1))
         return np.stack([a**2 * shape * every for a, shape in zip(sizes, shapes, strict=True)])
 
+ROUNDING = 1e-14  # of a covariance's largest entry: below it there is nothing but rounding
+
 
 @dataclass(frozen=True)
 class Normal:
@@ -121,7 +123,8 @@ class Normal:
         scaled = R * np.sqrt(own)[:, None, :]
         V = scaled @ scaled.transpose(0, 2, 1)
         diagonal = np.arange(V.shape[1])
-        V[:, diagonal, diagonal] += sizes.noise**2
+        rounding = ROUNDING * V[:, diagonal, diagonal].max(axis=1, keepdims=True)
+        V[:, diagonal, diagonal] += sizes.noise**2 + rounding
         inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
         toward = R.transpose(0, 2, 1) @ inverse
         S: Array = toward @ R

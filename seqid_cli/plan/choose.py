@@ -59,7 +59,7 @@ class Goal:
         return np.asarray(information / np.outer(self.scale, self.scale))
 
     def errors(self, information: Array) -> Array:
-        """tr(W C) of scaled informations (..., b, b), prior included."""
+        """tr(W C) of scaled information matrices (..., b, b), prior included."""
         C = np.linalg.inv(information + self.prior)
         return np.asarray(np.einsum("ab,...ba->...", self.W, C))
 

@@ -92,7 +92,7 @@ def promise_of(
     *,
     wanted: NDArray[np.bool_] | None = None,
 ) -> PlannedStage:
-    """Describe what moves with scaled informations `each` (M, b, b) give on top of `have`.
+    """Describe what moves add to `have`; `each` (M, b, b) is their scaled information.
 
     `moves` are the samples that the information was taken from, `wanted` (b,) the parameters that
     the stage is about; all by default.

@@ -54,7 +54,7 @@ def limits_of(
     ----------
     robot : Robot
     ramp_s : float
-        Time [s] in which a joint may reach its largest speed: nobody else limits acceleration.
+        Time [s] in which a joint may reach its largest speed: the only limit of acceleration.
     share : float
         Of every range that is used, about its middle.
     locked : sequence of str

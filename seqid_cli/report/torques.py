@@ -36,8 +36,8 @@ class Series:
 
     `residual` is measured torque minus the nearest torque that the model allows: where the joint
     slides the predicted torque, at rest between `low` and `high` (NaN where it slides). Position
-    and velocity are None where the file was written without them; `used` marks the samples that count,
-    `sliding` those that the errors are computed from.
+    and velocity are None where the file was written without them; `used` marks the samples that
+    count, `sliding` those that the errors are computed from.
     """
 
     log: str

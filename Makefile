@@ -50,14 +50,15 @@ test: $(DEV) ## run the tests
 docs-test: $(DEV) ## run every command of the documents, also those that take minutes
 	SEQID_DOCS=1 $(BIN)/python -m pytest tests/docs
 
-lint: $(DEV) ## check the style
+lint: $(DEV) ## check the style and the spelling
 	$(BIN)/ruff check .
+	$(BIN)/codespell
 
 types: $(DEV) ## check the types
 	$(BIN)/mypy
 
 .PHONY: study
-study: $(DEV) ## measure against truth and bounds, rewrite the tables in README.md (minutes)
+study: $(DEV) ## measure against truth and bounds, rewrite the tables in docs/measured.md (minutes)
 	$(BIN)/python -m tests.study
 
 .PHONY: study-effects

@@ -1,4 +1,4 @@
-"""Effects of a refined file: those that are rigid body or rotor are exported, the rest is named."""
+"""Effects of a refined file: those of a rigid body or rotor are exported, the others are named."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _INERTIAL = frozenset({"body", "transmission"})  # families in which such effect
 
 @dataclass(frozen=True)
 class Absorbed:
-    """What effects add to the standard parameters (11 n,), rotors last, and what they cannot."""
+    """Additions to the standard parameters (11 n,), rotors last, and effects that are no such."""
 
     parameters: Array
     notes: tuple[str, ...]
@@ -81,7 +81,7 @@ def _as_parameters(item: Fitted, scene: Scene, W: Array) -> Array | None:
 
 
 def _random_scene(stages: Stages, robot: Robot) -> Scene:
-    """States at random, as of a log that was recorded after all others."""
+    """Random states, as of a log that was recorded after all others."""
     rng = np.random.default_rng(0)
     samples = 4 * (PER_LINK + 1) * robot.n
     q, dq, ddq = rng.normal(size=(3, samples, robot.n))

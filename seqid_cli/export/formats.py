@@ -1,4 +1,4 @@
-"""Which suffix stands for which form of file. Imports no writer before one is wanted."""
+"""Forms of files by their suffix. A writer is imported only when it is needed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FORMATS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Exported:
-    """A written form of an arm, and the model that it shows."""
+    """A written form of an arm, and the model in it."""
 
     model: ExportModel
     text: str
@@ -39,7 +39,7 @@ def format_of(path: Path) -> str:
     Raises
     ------
     UsageError
-        If it stands for none.
+        The suffix is not known.
     """
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:

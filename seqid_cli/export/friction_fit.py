@@ -1,4 +1,4 @@
-"""Coulomb and viscous friction, all that model files can say, nearest to a friction surface."""
+"""Coulomb and viscous friction nearest to a friction surface: model files hold no more."""
 
 from __future__ import annotations
 

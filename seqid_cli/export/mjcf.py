@@ -1,6 +1,6 @@
 """MJCF: the arm as MuJoCo simulates it, with rotor inertia as armature.
 
-Bodies are nested as the chain is, in the joints' own frames; links behind joints that were not
+Bodies are nested like the chain, in the joints' own frames; links behind joints that were not
 identified are part of the body that carries them, locked at zero. Capsules along the links show the
 arm; they have no mass and touch nothing.
 """

@@ -1,4 +1,4 @@
-"""What is exported, whatever the format: bodies, rotors, friction, and what had to be left out."""
+"""The exported model, whatever the format: bodies, rotors, friction, and effects left out."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class ExportModel:
     ----------
     robot : Robot
     own : (n, 10) array
-        Standard parameters of what is written as each link's inertial.
+        Standard parameters that are written as each link's inertial.
     kept : (n, 10) array
-        The rest of each body: links behind other joints, which stay as they are.
+        The rest of each body: links behind other joints, which keep theirs.
     rotor : (n,) array
         Rotor inertias, motor side [kg m^2].
     coupling : {"diagonal", "gyroscopic"}
@@ -63,7 +63,7 @@ class ExportModel:
 
     @property
     def bodies(self) -> Array:
-        """Standard parameters (n, 10) of all that each joint moves."""
+        """Standard parameters (n, 10) of the bodies that each joint moves."""
         return self.own + self.kept
 
     @property

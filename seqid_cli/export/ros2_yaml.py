@@ -1,4 +1,4 @@
-"""A ROS 2 parameter file: what a controller node that computes its own dynamics needs."""
+"""A ROS 2 parameter file, for a controller node that computes its own dynamics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers and remarks as model files carry them, whatever their format."""
+"""Numbers and remarks of model files, whatever their format."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def plain(text: str) -> str:
 
 
 def remarks(model: ExportModel) -> list[str]:
-    """Return what a reader of any exported file must know, a line each."""
+    """Return the remarks that a reader of any exported file needs, a line each."""
     state = "exactly" if model.exact else "but for the deviations that follow"
     lines = [
         f"Inertial parameters of {model.robot.name!r} identified by seqid {__version__}.",

@@ -1,9 +1,9 @@
 """Measured, predicted and residual torque as MCAP, for Foxglove, PlotJuggler and rerun.
 
 Topics of `sensor_msgs/msg/JointState` in CDR, as ROS 2 records them: `effort` holds the torque
-(`low` and `high` what the model allows: at rest an interval, else the predicted value), `position`
+(`low` and `high` the model's bounds: at rest an interval, else the predicted value), `position`
 and `velocity` the motion behind the prediction, `header.frame_id` the name of the log. A log
-without a clock, or one that would run into the log before it, starts a second after that one; the
+without a clock, or one that would overlap the log before it, starts a second after that log; the
 metadata record `seqid.logs` says where each log went.
 
 Every message of one log has the same layout, so that messages are filled in as rows of bytes.

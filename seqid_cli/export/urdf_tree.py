@@ -1,8 +1,8 @@
-"""Which links of a URDF make up each body of the arm, read off its XML.
+"""The links of a URDF that make up each body of the arm, from its XML.
 
-A body is the link behind an identified joint and all that hangs on it up to the next one. What is
-fixed to the link is merged into it. What hangs behind another joint (a gripper's finger) was locked
-at zero during identification, but moves for those who load the file: it keeps its own inertial.
+A body is the link behind an identified joint and all links up to the next identified joint. Links
+fixed to it are merged into it. Links behind another joint (a gripper's finger) were locked at zero
+during identification, but move where the file is loaded: they keep their own inertials.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _inertial(link: ElementTree.Element) -> Array | None:
 
 
 def _origin(element: ElementTree.Element) -> Array:
-    """Return the placement (4, 4) that an element's <origin> gives."""
+    """Return the placement (4, 4) of an element's <origin>."""
     origin = element.find("origin")
     T = np.eye(4)
     if origin is not None:

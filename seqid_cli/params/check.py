@@ -1,4 +1,4 @@
-"""What the types of a parameter file cannot say: shapes, ranges, names that refer to each other."""
+"""Checks of a parameter file beyond its types: shapes, ranges, names that refer to each other."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from seqid_cli.params.schema import (
     RigidStage,
 )
 
-_Problem = tuple[str, str]  # key, what is wrong
+_Problem = tuple[str, str]  # key, fault
 
 
 def check_consistency(file: ParameterFile, where: str) -> None:

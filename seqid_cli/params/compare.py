@@ -1,8 +1,9 @@
-"""Two results of one robot side by side, and what of the second is another than of the first.
+"""Two results of one robot side by side, and the numbers that differ.
 
-What counts as another number says `comparison`. The size of a rigid-body parameter is at least a
-thousandth of the largest of the same unit in its stage, so that those that are really zero have one
-too; friction surfaces are compared over the positions and speeds of both, not by coefficients.
+`comparison` says when a number differs. The size of a rigid-body parameter is at least a
+thousandth of the largest of the same unit in its stage, so that parameters that are really zero
+have one too; friction surfaces are compared over the positions and speeds of both, not by
+coefficients.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def _same_robot(a: Source, b: Source) -> None:
 
 
 def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:
-    """Yield the differences of all stages; a stage that one file lacks is one."""
+    """Yield the differences of all stages; a stage that one file lacks is a difference."""
     left, right = present(a), present(b)
     for name in left.keys() | right.keys():
         if name != "effects" and (name not in left or name not in right):
@@ -299,7 +300,7 @@ def _optional(
     pairs: Iterable[tuple[str, float | None, float | None]],
     rule: Rule,
 ) -> Iterator[Difference]:
-    """Judge numbers that either file may lack; nothing to say where both do."""
+    """Judge numbers that either file may lack; yield nothing where both lack them."""
     for name, a, b in pairs:
         if a is not None and b is not None:
             yield judged(stage, name, joint, "N m", (a, b), None, rule)

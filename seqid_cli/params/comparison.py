@@ -2,7 +2,7 @@
 
     |b - a| > sigma sqrt(e_a^2 + e_b^2)    and    |b - a| > rtol max(|a|, |b|, least)
 
-The first alone would call the last digits of another machine a change where data are good; the
+The first condition alone would report the last digits of another machine where data are good; the
 second alone the noise of another log where they are poor. Numbers without a standard error are
 judged by their size alone.
 """
@@ -19,14 +19,14 @@ ROUNDING = 1e-6  # share of a number's size that other machines and threads may 
 
 @dataclass(frozen=True)
 class Rule:
-    """What counts as a change: beyond `sigma` standard errors (None: never asked) and `rtol`."""
+    """Limits of a change: `sigma` standard errors (None: not used) and `rtol`."""
 
     sigma: float | None
     rtol: float
 
     @classmethod
     def of(cls, sigma: float | None, rtol: float | None) -> Rule:
-        """Take the limits that were asked for; with neither, the defaults of both.
+        """Take the limits that were given; with neither, the defaults of both.
 
         Of one alone, it alone decides, down to rounding.
         """
@@ -118,7 +118,7 @@ def judged(
 
 
 def missing(stage: str, name: str, *, joint: str = "", there: bool) -> Difference:
-    """Return the change that a number is missing, in the second file where it is `there`."""
+    """Return the change that a number is missing, in the second file if it is `there`."""
     remark = "only in the first" if there else "only in the second"
     return unlike(stage, name, joint, remark)
 

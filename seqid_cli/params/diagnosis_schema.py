@@ -1,4 +1,4 @@
-"""The diagnosis file, `seqid/diagnosis@1`: what a model lacks on some logs, with the evidence."""
+"""The diagnosis file, `seqid/diagnosis@1`: effects that a model lacks, with the evidence."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
-MORE_THAN_NOISE = 3.0  # noise floors, from which what is left at a joint is worth a word
+MORE_THAN_NOISE = 3.0  # noise floors, above which a joint's residual is reported
 
 
 class EffectParameter(Struct, kw_only=True):
@@ -26,11 +26,11 @@ class FindingEntry(Struct, kw_only=True):
     """One effect that the model lacks; `joint` is null for an effect of the whole arm.
 
     `confidence` is the probability that it is this effect or one of `confusable_with`, which these
-    logs do not tell from it; `name_confidence` that it is this one. `separate_by` is what to record
-    to tell. `explains` is the share of the held-out residual variance above the noise floor that
-    the effect takes away, `gain` the share of the residual variance itself, `log_gain` that in log
-    predictive density; `rivals` were tried in its place. `parameters` is empty
-    where the logs do not determine them; `settings` are what the effect's torque is not linear in.
+    logs do not separate from it; `name_confidence` that it is this one. `separate_by` says what to
+    record to separate them. `explains` is the share of the held-out residual variance above the
+    noise floor that the effect takes away, `gain` the share of the residual variance itself,
+    `log_gain` that in log predictive density; `rivals` were tried in its place. `parameters` is
+    empty where the logs do not determine them; the effect's torque is not linear in `settings`.
     """
 
     effect: str
@@ -87,7 +87,7 @@ class UnexplainedPart(Struct, kw_only=True):
 class ResidualEntry(Struct, kw_only=True):
     """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
 
-    `noise_floor` is what torque noise and encoder alone leave, estimated by itself, and
+    `noise_floor` is the residual by torque noise and encoder alone, estimated by itself, and
     `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts. `white` says
     that nothing but noise is left. `tried` is what was not taken beside the findings.
     """
@@ -102,7 +102,7 @@ class ResidualEntry(Struct, kw_only=True):
 
 
 class EventEntry(Struct, kw_only=True):
-    """An interval of one log (s since its start) in which something pushed the arm."""
+    """An interval of one log (s since its start) in which a force from outside acted on the arm."""
 
     log: str
     start: float

@@ -13,7 +13,7 @@ _MEASURES = {"driving_load": "load times direction"}
 
 
 def nothing_found(file: DiagnosisFile) -> str:
-    """Return what a diagnosis without findings says of its logs, in one sentence."""
+    """Return the sentence of a diagnosis without findings."""
     rest = {name: text for name, joint in file.joints.items() if (text := beyond_noise(joint))}
     if not rest:
         return "Nothing is missing: what these logs leave of the torque is noise."
@@ -22,7 +22,7 @@ def nothing_found(file: DiagnosisFile) -> str:
 
 
 def beyond_noise(joint: ResidualEntry) -> str:
-    """Return why what is left at a joint is more than noise; nothing where it may be noise."""
+    """Return why the residual of a joint is more than noise; empty where it may be noise."""
     reasons = []
     if joint.rmse and joint.noise_floor:
         limits = joint.noise_floor_interval
@@ -36,7 +36,7 @@ def beyond_noise(joint: ResidualEntry) -> str:
 
 
 def over_words(shown: EvidenceEntry) -> str:
-    """Return what a residual is shown over, in words, without its unit."""
+    """Return the quantity that a residual is shown over, in words, without its unit."""
     if shown.quantity == "torque":
         return "the effect's own torque"
     if shown.quantity == "wave":

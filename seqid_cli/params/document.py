@@ -1,4 +1,4 @@
-"""Parameter files grow by a stage at a time: building, extending and joining them."""
+"""Build, extend and join parameter files, which grow by a stage at a time."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ _DEPENDENTS: Mapping[str, tuple[str, ...]] = {
 
 
 def now() -> str:
-    """Return the time in UTC as documents carry it."""
+    """Return the time in UTC in the form of documents."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
 def tool() -> Tool:
-    """Return the identity of this program as documents carry it."""
+    """Return the identity of this program in the form of documents."""
     return Tool(version=__version__)
 
 
 def robot_id(robot: Robot) -> RobotId:
-    """Return the identity of a robot as documents carry it."""
+    """Return the identity of a robot in the form of documents."""
     return RobotId(name=robot.name, joints=list(robot.joint_names), sha256=robot.sha256)
 
 
@@ -57,7 +57,7 @@ def present(stages: Stages) -> dict[str, object]:
 
 
 def stale_stages(previous: ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the earlier results that lose their ground when the stages `names` are done again."""
+    """Return the earlier results that are void when the stages `names` are identified again."""
     if previous is None:
         return ()
     there = present(previous.stages)

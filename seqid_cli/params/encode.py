@@ -1,7 +1,7 @@
 """From structures to JSON text that a person can read and compare.
 
-Objects are indented, lists of numbers stay on one line, floats carry 12 significant digits: enough
-for every result, few enough that the last bits of another BLAS do not show.
+Objects are indented, lists of numbers stay on one line, floats have 12 significant digits: enough
+for every result, few enough to hide the last bits of another BLAS.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def encode(document: object) -> str:
     Raises
     ------
     ValueError
-        A number is NaN or infinite: a bug of whoever computed it. The message names the key.
+        A number is NaN or infinite, which is a bug of its source. The message names the key.
     TypeError
         A value has no JSON form; the message names the key.
     """

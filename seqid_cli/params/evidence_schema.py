@@ -1,4 +1,4 @@
-"""What findings rest on, as it stands in diagnoses and refined parameter files."""
+"""Evidence of findings, in diagnoses and refined parameter files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from seqid_cli.params.base import Struct
 
 
 class EvidenceEntry(Struct, kw_only=True):
-    """Residual of `joint`, N m, over what an effect goes with, before and after that is taken off.
+    """Residual of `joint`, N m, over the quantity of an effect, before and after it is taken off.
 
     Before is what the model leaves without the effect, its base fitted anew, after is what it
     leaves with it, both on blocks that were left out of the fit. `quantity` is position, velocity,
@@ -39,10 +39,10 @@ class EvidenceEntry(Struct, kw_only=True):
 
 
 class RivalEntry(Struct, kw_only=True):
-    """Something that was tried and not taken; `joint` is null for what is of the whole arm.
+    """A term that was tried and not taken; `joint` is null for a term of the whole arm.
 
     `log_gain` is the gain in log predictive density of blocks that were left out [nats]; `why_not`
-    says in words why it was not taken.
+    says why it was not taken.
     """
 
     effect: str

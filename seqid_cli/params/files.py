@@ -1,4 +1,4 @@
-"""Replacing a file in one step: whoever looks sees the old content or the new, never a part."""
+"""Replace a file in one step: a reader sees the old content or the new, never a part."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn what the file system says against writing `path` into a message.
+    """Turn an error of the file system while writing `path` into a message.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _without_leftovers(target: Path) -> None:
-    """Remove what runs that were killed have left beside a file."""
+    """Remove temporary files that killed runs left beside a file."""
     for path in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
         process = path.suffixes[-2][1:]
         if process.isdecimal() and int(process) != os.getpid() and not _runs(int(process)):

@@ -1,4 +1,4 @@
-"""The inspection document, `seqid/inspection@1`: what is in some logs and what is wrong with it."""
+"""The inspection document, `seqid/inspection@1`: the content of logs and their faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ INSPECTION_SCHEMA = "seqid/inspection@1"
 
 
 class InspectedJoint(Struct, kw_only=True):
-    """What a log shows of one joint: rad (m), rad/s (m/s), degC; `effort` is torque or current."""
+    """One joint in a log: rad (m), rad/s (m/s), degC; `effort` is torque or current."""
 
     name: str
     moves: bool
@@ -23,7 +23,7 @@ class InspectedJoint(Struct, kw_only=True):
 
 
 class InspectedImu(Struct, kw_only=True):
-    """What a log shows of one IMU; `rest_norm` in m/s^2, `delay_s` behind the encoders."""
+    """One IMU in a log; `rest_norm` in m/s^2, `delay_s` behind the encoders."""
 
     name: str
     accelerometers: int
@@ -34,7 +34,7 @@ class InspectedImu(Struct, kw_only=True):
 
 
 class InspectedMoves(Struct, kw_only=True):
-    """Constant-velocity stretches of one joint; speeds in rad/s (m/s)."""
+    """Intervals of constant velocity of one joint; speeds in rad/s (m/s)."""
 
     joint: str
     forward: int
@@ -45,7 +45,7 @@ class InspectedMoves(Struct, kw_only=True):
 
 
 class InspectionFinding(Struct, kw_only=True):
-    """One thing that is wrong, and the remedy; `joint` may name an IMU, or two joints."""
+    """One fault, and the remedy; `joint` may name an IMU, or two joints."""
 
     code: str
     severity: str
@@ -57,7 +57,7 @@ class InspectionFinding(Struct, kw_only=True):
 
 
 class InspectedLog(Struct, kw_only=True):
-    """One log; `missing` maps what the robot file names and the log lacks to the nearest name."""
+    """One log; `missing` maps names of the robot file that the log lacks to the nearest name."""
 
     path: str
     sha256: str

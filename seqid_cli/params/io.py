@@ -1,4 +1,4 @@
-"""Reading and writing parameter files. Whatever is wrong with one is said with its place in it."""
+"""Read and write parameter files. A fault is reported with its place in the file."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class PredictedParameter(Struct, kw_only=True):
     joint: str
     unit: str
     std_error: float
-    value: float | None  # what is believed now; null: nothing
+    value: float | None  # so far; null: none
     expression: str = ""
 
 

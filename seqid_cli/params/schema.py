@@ -257,7 +257,7 @@ class ImuCalibration(Struct, kw_only=True):
     gyro_tilt_std_errors_deg: list[float | None] = []
     gyro_noise: list[float] = []  # rad/s/sqrt(Hz), one-sided
     samples: int = 0  # readings that the fit used
-    outliers: int = 0  # readings that it set aside
+    outliers: int = 0  # readings that were left out
     holdout: float | None = None  # RMS of a left-out trial's residual over the noise
     deflections: list[JointDeflection] = []  # one per joint before the IMU
 

@@ -1,8 +1,8 @@
-"""What is believed of the robot before the experiment: its torque, the noise, what is known.
+"""Prior knowledge of the robot before the experiment: its torque, noise and parameters.
 
 The noise counts by its one-sided density S: 2 / S of information per second and (N m)^2. A residual
-of standard deviation s below a cut-off f has S = s^2 / f. What the friction surface misses, of
-standard deviation r, changes slowly: it adds r^2 over `FRICTION_HZ`.
+of standard deviation s below a cut-off f has S = s^2 / f. The error of the friction
+surface, of standard deviation r, changes slowly: it adds r^2 over `FRICTION_HZ`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Belief:
     Attributes
     ----------
     theta : (b,) array or None
-        Base parameters; None where neither a stage nor a URDF tells any.
+        Base parameters; None where neither a stage nor a URDF gives any.
     root : (b, k) array
         Their covariance as ``root @ root.T``.
     density : (n,) array
@@ -100,7 +100,7 @@ class Belief:
 
 
 def belief_of(robot: Robot, stages: Stages, limits: Limits) -> Belief:
-    """Gather what stages and the URDF say of a robot."""
+    """Collect the knowledge of a robot from stages and the URDF."""
     basis = free_basis(robot)
     surfaces = friction_surfaces(stages, robot)
     theta, root = _parameters(robot, basis, stages)
@@ -125,7 +125,7 @@ def typical(belief: Belief, seed: int) -> Moves:
 
 
 def _parameters(robot: Robot, basis: Basis, stages: Stages) -> tuple[Array | None, Array]:
-    """Base parameters that are believed, best source last, and the root of their covariance."""
+    """Base parameters, best source last, and the root of their covariance."""
     theta, spread = None, np.zeros((basis.size, 0))
     if robot.nominal is not None:
         phi = np.append(robot.nominal.ravel(), np.zeros(robot.n))
@@ -140,7 +140,7 @@ def _parameters(robot: Robot, basis: Basis, stages: Stages) -> tuple[Array | Non
 def _replaced(
     theta: Array | None, spread: Array, stage: RigidStage, basis: Basis, n: int
 ) -> tuple[Array, Array]:
-    """What a stage identified takes the place of what was believed before."""
+    """Replace earlier values by those that a stage identified."""
     phi = np.array([stage.representative.get(name, 0.0) for name in standard_names(n)])
     own = [basis.names.index(parameter.name) for parameter in stage.parameters]
     new = basis.expression @ phi if theta is None else theta.copy()

@@ -1,4 +1,4 @@
-"""Choosing moves: greedily from a pool, by the torque error that the parameters will leave.
+"""Choose moves greedily from a pool, by the torque error that the parameters will leave.
 
 The goal is tr(W C): C the covariance of the base parameters, W the mean of H' D H over typical
 all-joint moves with D the noise information, so that it is the mean square of the predicted
@@ -59,7 +59,7 @@ class Goal:
         return np.asarray(information / np.outer(self.scale, self.scale))
 
     def errors(self, information: Array) -> Array:
-        """tr(W C) of scaled informations (..., b, b), prior included."""
+        """tr(W C) of scaled information matrices (..., b, b), prior included."""
         C = np.linalg.inv(information + self.prior)
         return np.asarray(np.einsum("ab,...ba->...", self.W, C))
 
@@ -94,7 +94,7 @@ def draw_pool(
     size: int,
     rng: np.random.Generator,
 ) -> Pool:
-    """Draw moves of each group in turn; those that need too much torque are calmed or left out."""
+    """Draw moves of each group in turn; those of too much torque are made smaller or left out."""
     drawn, joints = _drawn(belief.limits, groups, size, rng)
     parts = [
         _calmed(belief, goal, shapes, drawn[start : start + DRAWN_AT_ONCE])

@@ -1,4 +1,4 @@
-"""Planning the friction stage: every joint by itself over its range, both ways, at many speeds."""
+"""Plan the friction stage: every joint by itself over its range, both ways, at many speeds."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ POSTURES = 60  # of the other joints, from which the one of the least torque is 
 
 
 def plan_friction(belief: Belief, options: PlanOptions) -> Planned:
-    """Move each joint in the posture that loads it least, so that friction is seen most clearly.
+    """Move each joint in the posture that loads it least, so that friction shows most clearly.
 
-    `torque_error` of the stage is what noise leaves of the mean friction at the fastest speed.
+    `torque_error` of the stage is the error of the mean friction at the fastest speed by noise.
 
     Raises
     ------

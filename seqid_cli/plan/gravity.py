@@ -1,4 +1,4 @@
-"""Planning the gravity stage: postures of the locked joints of least condition (Eq. 20-21).
+"""Plan the gravity stage: postures of the locked joints of least condition (Eq. 20-21).
 
 Joints move one at a time, slowly, over their ranges. Postures are chosen greedily by the torque's
 error, then exchanged one by one for others of the pool while that lowers cond(Phi(H_g)).
@@ -140,7 +140,7 @@ def _exchanged(pool: _Sweeps, chosen: list[int], wanted: NDArray[np.bool_]) -> l
 
 
 def _badness(information: Array) -> tuple[int, float]:
-    """Rank that lacks, then the condition."""
+    """Missing rank, then the condition."""
     rank, condition = rank_and_condition(information)
     return len(information) - rank, condition
 

@@ -1,4 +1,4 @@
-"""What recorded logs tell already: their information on the base parameters."""
+"""Information of recorded logs on the base parameters."""
 
 from __future__ import annotations
 

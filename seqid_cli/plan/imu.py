@@ -1,8 +1,9 @@
-"""Planning the calibration of IMUs: the first joint turns in k postures, then each by itself.
+"""Plan the calibration of IMUs: the first joint turns in k postures, then each by itself.
 
 An IMU sees the first joint's axis in its own frame (Eq. 29-31). Its mounting follows from k such
-directions d_i, and turns about an axis u are told by sum_i |u x d_i|^2. Postures are chosen so that
-the least told turn, over all IMUs, is told best; levers and scales come with the other joints.
+directions d_i, and rotations about an axis u have the information sum_i |u x d_i|^2. Postures are
+chosen to raise the least information of all rotations and IMUs; levers and scales come with the
+other joints.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ def _told(directions: Array) -> Array:
 
 
 def _chosen(directions: Array) -> list[int]:
-    """Postures taken one by one for what the worst IMU is told least; the first is the middle."""
+    """Postures taken one by one for the worst IMU's worst rotation; the first is the middle."""
     chosen = [0]
     while len(chosen) < min(POSTURES, directions.shape[1]):
         others = [k for k in range(directions.shape[1]) if k not in chosen]

@@ -1,4 +1,4 @@
-"""Planning the inertia stage: moves of two joints, or of all, chosen and refined (Sec. 2.2.4)."""
+"""Plan the inertia stage: moves of two joints, or of all, chosen and refined (Sec. 2.2.4)."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {tor
 
 @dataclass(frozen=True)
 class Planned:
-    """The moves of a stage and what they promise.
+    """The moves of a stage and their predicted results.
 
-    `information` (b, b) is what they tell of the base parameters, for the stages that follow.
+    `information` (b, b) is theirs on the base parameters, for the stages that follow.
     """
 
     moves: list[PlannedMove]
@@ -46,7 +46,7 @@ class Planned:
 def plan_inertia(
     belief: Belief, stages: Stages, options: PlanOptions, have: Array | None = None
 ) -> Planned:
-    """Choose the moves that lower the torque's error most in the time there is.
+    """Choose the moves that lower the torque's error most in the given time.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _dense_overload(belief: Belief, moves: Moves) -> Array:
 def described(
     belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions
 ) -> list[PlannedMove]:
-    """The moves as the plan file holds them."""
+    """The moves in the form of the plan file."""
     names = belief.robot.joint_names
     shares = _dense_overload(belief, moves)
     found = []

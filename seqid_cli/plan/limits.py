@@ -24,8 +24,7 @@ SHARE = 0.95  # of every limit that a plan uses; the rest is for the controller'
 class Limits:
     """Limits of all joints (n,) as the plan uses them; rad, rad/s, rad/s^2, N m (prismatic: m, N).
 
-    `torque` is infinite where nobody says what it is. `moves` is False for joints that are kept
-    where they are.
+    `torque` is infinite where it is not given. `moves` is False for joints that are kept still.
     """
 
     lower: Array
@@ -55,7 +54,7 @@ def limits_of(
     ----------
     robot : Robot
     ramp_s : float
-        Time [s] in which a joint may reach its largest speed: nobody else limits acceleration.
+        Time [s] in which a joint may reach its largest speed: the only limit of acceleration.
     share : float
         Of every range that is used, about its middle.
     locked : sequence of str

@@ -1,4 +1,4 @@
-"""From a robot file and what is known to a plan file: the one way that all plans are made."""
+"""From a robot file and earlier results to a plan file: all plans are made here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user may set for a plan; kept free of heavy imports for the command line."""
+"""Options of a plan; kept free of heavy imports for the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a set of moves promises: standard errors, rank, condition, the torque error that is left."""
+"""Predicted results of a set of moves: standard errors, rank, condition, torque error."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def rank_and_condition(information: Array) -> tuple[int, float]:
 
 
 def growth_of(goal: Goal, have: Array, each: Array, seconds: float) -> list[PlanGrowth]:
-    """What the first moves give, one more at a time; `each` (M, b, b) scaled."""
+    """Results of the first moves, one more at a time; `each` (M, b, b) scaled."""
     found = []
     total = have
     for k, information in enumerate(each, start=1):
@@ -92,7 +92,7 @@ def promise_of(
     *,
     wanted: NDArray[np.bool_] | None = None,
 ) -> PlannedStage:
-    """Describe what moves with scaled informations `each` (M, b, b) give on top of `have`.
+    """Describe what moves add to `have`; `each` (M, b, b) is their scaled information.
 
     `moves` are the samples that the information was taken from, `wanted` (b,) the parameters that
     the stage is about; all by default.

@@ -1,4 +1,4 @@
-"""Refining chosen moves one after the other by L-BFGS-B on their Fourier coefficients.
+"""Refine chosen moves one after the other by L-BFGS-B on their Fourier coefficients.
 
 The limits hold for every value of the variables, so that bounds are all the constraints; torque
 limits enter as a penalty, and a move that breaks them is not taken. The gradient is by differences,
@@ -26,7 +26,7 @@ PENALTY = 100.0  # on the square of the torque beyond its limit, in the log of t
 
 @dataclass(frozen=True)
 class _Problem:
-    """One move as a function of its variables; `rest` (b, b) is what all others tell."""
+    """One move as a function of its variables; `rest` (b, b) is the information of all others."""
 
     belief: Belief
     goal: Goal

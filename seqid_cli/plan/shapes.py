@@ -49,7 +49,7 @@ class Moves:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What describes M moves.
+    """Description of M moves.
 
     `coefficients` (M, n, 2 K), `place` (M, n) shares of the free room, `extent` (M, n) shares of
     the largest amplitude. A joint whose coefficients are zero stands still at its place.
@@ -69,7 +69,7 @@ class Drawn:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array]:
-        """All that describes the moves."""
+        """All arrays of the description."""
         return self.coefficients, self.place, self.extent
 
     def smaller(self, which: NDArray[np.intp] | list[int], factor: float) -> Drawn:

@@ -1,4 +1,4 @@
-"""Planning the validation: all joints at once, drawn by a seed of its own, chosen by nobody."""
+"""Plan the validation: moves of all joints, drawn by a seed of their own, not optimised."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Panels with axes: what every plot of the report is drawn with.
+"""Panels with axes, the base of every plot of the report.
 
 A drawing is one `<svg role="img">` with title and description. Lines carry their name, unit and
 the values at both ends of their axis, from which the page's script reads values back.
@@ -47,7 +47,7 @@ class Box:
 
 @dataclass
 class Panel:
-    """One pair of axes that is drawn into; `x` and `y` map values to the drawing."""
+    """One pair of axes to draw into; `x` and `y` map values to the drawing."""
 
     box: Box
     x_range: tuple[float, float]
@@ -148,7 +148,7 @@ def drawing(
     *,
     style: str = "plot",
 ) -> Markup:
-    """Return a whole drawing; with panels that can be read it can be reached by keyboard."""
+    """Return a whole drawing; the keyboard can reach it if it has panels to read."""
     readable = any(isinstance(panel, Panel) and panel.hover for panel in panels)
     attributes: Attributes = {
         "class": style + (" readable" if readable else ""),

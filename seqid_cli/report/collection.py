@@ -1,4 +1,4 @@
-"""The documents of one report, sorted: one robot, its models, and who judged them."""
+"""The documents of one report, sorted: one robot, its models, their predictions and diagnoses."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ class Diagnosed:
 
 @dataclass(frozen=True)
 class Collection:
-    """All that the report is about; `models` holds the best first.
+    """The documents of the report; `models` holds the best first.
 
-    `warnings` are about files that fit, but not perfectly.
+    `warnings` name files that fit, but not perfectly.
     """
 
     robot: RobotId
@@ -89,7 +89,7 @@ class Collection:
         return "N m", "rad"
 
     def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
-        """Return what a diagnosis of the prediction's own logs says of a joint's residual."""
+        """Return a joint's residual from a diagnosis of the prediction's own logs."""
         logs = {log.sha256 for log in prediction.file.logs}
         for item in self.diagnoses:
             if {log.sha256 for log in item.file.inputs} == logs and joint in item.file.joints:
@@ -218,7 +218,7 @@ def _named(content: object) -> Iterable[tuple[str, str]]:
 
 
 def _check_stale(documents: Sequence[Source]) -> None:
-    """Refuse a result whose parameter file was given as well, but has another content by now."""
+    """Refuse a result whose parameter file was given too, but has changed since."""
     given = {
         Path(item.path).resolve(): item
         for item in documents

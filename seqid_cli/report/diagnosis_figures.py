@@ -1,4 +1,4 @@
-"""What a diagnosis looks like: unexplained torque, residuals beside their floor, events."""
+"""Figures of a diagnosis: residuals relative to their noise floor, and events."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def against_floor(file: DiagnosisFile, collection: Collection) -> Figure | None:
 
 
 def timeline(events: Sequence[EventEntry]) -> Figure | None:
-    """Draw when something pushed the arm, one row per log."""
+    """Draw the events over time, one row per log."""
     if not events:
         return None
     logs = list(dict.fromkeys(event.log for event in events))

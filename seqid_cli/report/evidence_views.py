@@ -1,4 +1,4 @@
-"""What a finding rests on: its residual before and after, and what was tried in its place."""
+"""Evidence of a finding: its residual before and after, and the terms tried in its place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from seqid_cli.report.words import effect_words, number, unit_text
 def evidence_figure(
     shown: EvidenceEntry, collection: Collection, what: str = "Residual"
 ) -> Figure | None:
-    """Draw a joint's residual over what an effect goes with, before and after that is off."""
+    """Draw a joint's residual over the effect's quantity, before and after it is taken off."""
     if len(shown.x) < 2 or not min(shown.x) < max(shown.x):
         return None
     unit = unit_text(collection.units(shown.joint)[0])
@@ -72,7 +72,7 @@ def _bins(shown: EvidenceEntry, title: str, quantity: str, unit: str) -> Table:
 
 
 def rivals_table(title: str, rivals: Sequence[RivalEntry]) -> Table:
-    """Return what was tried and why it was not taken."""
+    """Return the terms that were tried, each with the reason why it was not taken."""
     columns = (
         Column("tried"),
         Column("joint"),

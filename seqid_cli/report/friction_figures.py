@@ -258,7 +258,7 @@ def _cut_table(
 
 
 def _round(value: float, span: float) -> float:
-    """Return a value with the decimals that tell a hundredth of the span."""
+    """Return a value with the decimals that resolve a hundredth of the span."""
     if not span > 0.0:
         return value
     decimals = max(0, 2 - int(np.floor(np.log10(span)))) if span < 1e6 else 0

@@ -1,4 +1,4 @@
-"""The verdict on a model: good or not, on what grounds, and what is missing."""
+"""The verdict on a model: good or not, its grounds, and the missing results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _STAGES = ("friction", "gravity", "imu", "inertia")
 
 @dataclass(frozen=True)
 class Point:
-    """One thing that is wrong or missing, where it shows, and what to do about it."""
+    """A fault or a gap: where it shows, and what to do about it."""
 
     weight: Weight
     text: str
@@ -59,7 +59,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict: its level, one sentence, what speaks for the model, what does not."""
+    """The verdict: its level, one sentence, the points for and against the model."""
 
     level: Level
     sentence: str
@@ -73,7 +73,7 @@ class Judgement:
 
 
 def judge(collection: Collection) -> Judgement:
-    """Weigh all that the documents say.
+    """Judge the model by all documents.
 
     Poor is what a prediction on independent logs, or without one a stage, calls poor. Good needs
     a prediction on logs that the model was not identified from; whatever else is open makes it

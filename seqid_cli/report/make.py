@@ -23,7 +23,7 @@ from seqid_cli.report.torques import TorqueTable, find_torques, matches
 
 @dataclass(frozen=True)
 class Report:
-    """A finished page and what it says: its verdict, the sections, what each lacks.
+    """A finished page, its verdict and its sections.
 
     `sections` maps the id of each section to whether all its data were given; `torques` is the
     torque file that was used ("" for none).
@@ -64,7 +64,7 @@ def make_report(
 def build_report(
     documents: Sequence[Source], *, torques: Path | None = None, title: str = ""
 ) -> Report:
-    """Return the report with what it says; see `make_report`."""
+    """Return the report with its verdict and sections; see `make_report`."""
     collection = collect(documents)
     path = torques or _beside(collection)
     table = TorqueTable.open(path, collection) if path is not None else None

@@ -1,7 +1,7 @@
 """From sections to one HTML text: templates, style sheet and script, all from the package.
 
 Everything that comes from a file is escaped by the templates. The page may not load anything: its
-policy names the style sheet and the script by their hashes and forbids all else.
+policy names the style sheet and the script by their hashes and forbids everything else.
 """
 
 from __future__ import annotations

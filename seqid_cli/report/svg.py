@@ -126,7 +126,7 @@ def _decades(low: float, high: float) -> list[float]:
 
 
 def tick_texts(ticks: Sequence[float]) -> list[str]:
-    """Return the ticks as text, all with the digits that tell the closest two apart."""
+    """Return the ticks as text, with the digits that separate the closest two."""
     gaps = [abs(b - a) for a, b in itertools.pairwise(ticks) if b != a]
     largest = max((abs(tick) for tick in ticks), default=0.0)
     if not gaps or not largest:
@@ -139,7 +139,7 @@ def tick_texts(ticks: Sequence[float]) -> list[str]:
 
 
 def padded(low: float, high: float, share: float = 0.05) -> tuple[float, float]:
-    """Return limits a little wider than the values, and never of no width."""
+    """Return limits a little wider than the values; their width is never zero."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return -1.0, 1.0
     span = high - low

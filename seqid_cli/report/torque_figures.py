@@ -38,7 +38,7 @@ _FALSE_ALARMS = 0.01  # per figure
 
 @dataclass(frozen=True)
 class Place:
-    """Whose torque it is, in which units."""
+    """The joint of a torque, and its units."""
 
     joint: str
     torque_unit: str
@@ -168,7 +168,7 @@ def _time_table(t: Array, series: Series, good: Mask, unit: str, title: str) -> 
 
 
 def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str) -> Figure | None:
-    """Draw how the residual spreads over position or velocity; None where it is not known."""
+    """Draw the spread of the residual over position or velocity; None where it is not known."""
     pairs = [(getattr(s, quantity), s.residual, s.used & s.sliding) for s in logs]
     kept = [
         (x[m], r[m])
@@ -232,7 +232,7 @@ def _binned(x: Array, r: Array) -> list[tuple[float, float, float, float, float,
 def spectrum(
     logs: Sequence[Series], place: Place, cutoff_hz: float | None, columns: int
 ) -> Figure | None:
-    """Draw the residual's amplitude spectral density and mark the lines that stand out of it."""
+    """Draw the residual's amplitude spectral density and mark its lines."""
     signals = [signal for series in logs if (signal := _signal(series)) is not None]
     if not signals:
         return None

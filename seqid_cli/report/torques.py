@@ -34,10 +34,10 @@ _HINT = "Name the Parquet file that seqid predict wrote with --torques."
 class Series:
     """One joint in one log: samples (N,); NaN where a value is missing.
 
-    `residual` is measured torque minus the nearest that the model allows: where the joint slides
-    the predicted torque, at rest between `low` and `high` (NaN where it slides). Position and
-    velocity are None where the file was written without them; `used` marks the samples that count,
-    `sliding` those that the errors are computed from.
+    `residual` is measured torque minus the nearest torque that the model allows: where the joint
+    slides the predicted torque, at rest between `low` and `high` (NaN where it slides). Position
+    and velocity are None where the file was written without them; `used` marks the samples that
+    count, `sliding` those that the errors are computed from.
     """
 
     log: str
@@ -64,12 +64,12 @@ class TorqueTable:
 
     @classmethod
     def open(cls, path: Path, collection: Collection) -> TorqueTable:
-        """Open a torque file and hold it against the documents.
+        """Open a torque file and check it against the documents.
 
         Raises
         ------
         InputError
-            It is unreadable, has not the columns of a torque file, or is of another robot or of
+            It is unreadable, lacks the columns of a torque file, or is of another robot or of
             other logs than the prediction.
         """
         where = str(path)

@@ -1,4 +1,4 @@
-"""What the templates show: figures, tables, sections. Plain data, no HTML but finished drawings."""
+"""Figures, tables and sections for the templates: plain data, no HTML but finished drawings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ VALUE_COLUMNS = (
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of finished text; `caption` says what they are."""
+    """Rows of finished text; `caption` names them."""
 
     caption: str
     columns: Sequence[Column]
@@ -60,7 +60,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Absent:
-    """What a section cannot show, and the command that makes it."""
+    """Data that a section lacks, and the command that makes them."""
 
     text: str
     command: str = ""

@@ -4,7 +4,7 @@ Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia pe
 base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state. Y is the regressor of
 Eq. 3, H = Y P that of Eq. 4.
 
-Columns of Y are taken one by one in an order made for reading (first link first, a link's mass
+Columns of Y are taken one by one in a readable order (first link first, a link's mass
 last, rotors after all links); a column that depends on those before it is dropped and its parameter
 regrouped into theirs. The order reproduces the usual regrouping towards the base (Khalil and
 Dombre, Modeling, Identification and Control of Robots, ch. 9). Columns of the gravity torque come
@@ -84,7 +84,7 @@ class Basis:
         return {self.names[k]: found.pop(self.names[k]), **found}
 
     def expression_text(self, k: int) -> str:
-        """Write base parameter `k` to read, for example ``Izz_1 + 0.16*m_2 + 36*Ia_1``."""
+        """Write base parameter `k` as text, for example ``Izz_1 + 0.16*m_2 + 36*Ia_1``."""
         text = ""
         for name, factor in self.terms(k).items():
             sign = "-" if factor < 0 else "+"
@@ -113,7 +113,7 @@ def parameter_unit(name: str) -> str:
 def standard_names(n: int) -> tuple[str, ...]:
     """Name the 11 n standard parameters: link-major, then rotor inertias.
 
-    A rotor inertia is meant on the motor side.
+    Rotor inertias are on the motor side.
     """
     links = tuple(f"{kind}_{i}" for i in range(1, n + 1) for kind in STANDARD)
     return links + tuple(f"{ROTOR}_{i}" for i in range(1, n + 1))
@@ -195,7 +195,7 @@ def base_regressor(
 def _fill_links(
     robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array, *, fresh: bool
 ) -> None:
-    """Fill H (n, b, N) with what the links give, block by block."""
+    """Fill H (n, b, N) with the links' columns, block by block."""
     P = basis.representative[: PER_LINK * robot.n]
     kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
     alone = (np.count_nonzero(basis.representative, axis=0) == 1) & P.any(axis=0)
@@ -222,7 +222,7 @@ def _fill_compiled(
     *,
     fresh: bool,
 ) -> None:
-    """Fill H (n, b, M), from a sample on, with what the links give by compiled loops."""
+    """Fill H (n, b, M), from a sample on, with the links' columns by compiled loops."""
     from .regressor_compiled import Targets, fill
 
     links = PER_LINK * robot.n
@@ -245,7 +245,7 @@ def _fill_compiled(
 
 
 def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array) -> None:
-    """Add to H (n, b, N) what rotors give that are parameters."""
+    """Add the columns of rotors that are parameters to H (n, b, N)."""
     P = basis.representative[PER_LINK * robot.n :]
     ratio = gear_ratios(robot)
     if basis.coupling == "diagonal":
@@ -258,7 +258,7 @@ def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: 
 
 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
-    """Tell where `base_regressor` can differ from zero.
+    """Say where `base_regressor` can differ from zero.
 
     Returns
     -------
@@ -335,8 +335,8 @@ def _reading_order(chain: Chain) -> list[int]:
 def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
     """Stack gravity and full regressors (rows, 11 n) over random states.
 
-    Joint limits play no part: the torque is analytic in the state, so what depends linearly in one
-    range does so in all, and a wide range shows it with the widest gap.
+    Joint limits play no part: the torque is analytic in the state, so columns that depend linearly
+    in one range do so in all, and a wide range shows it with the widest gap.
     """
     rng = np.random.default_rng(0)
     n = robot.n
@@ -349,7 +349,7 @@ def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
 
 
 def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0) -> list[int]:
-    """Choose columns of W, in `order`, independent of those before; the first `given` are.
+    """Choose columns of W, in `order`, independent of those before; the first `given` are taken.
 
     Columns whose norm is below `floor` are rounding, not torque.
     """

@@ -2,9 +2,9 @@
 
     torque = "c1 * sign(dq) * abs(load) + c2 * tanh(dq / width)"
 
-A formula is a sum of terms that are each linear in one coefficient (`c`, or `c1`, `c2`, ...). What
-else may stand in it: numbers, `+ - * / **`, the functions and symbols below, and settings of one's
-own, which are searched. A symbol is of the effect's own joint; `dq_2` is that of the second joint.
+A formula is a sum of terms that are each linear in one coefficient (`c`, or `c1`, `c2`, ...). It
+may also hold numbers, `+ - * / **`, the functions and symbols below, and its own settings, which
+are searched. A symbol is of the effect's own joint; `dq_2` is that of the second joint.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _tree(text: str, before: int) -> ast.expr:
             raise FormulaError(f"cannot be read: has {sign!a}", before + k + 1)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python's advice about what is refused anyway
+            warnings.simplefilter("ignore")  # Python's advice on text that is refused anyway
             return ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
         reason = getattr(problem, "msg", None) or str(problem) or "too deep"
@@ -122,7 +122,7 @@ def is_coefficient(name: str) -> bool:
 
 
 class _Reader:
-    """Goes through a tree; tells whether each part is linear in coefficients or free of them."""
+    """Walks through a tree; decides whether each part is linear in coefficients or free of them."""
 
     def __init__(self, joints: int, settings: frozenset[str], before: int) -> None:
         self.joints, self.settings, self.before = joints, settings, before

@@ -1,4 +1,4 @@
-"""Constant rotations, and placements freed of the rounding that files bring with them."""
+"""Constant rotations, and placements without the rounding of files."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def torque_regressor(
 
 
 def by_compiled_loops(q: Array, out: Array, wanted: bool | None) -> bool:
-    """Tell whether compiled loops compute at states q (N, n) into `out`; None is where it pays."""
+    """Say whether compiled loops compute at states q (N, n) into `out`; None: where it pays."""
     if wanted is None:
         wanted = compiled.worth(q.size * compiled.REGRESSOR_S)
     able = out.flags.c_contiguous and out.dtype == np.float64
@@ -108,7 +108,7 @@ def link_blocks(
     *,
     out: Array | None = None,
 ) -> Iterator[tuple[int, slice, Array]]:
-    """Compute the regressor of `torque_regressor` piece by piece, for whoever regroups it.
+    """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
 
 @dataclass(frozen=True)
 class _Link:
-    """What loads a link, in its frame, samples last; the next link but one uses the arrays again.
+    """The load of a link, in its frame, samples last; the next link but one uses the arrays again.
 
     `rows` (36, N) holds, for one product with a constant matrix to carry all to the next link,
     12 of `load`'s z, w, dw, 12 of `load`'s l, and 6 unused. `load` (2, 3, 4, N) makes the force of
@@ -382,7 +382,7 @@ def _fill_link(block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismati
     last = int(np.count_nonzero(kinds < 4))
     if last:
         load = link.load if last == 4 else link.load[:, :, kinds[:last]]
-        for j in range(i):  # joint by joint: what is being summed stays in cache
+        for j in range(i):  # joint by joint: the sum stays in cache
             np.einsum("skn,skcn->cn", link.screws[:, :, j], load, out=block[j, :last])
         _along(axis, load[int(prismatic)], block[i, :last])
     if last < len(kinds):

@@ -1,9 +1,9 @@
 """The regressor of `regressor.torque_regressor` as compiled loops; symbols as there.
 
-A few hundred samples at a time go through all links. What belongs to a link lies in `link`, rows of
+A few hundred samples at a time go through all links. The data of a link lie in `link`, rows of
 `STRIDE` values: R (9) parent from link, w, dw and a (3 each), H (9), then xy, xz, yz of w and
 H00 - H11, H22 - H00, H11 - H22. `screw` holds z and l of one joint, `torque` what its ten columns
-give. Rows are a little longer than what is in them, or they would share lines of the cache.
+give. Rows are a little longer than their content, or they would share lines of the cache.
 
 Imported only where `seqid_cli.compiled` says so.
 """
@@ -79,7 +79,7 @@ def fill(
     out: Array,
     first: int = 0,
 ) -> None:
-    """Compute the regressor and put it where it is wanted.
+    """Compute the regressor and store it at its targets.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A commented `robot.toml` from what is known, with TODO where somebody has to say more."""
+"""A commented `robot.toml` from known values, with TODO for values that the user must add."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .toml_schema import SCHEMA
 
 @dataclass(frozen=True)
 class JointTemplate:
-    """What is known of a joint; None where it is not. `seen` is where the encoder step is from."""
+    """Known values of a joint, else None. `seen` names the source of the encoder step."""
 
     name: str
     limits: tuple[float, float] | None = None
@@ -33,7 +33,7 @@ class ImuTemplate:
 
 @dataclass(frozen=True)
 class RobotTemplate:
-    """All that goes into the file.
+    """The content of the file.
 
     `urdf` is the path to write (None for a DH stub), `effort` what the log carries ("torque",
     "current", "effort" where it does not say which, or empty), `left_out` are joints of the URDF
@@ -126,7 +126,7 @@ def _imu(imu: ImuTemplate, last: str) -> list[str]:
             axis = ", ".join("1.0" if k % 3 == i else "0.0" for i in range(3))
             lines.append(f"  {{ position = [0.0, 0.0, 0.0], axis = [{axis}] }},")
         lines.append("]")
-    if array:  # a layout that nobody has given must not be taken for one
+    if array:  # a layout that was not given must not pass for one
         return [f"# {line}" if not line.startswith("#") else line for line in lines]
     return lines
 

@@ -1,4 +1,4 @@
-"""What the types of a robot file do not say; every message names the key's full path."""
+"""Checks of a robot file beyond its types; every message names the key's full path."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def check_content(path: Path, robot: RobotFile) -> None:
     """Raise ConfigError, naming `path` and the key, where a value makes no sense.
 
-    What only the URDF can tell is left to `urdf`.
+    Checks that need the URDF are in `urdf`.
     """
     _Checks(path).document(robot)
 

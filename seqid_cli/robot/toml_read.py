@@ -44,7 +44,7 @@ class ReadRobotFile:
 
 
 def read_robot_file(path: Path) -> ReadRobotFile:
-    """Read and check a robot file, apart from what only its URDF can tell.
+    """Read and check a robot file, apart from checks that need its URDF.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from .urdf_text import UrdfText
 
 @dataclass(frozen=True)
 class UrdfRobot:
-    """What a URDF says of the named joints: `nominal` (n, 10), None where it has no inertials."""
+    """The named joints of a URDF: `nominal` (n, 10), None where it has no inertials."""
 
     chain: Chain
     nominal: Array | None

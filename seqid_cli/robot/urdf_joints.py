@@ -1,8 +1,8 @@
 """Joints of a URDF in the order of its chains, with their limits; text only, no Pinocchio.
 
 Pinocchio refuses revolute and prismatic joints without a complete <limit>, which plays no part in
-the dynamics and which hand-made files lack, and links that are named as a joint is, which URDF
-allows; `readable` mends both.
+the dynamics and which hand-made files lack, and links with the name of a joint, which URDF allows;
+`readable` repairs both.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def best_chain(
 
 
 def readable(raw: bytes) -> bytes:
-    """Mend what readers of URDFs refuse and what plays no part in the dynamics.
+    """Repair parts that readers of URDFs refuse and that play no part in the dynamics.
 
     Every revolute and prismatic joint that lacks part of its <limit> gets a wide one; a link that
     shares its name with a joint is renamed. The text is returned as it is where nothing is to do.
@@ -79,7 +79,7 @@ def readable(raw: bytes) -> bytes:
 
 
 def _limited(joint: ElementTree.Element) -> bool:
-    """Complete a joint's <limit>; whether something lacked."""
+    """Complete a joint's <limit>; return whether a part was missing."""
     if joint.get("type") not in ("revolute", "prismatic"):
         return False
     limit = joint.find("limit")
@@ -93,7 +93,7 @@ def _limited(joint: ElementTree.Element) -> bool:
 
 
 def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
-    """Rename links that are named as a joint is; whether there were any."""
+    """Rename links with the name of a joint; return whether there were any."""
     links = {link.get("name", "") for link in root.findall("link")}
     new = {name: f"{name}/link" for name in links & joints}
     while set(new.values()) & (links | joints):
@@ -107,7 +107,7 @@ def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
 
 
 def check_urdf(urdf: UrdfText) -> None:
-    """Check what a reader of URDFs would refuse in words that do not say where.
+    """Check for faults that a reader of URDFs refuses without naming the place.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A URDF as text: everything that can be said about it without Pinocchio.
+"""A URDF as text: all checks of it that need no Pinocchio.
 
 Meshes, visuals and transmissions play no part in the dynamics and are neither read nor required.
 """
@@ -65,7 +65,7 @@ def read_urdf_text(path: Path) -> UrdfText:
 
 
 def _uncommented(raw: bytes) -> bytes:
-    """Leave out comments, in which xacro leaves what it made the file from."""
+    """Leave out comments, in which xacro leaves its source."""
     return re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
 
 

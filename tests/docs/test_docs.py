@@ -304,3 +304,26 @@ def test_every_page_is_linked_from_the_first() -> None:
     linked = {(ROOT / link.partition("#")[0]).resolve() for link in links(first)}
     layouts = ROOT / "docs" / "layouts" / "README.md"
     assert {page.resolve() for page in PAGES} - linked <= {first, layouts.resolve()}
+
+
+def test_the_paths_of_the_map_exist() -> None:
+    """A reader finds by README where a thing is done, so its paths must be there."""
+    architecture = (ROOT / "README.md").read_text(encoding="utf-8").split("## Architecture")[1]
+    tables = architecture.split("## ")[0].split("|---|---|")[1:]
+    rows = [line for table in tables for line in table.splitlines() if line.startswith("|")]
+    paths = re.findall(r"`([\w/.]+(?:/|\.py|\.j2))`", "\n".join(rows))
+    assert len(paths) > 20
+    for path in paths:
+        assert path == "seqid_cli/" or (ROOT / "seqid_cli" / path).exists(), path
+
+
+def test_the_figure_of_proof_is_that_of_the_study() -> None:
+    """The rows of README's first table stand in the tables that the study writes."""
+    rows = [
+        line
+        for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+        if re.match(r"\| (sequential|simultaneous|current noise alone) \|", line)
+    ]
+    measured = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 3
+    assert set(rows) <= set(measured)

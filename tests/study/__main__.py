@@ -27,7 +27,7 @@ from tests.study import (
 )
 from tests.study.tables import placed
 
-README = Path(__file__).parents[2] / "README.md"
+MEASURED = Path(__file__).parents[2] / "docs" / "measured.md"
 
 Study = Callable[[argparse.Namespace], str]
 STUDIES: Mapping[str, Study] = {
@@ -67,7 +67,7 @@ LONG = (
     "imu_mounting",
     "imu_deflecting",
 )  # only where asked for by name
-DOCUMENTS: Mapping[str, Path] = {  # the others: README
+DOCUMENTS: Mapping[str, Path] = {  # the others: MEASURED
     "table_two": table_two.DOCUMENT,
     "motion_sources": motion_sources.DOCUMENT,
     "fused_motion": fused_motion.DOCUMENT,
@@ -94,7 +94,7 @@ def main(arguments: Sequence[str]) -> int:
     chosen = parser.parse_args(arguments)
     kept = [name for name in chosen.only if not written(name, chosen)]
     for name in set(chosen.only) - set(kept):  # a missing marker shows before the work is done
-        placed(DOCUMENTS.get(name, README).read_text(encoding="utf-8"), name, "")
+        placed(DOCUMENTS.get(name, MEASURED).read_text(encoding="utf-8"), name, "")
     for name in chosen.only:
         start = time.monotonic()
         content = STUDIES[name](chosen)
@@ -102,7 +102,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
         sys.stderr.write(f"{name}: {time.monotonic() - start:.0f} s\n")
         if name not in kept:
-            path = DOCUMENTS.get(name, README)
+            path = DOCUMENTS.get(name, MEASURED)
             text = path.read_text(encoding="utf-8")
             path.write_text(placed(text, name, content), encoding="utf-8")
     return 0

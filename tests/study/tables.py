@@ -1,4 +1,4 @@
-"""Markdown tables, the statistics in them, and where they go in the README."""
+"""Markdown tables, the statistics in them, and where they go in a document."""
 
 from __future__ import annotations
 
@@ -71,5 +71,5 @@ def placed(document: str, name: str, content: str) -> str:
     start, end = f"<!-- study:{name} -->", "<!-- /study -->"
     pattern = re.compile(re.escape(start) + r"(?:(?!<!-- study:).)*?" + re.escape(end), re.DOTALL)
     if document.count(start) != 1 or not pattern.search(document):
-        raise ValueError(f"README needs {start} and {end}, once, around the tables")
+        raise ValueError(f"the document needs {start} and {end}, once, around the tables")
     return pattern.sub(lambda _: f"{start}\n{content.strip()}\n{end}", document)

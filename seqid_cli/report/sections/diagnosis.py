@@ -1,4 +1,4 @@
-"""What the model lacks: findings with their evidence, what stays unexplained, events."""
+"""Effects that the model lacks: findings with evidence, unexplained parts, events."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class FindingView:
 
 
 def diagnosis(collection: Collection) -> Section:
-    """Return the section on what the model lacks."""
+    """Return the section on effects that the model lacks."""
     title = "Diagnosis: what the model lacks"
     if not collection.diagnoses:
         model = collection.model

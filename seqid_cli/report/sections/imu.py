@@ -133,7 +133,7 @@ def _references(name: str, item: ImuCalibration) -> Table:
 
 
 def _warnings(stage: RigidStage) -> list[str]:
-    """IMUs that took no part, or less than a whole one; each remark once, with its logs."""
+    """Remarks on IMUs that took no part, or only partly; each once, with its logs."""
     logs: dict[str, list[str]] = {}
     for use in stage.motion_use:
         for warning in use.warnings:

@@ -75,7 +75,7 @@ def _title(item: RefinementRound) -> str:
 
 
 def _shown(collection: Collection, loop: ClosedLoop) -> list[Figure]:
-    """What each effect that was added rests on, on the logs that were fitted."""
+    """Evidence of each added effect, on the logs that were fitted."""
     figures = [
         evidence_figure(item.evidence, collection, f"{_title(item)}: residual")
         for item in loop.rounds

@@ -1,4 +1,4 @@
-"""The head of the page: the verdict, its grounds, what is missing, the joints at a glance."""
+"""The head of the page: the verdict, its grounds, gaps, the joints at a glance."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def _value_in(known: Mapping[str, Parameter], name: str) -> str:
 
 
 def _glyph(item: Parameter) -> Cell:
-    """Draw an interval beside zero, as large as its row: how sure it is, and of its sign."""
+    """Draw an interval beside zero, as large as its row, so that size and sign can be compared."""
     reach = abs(item.value) + Z95 * item.std_error
     scale = Scale(-reach, reach, 3.0, 117.0)
     low, high = item.value - Z95 * item.std_error, item.value + Z95 * item.std_error
@@ -227,7 +227,7 @@ def _exact(value: float) -> tuple[str, str]:
 
 
 def setting_units(effect: str) -> Mapping[str, str]:
-    """Return the units of what an effect's torque is not linear in."""
+    """Return the units of an effect's settings."""
     from seqid_cli.model.effects.registry import CATALOGUE
 
     if effect not in CATALOGUE:

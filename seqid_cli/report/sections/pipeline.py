@@ -1,4 +1,4 @@
-"""Which command made which file from what: the way from the logs to the model."""
+"""The way from the logs to the model: which command made which file from which."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOST_LOGS = 500
 
 @dataclass(frozen=True)
 class Step:
-    """One command of the pipeline: what it read, what it wrote, how that turned out."""
+    """One command of the pipeline: its inputs, its output, its verdicts."""
 
     command: str
     reads: str
@@ -101,7 +101,7 @@ def _refine_steps(collection: Collection) -> Iterator[Step]:
 
 
 def _first_file(collection: Collection, stage: str) -> str:
-    """Return the file that a stage was made in: of those that hold it, the one with the fewest."""
+    """Return the file that a stage was made in: the file with the fewest stages that holds it."""
     holding = [
         (len(present(item.content.stages)), place, item.path)
         for place, item in enumerate(collection.sources)

@@ -17,7 +17,7 @@ _COLUMNS = (60, 560)  # fewest and most across one figure
 
 
 def torque(collection: Collection, torques: TorqueTable | None, found: str = "") -> Section:
-    """Return the section on predicted torque; `found` says where unnamed torques came from."""
+    """Return the section on predicted torque; `found` is the source of unnamed torques."""
     absent = []
     if not collection.predictions:
         text = "How large the errors are is not known without a prediction."

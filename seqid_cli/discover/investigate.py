@@ -23,7 +23,7 @@ from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.discover.select.naming import TOLD
-from seqid_cli.discover.select.selection import Selected, select, select_again
+from seqid_cli.discover.select.selection import Options, Selected, select, select_again
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
@@ -70,10 +70,11 @@ def investigate(
     options: DiscoverOptions,
     *,
     least: float = TOLD,
+    selection: Options | None = None,
 ) -> Investigation:
     """Select what a model lacks, and find events in what is left.
 
-    What is less likely than `least` is not told.
+    What is less likely than `least` is not told; `selection` says what decides.
 
     Raises
     ------
@@ -81,7 +82,7 @@ def investigate(
         If a log carries neither torque nor current.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
-    found = select(_ground(rows, stages))
+    found = select(_ground(rows, stages), selection)
     events = events_of(found.model)
     gone = [
         guess | event[:, None]

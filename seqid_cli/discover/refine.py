@@ -31,7 +31,7 @@ from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of
 from seqid_cli.discover.results import Round
 from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.select.naming import named
-from seqid_cli.discover.select.selection import Taken
+from seqid_cli.discover.select.selection import Options, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.identify.prediction import slides_from
@@ -144,8 +144,8 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 def _investigated(loop: Loop) -> Investigation:
     """What the model, with its effects, may lack on the training logs: it is tried, not told."""
     material, model = loop.material, loop.model
-    logs, robot = material.now(model), material.robot
-    return investigate(logs, robot, model.stages, material.options, least=0.0)
+    logs, stages, tried = material.now(model), model.stages, Options(improvement=LEAST_GAIN)
+    return investigate(logs, material.robot, stages, material.options, least=0.0, selection=tried)
 
 
 def _round(loop: Loop) -> bool:

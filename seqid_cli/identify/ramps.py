@@ -8,7 +8,8 @@ speed and back down tell it: over windows of them and over the slices of the tri
 
 with friction f as far as it is known and gravity as in Eq. 12. Friction that is not quite right
 adds to d_kk in one ramp what it takes off in the other. Where nothing tells d_kk it is taken as
-zero, and as uncertain by what the other configurations show.
+zero, and as uncertain by what the other configurations show. Where they show nothing either, the
+friction surface is told of a `doubt` with which all torque of the trials may be acceleration's.
 """
 
 from __future__ import annotations
@@ -73,8 +74,17 @@ def without_acceleration(
     for group, told in zip(groups, found, strict=True):
         value = 0.0 if told is None else max(told.value, 0.0)
         error = usual if told is None else told.error(inflation)
-        result.append(SteadyGroup([_steady(t, value, surface) for t in group], value, error))
+        doubt = error if known else _as_friction(group)
+        steady = [replace(_steady(t, value, surface), doubt=doubt) for t in group]
+        result.append(SteadyGroup(steady, value, error))
     return result
+
+
+def _as_friction(group: Sequence[Trial]) -> float:
+    """Inertia of which nothing is known: with it all torque of the trials could be acceleration."""
+    torque = max(float(np.median(np.abs(trial.tau))) for trial in group)
+    accelerated = max(float(np.sqrt(np.mean(trial.ddq**2))) for trial in group)
+    return torque / accelerated if accelerated > 0.0 else 0.0
 
 
 def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:

@@ -4,7 +4,8 @@ With A (K, p) the functions of position at the slices of one trial, W their weig
 friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest say as much of the
 surface as the slices do, so speeds and orders can be left out without going back to them. Two
 columns more have what is left of speeding up and of slowing down at the ends of a trial,
-exp(-s / `EDGE_S`), s the time from the end.
+exp(-s / `EDGE_S`), s the time from the end. The last has the torque that one standard error of the
+joint's inertia makes of its acceleration; its coefficient is the same in all trials.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from seqid_cli.model.friction_basis import Scaling
 Array = NDArray[np.float64]
 
 EDGES = 2  # ends of a trial
+EXTRA = EDGES + 1  # columns beside those of position: the ends, and the inertia's error
 EDGE_S = 0.05  # s, in which what is left of an acceleration falls by e: half a window of its search
 COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
 MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
@@ -38,7 +40,8 @@ class Orders:
 class SpeedData:
     """One trial: slice positions (K,) rad, friction (K,) N m, weights (K,) in samples.
 
-    `edges` (K, 2) are how near, in time, each slice is to the begin and to the end.
+    `edges` (K, 2) are how near, in time, each slice is to the begin and to the end; `push` (K,) N m
+    is what friction is wrong by if the joint's inertia is wrong by one standard error.
     """
 
     speed: float
@@ -47,13 +50,14 @@ class SpeedData:
     friction: Array
     weight: Array
     edges: Array
+    push: Array
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """Trials after step 1: T of them, p functions of position and two of the ends each.
+    """Trials after step 1: T of them, p functions of position and three columns more each.
 
-    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 2, p + 2), `z` (T, p + 2), `rest` (T,) squares
+    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 3, p + 3), `z` (T, p + 3), `rest` (T,) squares
     that no such function takes, `total` (T,) sums of weights, `slices` (T,) how many.
     """
 
@@ -69,7 +73,7 @@ class Reduced:
     @property
     def size(self) -> int:
         """Functions of position, p."""
-        return int(self.z.shape[1]) - EDGES
+        return int(self.z.shape[1]) - EXTRA
 
     @property
     def levels(self) -> Array:
@@ -102,7 +106,7 @@ def reduce_trials(data: Sequence[SpeedData], scaling: Scaling) -> Reduced:
 def _reduced(data: SpeedData, scaling: Scaling) -> tuple[Array, Array, float, float, float]:
     root = np.sqrt(data.weight)
     over_position = scaling.over_position.values(data.q, MAX_POSITION_ORDER)
-    A = np.hstack([over_position, data.edges]) * root[:, None]
+    A = np.column_stack([over_position, data.edges, data.push]) * root[:, None]
     y = root * data.friction
     size = A.shape[1]
     padded = np.zeros((max(len(y), size), size + 1))  # few slices: rows of zeros

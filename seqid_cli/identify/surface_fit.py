@@ -117,15 +117,23 @@ class SurfaceFit:
         kept[:rows, :columns] = True
         return kept.ravel()
 
+    def _shared(self) -> Mask:
+        """What is no part of the surface but the same in all trials."""
+        beside = np.zeros(self.prior.shape, dtype=np.bool_)
+        beside[self.reduced.size :] = self.prior[self.reduced.size :] > 0.0
+        return beside.ravel()
+
     def _shape(self, orders: Orders) -> tuple[int, int]:
         return self.reduced.scaling.over_position.size(orders.position), orders.velocity + 1
 
     def _solved(self, N: Array, b: Array, kept: Mask) -> Array:
-        prior = self.prior.ravel()[kept]
-        inner = N[np.ix_(kept, kept)] * np.outer(prior, prior)
+        """Entries `kept` of the surface; what all trials share is fitted beside them."""
+        fitted = kept | self._shared()
+        prior = self.prior.ravel()[fitted]
+        inner = N[np.ix_(fitted, fitted)] * np.outer(prior, prior)
         inner[np.diag_indices_from(inner)] += 1.0
-        solved: Array = prior * np.linalg.solve(inner, prior * b[kept])
-        return solved
+        solved: Array = prior * np.linalg.solve(inner, prior * b[fitted])
+        return solved[kept[fitted]]
 
 
 def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int | None) -> Orders:

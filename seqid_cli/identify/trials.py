@@ -66,7 +66,8 @@ class Trial:
     `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
     acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
     where every joint stood, the moving one at the middle of its range. `celsius` is the mean of the
-    joint's temperature, NaN where none was logged.
+    joint's temperature, NaN where none was logged; `doubt` kg m^2 is the standard error of the
+    inertia whose torque was taken off.
     """
 
     joint: int
@@ -82,6 +83,7 @@ class Trial:
     seconds: float  # of a slice
     log: int = 0  # which one
     celsius: float = np.nan
+    doubt: float = 0.0
 
     @property
     def speed(self) -> float:
@@ -176,17 +178,19 @@ def _trial(
 def _path(time: Array, q: Array) -> Chebyshev:
     """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts.
 
-    Its order is that of least BIC: gravity and friction that change with the position leave their
-    trace in the speed that a soft controller holds.
+    Its order, two at least, is that of least BIC: gravity and friction that change with the
+    position leave their trace in the speed that a soft controller holds.
     """
     best, least = None, np.inf
-    for order in range(3, min(MOST_ORDER, len(q) // 3) + 1):
+    most = max(2, min(MOST_ORDER, len(q) // 3))
+    for order in range(min(3, most), most + 1):
         fit = Chebyshev.fit(time, q, order, domain=[-1, 1])
         square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
         score = len(q) * np.log(square) + (order + 1) * np.log(len(q))
         if score < least:
             best, least = fit, score
-    return best if best is not None else Chebyshev.fit(time, q, 1, domain=[-1, 1])
+    assert best is not None  # there are four slices or more
+    return best
 
 
 def _ramps(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Ramps:

@@ -99,6 +99,19 @@ def test_without_ramps_nothing_is_taken_off_and_the_error_says_so() -> None:
     assert unknown.std_error >= 0.9 * known.inertia
 
 
+def test_where_no_ramp_tells_anything_all_torque_may_be_that_of_acceleration() -> None:
+    robot = planar_2r()
+    given = trials_of(robot, wobble=0.01)
+    blind = [replace(trial, ramps=Ramps.none()) for trial in given]
+    (told,), (unknown,) = (without_acceleration(robot, t, surface()) for t in (given, blind))
+    assert all(trial.doubt == told.std_error for trial in told.trials)
+    assert unknown.inertia == 0.0
+    for trial in unknown.trials:
+        assert trial.doubt >= INERTIA
+        pushed = max(trial.doubt * np.sqrt(np.mean(t.ddq**2)) for t in unknown.trials)
+        assert pushed > 0.5 * np.median(np.abs(trial.tau))
+
+
 def test_slices_in_which_a_controller_still_settles_are_left_out() -> None:
     robot = planar_2r()
     (given, *_) = [t for t in trials_of(robot) if t.velocity > 1.0]

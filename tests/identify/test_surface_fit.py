@@ -57,8 +57,12 @@ def data_of(
     *,
     sizes: Sizes = WHITE,
     scaling: Scaling = SCALING,
+    doubt: float = 0.0,
 ) -> list[SpeedData]:
-    """Both directions at twelve speeds of the surface with entries D, and errors of given sizes."""
+    """Both directions at twelve speeds of the surface with entries D, and errors of given sizes.
+
+    The inertia's standard error makes a torque of `doubt` N m times the speed.
+    """
     result = []
     for speed in SPEEDS:
         for direction in (1, -1):
@@ -67,14 +71,15 @@ def data_of(
             A = scaling.basis(q, np.full(SLICES, speed), order, D.shape[1] - 1)
             weight = rng.uniform(5.0, 50.0, SLICES)
             edges = edges_of(0.02 * np.arange(SLICES), 0.02)
+            push = doubt * speed * np.linspace(1.0, -0.5, SLICES)
             own = np.hstack([scaling.over_position.values(q, MAX_POSITION_ORDER), edges])
             size = own.shape[1] - edges.shape[1]
             spread = np.sqrt(sizes.own(scaling, size, np.array([speed])).sum(axis=0)[0])
+            spread = spread[: own.shape[1]]
             error = own @ (spread * rng.standard_normal(own.shape[1]))
             error += sizes.noise / np.sqrt(weight) * rng.standard_normal(SLICES)
-            result.append(
-                SpeedData(float(speed), direction, q, A @ D.ravel() + error, weight, edges)
-            )
+            friction = A @ D.ravel() + error
+            result.append(SpeedData(float(speed), direction, q, friction, weight, edges, push))
     return result
 
 
@@ -90,7 +95,8 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
         speed = np.full(len(item.q), item.speed)
         columns.append(SCALING.basis(item.q, speed, orders.position, orders.velocity))
         y.append(item.friction)
-        own = np.hstack([SCALING.over_position.values(item.q, MAX_POSITION_ORDER), item.edges])
+        values = SCALING.over_position.values(item.q, MAX_POSITION_ORDER)
+        own = np.column_stack([values, item.edges, item.push])
         variance = sizes.own(SCALING, MAX_POSITION_ORDER + 1, np.array([item.speed])).sum(axis=0)
         shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
@@ -100,6 +106,8 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
     for block in blocks:
         V[start : start + len(block), start : start + len(block)] = block
         start += len(block)
+    push = np.concatenate([item.push for item in data])
+    V += np.outer(push, push)  # one and the same error in all trials
     prior = sizes.prior(SCALING, orders.position + 1, orders)[: orders.position + 1].ravel()
     weighing = np.linalg.solve(V, A)
     covariance = np.linalg.inv(A.T @ weighing + np.diag(prior**-2.0))
@@ -107,7 +115,7 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
 
 
 def test_both_steps_together_are_the_generalised_least_squares() -> None:
-    data = data_of(COEFFICIENTS, np.random.default_rng(0), sizes=TRUE)
+    data = data_of(COEFFICIENTS, np.random.default_rng(0), sizes=TRUE, doubt=0.05)
     fit = fit_of(data)
     orders = Orders(MAX_POSITION_ORDER, 11)
     entries, covariance = direct(data, TRUE, orders)
@@ -117,7 +125,7 @@ def test_both_steps_together_are_the_generalised_least_squares() -> None:
 
 @pytest.mark.parametrize(("m", "l"), [(0, 0), (3, 2), (1, 5)])
 def test_fewer_orders_are_the_least_squares_of_those_terms(m: int, l: int) -> None:
-    data = data_of(COEFFICIENTS, np.random.default_rng(1), sizes=TRUE)
+    data = data_of(COEFFICIENTS, np.random.default_rng(1), sizes=TRUE, doubt=0.05)
     entries, _ = direct(data, TRUE, Orders(m, l))
     got = fit_of(data).entries(Orders(m, l))
     np.testing.assert_allclose(got.ravel(), entries, atol=1e-8)
@@ -140,7 +148,10 @@ def test_weights_of_zero_are_slices_that_are_not_there() -> None:
         replace(item, weight=np.where(np.arange(SLICES) < 9, 0.0, item.weight)) for item in data
     ]
     cut = [
-        SpeedData(i.speed, i.direction, i.q[9:], i.friction[9:], i.weight[9:], i.edges[9:])
+        replace(
+            i,
+            **{k: getattr(i, k)[9:] for k in ("q", "friction", "weight", "edges", "push")},
+        )
         for i in data
     ]
     one, other = (reduce_trials(each, SCALING) for each in (gone, cut))

@@ -15,6 +15,7 @@ from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.trials import (
     Ramps,
     Trial,
+    _trial,
     by_joint,
     collect_trials,
     configurations,
@@ -24,6 +25,7 @@ from seqid_cli.identify.trials import (
     speed_levels,
 )
 from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.motion.segments import Stretch
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
@@ -245,3 +247,15 @@ def test_a_log_without_torque_is_refused() -> None:
     with pytest.raises(InputError, match="neither joint torque nor motor current") as caught:
         collect_trials([recording(np.zeros((500, 2)), None)], planar_2r())
     assert "moves.parquet" in str(caught.value)
+
+
+@pytest.mark.parametrize("slices", [4, 7, 8, 12])
+def test_a_short_trial_shows_its_acceleration(slices: int) -> None:
+    """However few its slices are, a speed that changes is not taken for a steady one."""
+    rate, samples, push = 250.0, 4 * slices, 0.6
+    time = (np.arange(samples) - samples / 2) / rate
+    q = np.column_stack([np.zeros(samples), 4.0 * time + 0.5 * push * time**2])
+    stretch = Stretch(1, 0, samples, 0, samples, 4.0, (0.0, 0.0))
+    found = _trial(q, np.zeros_like(q), rate, stretch, begin=0, log=0)
+    assert len(found.q) == slices
+    np.testing.assert_allclose(found.ddq, push, rtol=1e-6)

@@ -101,6 +101,7 @@ class Sizes:
         every = np.ones((len(fast), 1))
         return np.stack([a**2 * shape * every for a, shape in zip(sizes, shapes, strict=True)])
 
+
 ROUNDING = 1e-14  # of a covariance's largest entry: below it there is nothing but rounding
 
 

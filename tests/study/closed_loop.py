@@ -30,8 +30,8 @@ from tests.study.undeclared_refine import NEAR, file_of, told_model
 from tests.study.undeclared_run import append
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "closed_loop_study.md"
-SEEDS = (15, 16, 17, 18)  # nothing was set on these; 11 to 14 were looked at
-SIX_SEEDS = (11,)
+SEEDS = (19, 20, 21, 22)  # nothing was set on these; 11 to 14 were looked at
+SIX_SEEDS = (21, 22, 23, 24)  # nor on these; 30 was looked at
 
 
 @dataclass(frozen=True)

@@ -44,14 +44,11 @@ class FilteredColumns:
         Samples of a part, at most. All but the last must have a multiple of `block_filter.STEP`.
     reach : int
         Samples on either side that the filter remembers.
-    use_compiled : bool
-        Whether compiled loops do the work.
     """
 
-    def __init__(self, equations: Columns, longest: int, reach: int, *, use_compiled: bool) -> None:
+    def __init__(self, equations: Columns, longest: int, reach: int) -> None:
         self._equations = equations
         self._reach = reach
-        self._use_compiled = use_compiled
         loaded = loaded_columns(equations.robot, equations.basis)
         loaded = np.pad(loaded, ((0, 0), (0, 1)))
         self._only = np.flatnonzero(loaded)
@@ -79,7 +76,7 @@ class FilteredColumns:
         else:
             first = start - low
             goes_on &= stop - low >= self._reach and bool(motion.valid[low:start].all())
-            goes_on &= lowpass.can_go_on(use_compiled=self._use_compiled)
+            goes_on &= lowpass.can_go_on()
             self._begin(part_of(motion, low, high), lowpass, stop - low, goes_on=goes_on)
         H = self._room.transpose(2, 0, 1)[first : first + stop - start]
         coupling = self._equations.coupling_column(part_of(motion, low, high))
@@ -99,7 +96,6 @@ class FilteredColumns:
             stop - start,
             self._states,
             only=self._only,
-            use_compiled=self._use_compiled,
         )
         self._ahead = stop - start
 
@@ -114,7 +110,7 @@ class FilteredColumns:
             self._states = lowpass.state_behind(before)
         valid = np.zeros(rows.shape[1], dtype=np.bool_)
         valid[: near.samples] = near.valid
-        lowpass.filter_rows(rows, valid, only=self._only, use_compiled=self._use_compiled)
+        lowpass.filter_rows(rows, valid, only=self._only)
         if goes_on:
             for (a, b), columns in zip(self._spans, behind, strict=True):
                 rows[a:b, stop : stop + reach] = columns
@@ -130,5 +126,4 @@ class FilteredColumns:
             spare=1,
             out=self._room,
             first=first,
-            use_compiled=self._use_compiled,
         )

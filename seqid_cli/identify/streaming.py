@@ -21,7 +21,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli import compiled
 from seqid_cli.errors import InputError
 from seqid_cli.identify.equations import CHUNK, blocks
 from seqid_cli.identify.filtered_columns import FilteredColumns
@@ -122,13 +121,12 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     options = equations.options.motion
     cutoff, step = chosen_cutoff(log, equations.robot, options)
     plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
-    plan = replace(plan, use_compiled=_repays_compiled(log, plan))
     lowpass = plan.kept_lowpass
     reach = int(FAR_ENOUGH * lowpass.memory) + lowpass.settling  # of the low-pass, once
     count = int(np.clip(-(-8 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     parts = motion_blocks(log.blocks(), plan)
     rows = count * CHUNK
-    columns = FilteredColumns(equations, rows, reach, use_compiled=plan.use_compiled)
+    columns = FilteredColumns(equations, rows, reach)
     expected = _blocks_of(log.samples, plan)
     equations.expect(expected, -(-log.samples // plan.factor) // max(expected, 1))
     moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
@@ -150,14 +148,6 @@ def _blocks_of(samples: int, plan: Plan) -> int:
     whole, rest = divmod(-(-samples // plan.factor), CHUNK)
     sizes = [(CHUNK, whole), (rest, 1 if rest else 0)]
     return sum(times * sum(1 for _ in blocks(size, plan.kept_rate_hz)) for size, times in sizes)
-
-
-def _repays_compiled(log: SurveyedLog, plan: Plan) -> bool:
-    """Whether compiled loops save so much on the whole log that loading them is worth it."""
-    n = log.robot.n
-    filtered = 3 * n * log.samples * compiled.FILTER_S
-    per_row = n * (compiled.REGRESSOR_S + compiled.COLUMNS * compiled.FILTER_S)
-    return compiled.worth(filtered + log.samples // plan.factor * per_row)
 
 
 def _add_part(

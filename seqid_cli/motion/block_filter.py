@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.signal import sosfilt, sosfilt_zi
 
-from seqid_cli import compiled
 from seqid_cli.motion.filtering import ORDER, SHORTEST, Lowpass, runs, sections
 
 Array = NDArray[np.float64]
@@ -42,7 +41,6 @@ NEGLIGIBLE = 1e-13
 REACH = 64  # samples more than the memory, for what grows before it decays
 # Of the rate: below, what rounding leaves in the states of blocks exceeds 1e-12 of the signal.
 LOWEST = 0.0025 if np.finfo(np.longdouble).eps < 1e-18 else 0.006
-LONGEST = 1 << 19  # samples: compiled loops hold 128 bytes for each
 TILE = 131_072  # values filtered together: what is made on the way stays in cache
 
 
@@ -68,7 +66,6 @@ class BlockLowpass(Lowpass):
         valid: Mask | None = None,
         *,
         only: NDArray[np.intp] | None = None,
-        use_compiled: bool | None = None,
     ) -> None:
         """Filter signals in place, samples last, each run of valid samples by itself.
 
@@ -79,27 +76,18 @@ class BlockLowpass(Lowpass):
             False where samples must not leak into others; these stay as they are.
         only : array of int, optional
             Numbers of the signals to filter; all by default.
-        use_compiled : bool, optional
-            Whether compiled loops do it; by default where these signals alone repay loading them.
         """
         if not self.active:
             return
-        count = len(rows) if only is None else len(only)
-        saved = count * rows.shape[1] * compiled.FILTER_S
-        wanted = compiled.worth(saved) if use_compiled is None else use_compiled
-        able = rows.flags.c_contiguous and rows.dtype == np.float64 and rows.shape[1] <= LONGEST
-        if wanted and able and compiled.available():
-            self._filter_compiled(rows, valid, np.arange(count) if only is None else only)
-        elif self.cutoff_hz < LOWEST * self.rate_hz:
+        if self.cutoff_hz < LOWEST * self.rate_hz:
             chosen = slice(None) if only is None else only
             rows[chosen] = super().__call__(rows[chosen].T, valid).T
         else:
             self._filter_blocks(rows, valid, only)
 
-    def can_go_on(self, *, use_compiled: bool) -> bool:
+    def can_go_on(self) -> bool:
         """Whether `filter_on` serves."""
-        able = use_compiled and compiled.available()
-        return self.active and (able or self.cutoff_hz >= LOWEST * self.rate_hz)
+        return self.active and self.cutoff_hz >= LOWEST * self.rate_hz
 
     def state_behind(self, rows: Array) -> Array:
         """State (c, 4) of the forward pass behind signals (c, N), as long as the memory."""
@@ -116,7 +104,6 @@ class BlockLowpass(Lowpass):
         states: Array,
         *,
         only: NDArray[np.intp],
-        use_compiled: bool,
     ) -> None:
         """Filter the next samples of signals that go on, in place; see `can_go_on`.
 
@@ -134,30 +121,13 @@ class BlockLowpass(Lowpass):
             In front of the first sample; behind the last one filtered on return.
         only : (k,) array
             Numbers of the signals to filter, ascending.
-        use_compiled : bool
-            Whether compiled loops do it.
         """
-        if use_compiled and compiled.available():
-            from seqid_cli.motion.filter_compiled import on_both_ways
-
-            sos = sections(self.cutoff_hz, self.rate_hz, self.every)
-            on_both_ways(rows, only.astype(np.int64), stop, count, sos, states)
-            return
         kernel = _kernel(self.cutoff_hz, self.rate_hz, self.every)
         height = max(1, TILE // stop)
         room = _Room.of(min(height, len(only)), stop)
         for first, last in _consecutive(only, height):  # without copies
             part = slice(only[first], only[first] + last - first)
             kernel.on_both_ways(rows[part, :stop], count, states[first:last], room)
-
-    def _filter_compiled(self, rows: Array, valid: Mask | None, which: NDArray[np.intp]) -> None:
-        from seqid_cli.motion.filter_compiled import both_ways
-
-        sos = sections(self.cutoff_hz, self.rate_hz, self.every)
-        for start, stop in runs(valid, rows.shape[1]):
-            if stop - start > SHORTEST:
-                pad = min(6 * self.settling, stop - start - 1)
-                both_ways(rows, which.astype(np.int64), start, stop, sos, pad)
 
     def _filter_blocks(
         self, rows: Array, valid: Mask | None, only: NDArray[np.intp] | None

@@ -34,7 +34,6 @@ class Plan:
     """How a log is filtered: its rate, cut-off, noise steps (n,) rad, and every which sample stays.
 
     `rows` (a multiple of `factor`) samples make a block, `margin` more are needed on either side.
-    `use_compiled` says whether compiled loops filter them.
     """
 
     rate_hz: float
@@ -43,7 +42,6 @@ class Plan:
     factor: int
     rows: int
     margin: int
-    use_compiled: bool = False
 
     @property
     def lowpass(self) -> BlockLowpass:
@@ -189,7 +187,7 @@ def _filtered(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Ar
         return _filtered_inside(window, plan, inner)
     rows = np.concatenate([window.q.T, window.tau.T])
     for part in (rows, rows[n:]):
-        lowpass.filter_rows(part, window.valid, use_compiled=plan.use_compiled)
+        lowpass.filter_rows(part, window.valid)
     q, tau = rows[:n], rows[n:]
     dq, ddq = _derivatives(q, window.valid, plan.rate_hz, inner, factor)
     q, tau = (np.ascontiguousarray(x[:, inner][:, ::factor].T) for x in (q, tau))

@@ -70,7 +70,7 @@ class Belief:
         """Rows H (M, N, n, b) of the base parameters."""
         M, N, n = moves.q.shape
         states = (x.reshape(-1, n) for x in (moves.q, moves.dq, moves.ddq))
-        H = base_regressor(self.robot, self.basis, *states, use_compiled=False)
+        H = base_regressor(self.robot, self.basis, *states)
         return H.reshape(M, N, n, self.basis.size)
 
     def information(self, moves: Moves, H: Array) -> Array:

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from .regressor import (
     PER_LINK,
     Coupling,
-    by_compiled_loops,
     columns_by_link,
     gravity_regressor,
     link_blocks,
@@ -159,7 +158,6 @@ def base_regressor(
     spare: int = 0,
     out: Array | None = None,
     first: int = 0,
-    use_compiled: bool | None = None,
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
@@ -174,8 +172,6 @@ def base_regressor(
         Written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere.
     first : int
         Where in `out` the N samples go.
-    use_compiled : bool, optional
-        Whether compiled loops do it; by default where these samples alone repay loading them.
 
     Returns
     -------
@@ -184,10 +180,7 @@ def base_regressor(
     """
     whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
     H = whole[:, :, first : first + len(q)]
-    if by_compiled_loops(q, whole, use_compiled):
-        _fill_compiled(robot, basis, q, dq, ddq, whole, first, fresh=out is None)
-    else:
-        _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
+    _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
     _add_rotors(robot, basis, q, dq, ddq, H)
     return H.transpose(2, 0, 1)
 
@@ -209,39 +202,6 @@ def _fill_links(
                     np.multiply(block[:, column], P[c, k], out=target)
                 else:
                     target += P[c, k] * block[:, column]
-
-
-def _fill_compiled(
-    robot: Robot,
-    basis: Basis,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    H: Array,
-    first_sample: int,
-    *,
-    fresh: bool,
-) -> None:
-    """Fill H (n, b, M), from a sample on, with the links' columns by compiled loops."""
-    from .regressor_compiled import Targets, fill
-
-    links = PER_LINK * robot.n
-    P = basis.representative
-    if not fresh:
-        samples = slice(first_sample, first_sample + len(q))
-        H[:, np.flatnonzero(P[links:].any(axis=0)), samples] = 0.0
-    source, column = np.nonzero(P[:links])
-    link = source // PER_LINK
-    behind = np.array([link[:c][column[:c] == k].max(initial=-1) for c, k in enumerate(column)])
-    first = np.searchsorted(link, np.arange(robot.n + 1))
-    targets = Targets(
-        first.astype(np.int64),
-        (source % PER_LINK).astype(np.int64),
-        column.astype(np.int64),
-        P[source, column],
-        behind.astype(np.int64),
-    )
-    fill(robot.chain, robot.gravity, q, dq, ddq, targets, H, first_sample)
 
 
 def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array) -> None:

@@ -17,19 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli import compiled
-
 from .kinematics import _fill_motion_matrix, cross, link_motion
 from .placement import skew
 from .types import Array, Chain
-
-if TYPE_CHECKING:
-    from .regressor_compiled import Targets
 
 PER_LINK = 10
 Kinds = NDArray[np.intp]
@@ -45,7 +40,6 @@ def torque_regressor(
     ddq: Array,
     *,
     columns: Sequence[int] | None = None,
-    use_compiled: bool | None = None,
 ) -> Array:
     """Compute the regressor Y of the rigid-body joint torque: tau = Y phi (Eq. 3, without rotors).
 
@@ -56,8 +50,6 @@ def torque_regressor(
     q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
     columns : sequence of int, optional
         Compute only these of the 10 n columns, given in ascending order.
-    use_compiled : bool, optional
-        Whether compiled loops do it; by default where these samples alone repay loading them.
 
     Returns
     -------
@@ -70,32 +62,9 @@ def torque_regressor(
     for i, kinds in enumerate(kept):
         start, stop = stop, stop + len(kinds)
         Y[i + 1 :, start:stop] = 0.0  # joints behind a link do not feel it
-    if by_compiled_loops(q, Y, use_compiled):
-        from .regressor_compiled import fill
-
-        fill(chain, gravity, q, dq, ddq, _as_they_are(kept), Y)
-        return Y.transpose(2, 0, 1)
     for _ in link_blocks(chain, gravity, q, dq, ddq, kept, out=Y):
         pass
     return Y.transpose(2, 0, 1)
-
-
-def by_compiled_loops(q: Array, out: Array, wanted: bool | None) -> bool:
-    """Say whether compiled loops compute at states q (N, n) into `out`; None: where it pays."""
-    if wanted is None:
-        wanted = compiled.worth(q.size * compiled.REGRESSOR_S)
-    able = out.flags.c_contiguous and out.dtype == np.float64
-    return wanted and able and compiled.available()
-
-
-def _as_they_are(kept: Sequence[Kinds]) -> Targets:
-    """The kept columns of each link, one behind the other."""
-    from .regressor_compiled import Targets
-
-    kind = np.concatenate(kept).astype(np.int64)
-    first = np.cumsum([0, *(len(kinds) for kinds in kept)], dtype=np.int64)
-    nothing = np.full(len(kind), -1, dtype=np.int64)
-    return Targets(first, kind, np.arange(len(kind)), np.ones(len(kind)), nothing)
 
 
 def link_blocks(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -17,7 +16,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from seqid_cli import compiled
 from seqid_cli.identify.factors import triangular
 from seqid_cli.identify.least_squares import Accumulator
 from seqid_cli.motion.block_filter import REACH, BlockLowpass
@@ -32,7 +30,6 @@ Job = Callable[[], object]
 
 HEAD = ["", "CPU", "unit", "faster", "largest difference"]
 CHUNK = 65_536
-WAYS = {"": False, ", compiled": True} if compiled.available() else {"": False}
 
 
 def study(*, quick: bool = False) -> str:
@@ -71,23 +68,22 @@ def _filter_of(rounds: int, channels: int, samples: int) -> list[list[str]]:
 
     out = np.empty_like(rows)
 
-    def chunks(*, use_compiled: bool) -> Array:
+    def chunks() -> Array:
         for start in range(0, samples, CHUNK):
             low = max(0, start - reach)
             part = rows[:, low : start + CHUNK + reach].copy()
-            lowpass.filter_rows(part, use_compiled=use_compiled)
+            lowpass.filter_rows(part)
             out[:, start : start + CHUNK] = part[:, start - low : start - low + CHUNK]
         return out
 
     of, unit = f"low-pass, {channels} signals", "ns/value"
-    jobs = {f"in chunks{how}": partial(chunks, use_compiled=use) for how, use in WAYS.items()}
-    theirs, *ours = _cpu([whole, *jobs.values()], rounds)
+    theirs, ours = _cpu([whole, chunks], rounds)
     per = 1e9 / rows.size
-    found = [[f"{of}: sosfiltfilt on all", f"{theirs * per:.1f}", unit, "1.0", ""]]
-    for (name, job), cpu in zip(jobs.items(), ours, strict=True):
-        error = float(np.abs(whole() - job()).max() / np.abs(rows).max())
-        found.append(_result(f"{of}: {name}", cpu * per, unit, theirs / cpu, error))
-    return found
+    error = float(np.abs(whole() - chunks()).max() / np.abs(rows).max())
+    return [
+        [f"{of}: sosfiltfilt on all", f"{theirs * per:.1f}", unit, "1.0", ""],
+        _result(f"{of}: in chunks", ours * per, unit, theirs / ours, error),
+    ]
 
 
 def _regressor(rounds: int) -> list[list[str]]:
@@ -105,30 +101,23 @@ def _regressor(rounds: int) -> list[list[str]]:
             out[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])
         return out
 
-    def batch(*, use_compiled: bool) -> Array:
-        gravity = robot.gravity
-        return torque_regressor(robot.chain, gravity, q, dq, ddq, use_compiled=use_compiled)
+    def batch() -> Array:
+        return torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
 
-    def needed(*, use_compiled: bool) -> Array:
-        return base_regressor(robot, basis, q, dq, ddq, use_compiled=use_compiled)
+    def needed() -> Array:
+        return base_regressor(robot, basis, q, dq, ddq)
 
     def selected() -> Array:
         return np.asarray(loop()[:, :, basis.columns])
 
-    every = {f"batched{how}": partial(batch, use_compiled=use) for how, use in WAYS.items()}
-    base = {
-        f"batched{how}, base columns": partial(needed, use_compiled=use)
-        for how, use in WAYS.items()
-    }
-    spent = _cpu([loop, selected, *every.values(), *base.values()], rounds)
+    one, chosen, every, base = _cpu([loop, selected, batch, needed], rounds)
     per, unit = 1e6 / len(q), "us/sample"
-    found = [["regressor: Pinocchio, sample by sample", f"{spent[0] * per:.2f}", unit, "1.0", ""]]
-    for (name, job), cpu in zip(every.items(), spent[2:], strict=False):
-        error = float(np.abs(loop() - job()).max() / np.abs(job()).max())
-        found.append(_result(f"regressor: {name}", cpu * per, unit, spent[0] / cpu, error))
-    for name, cpu in zip(base, spent[2 + len(every) :], strict=True):
-        found.append(_result(f"regressor: {name}", cpu * per, unit, spent[1] / cpu, None))
-    return found
+    error = float(np.abs(loop() - batch()).max() / np.abs(batch()).max())
+    return [
+        ["regressor: Pinocchio, sample by sample", f"{one * per:.2f}", unit, "1.0", ""],
+        _result("regressor: batched", every * per, unit, one / every, error),
+        _result("regressor: batched, base columns", base * per, unit, chosen / base, None),
+    ]
 
 
 def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli import compiled
 from seqid_cli.identify.filtered_columns import FilteredColumns
 from seqid_cli.motion.block_filter import REACH, BlockLowpass
 from seqid_cli.motion.cutoff import Cutoff
@@ -24,7 +23,6 @@ LOWPASS = BlockLowpass(25.0, RATE_HZ)
 MARGIN = LOWPASS.memory + REACH
 PART = 1024
 SAMPLES = 9_500
-needs_numba = pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
 
 
 @dataclass
@@ -49,15 +47,14 @@ def moved(samples: int, gap: slice) -> Motion:
     return Motion(t, q, dq, ddq, q, moving, valid, valid, RATE_HZ, LOWPASS, cutoff)
 
 
-@pytest.mark.parametrize("use_compiled", [False, pytest.param(True, marks=needs_numba)])
 @pytest.mark.parametrize("gap", [slice(0, 0), slice(5_000, 5_030), slice(4_096, 4_097)])
-def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice, *, use_compiled: bool) -> None:
+def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice) -> None:
     robot = load_robot(write_arm(tmp_path))
     equations = Columns(robot, free_basis(robot))
     whole = moved(SAMPLES, gap)
     H = base_regressor(robot, equations.basis, whole.q, whole.dq, whole.ddq)
     expected = LOWPASS(H, whole.valid)
-    columns = FilteredColumns(equations, PART, MARGIN, use_compiled=use_compiled)
+    columns = FilteredColumns(equations, PART, MARGIN)
     for start in range(0, SAMPLES, PART):
         stop = min(start + PART, SAMPLES)
         found = columns.of(whole, start, stop)
@@ -82,7 +79,7 @@ def test_columns_are_computed_once_where_no_gap_is_near(
 
     monkeypatch.setattr(filtered_columns, "base_regressor", counted)
     whole = moved(SAMPLES, slice(0, 0))
-    columns = FilteredColumns(Columns(robot, free_basis(robot)), PART, MARGIN, use_compiled=False)
+    columns = FilteredColumns(Columns(robot, free_basis(robot)), PART, MARGIN)
     for start in range(0, SAMPLES, PART):
         columns.of(whole, start, min(start + PART, SAMPLES))
     assert asked[1:-2].count(PART) >= 6

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli import compiled
 from seqid_cli.motion.block_filter import REACH, STEP, BlockLowpass
 from seqid_cli.motion.filtering import Lowpass
 
 Array = NDArray[np.float64]
-needs_numba = pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
 
 
 def walk(rng: np.random.Generator, samples: int, channels: int) -> Array:
@@ -97,38 +95,7 @@ def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
     np.testing.assert_array_equal(lowpass(values), values)
 
 
-@needs_numba
-@pytest.mark.parametrize(
-    ("cutoff_hz", "rate_hz", "every"),
-    [(20.0, 1000.0, 1), (0.5, 1000.0, 1), (44.0, 100.0, 1), (3.0, 30.0, 33), (50.0, 100.0, 1)],
-)
-@pytest.mark.parametrize("gaps", [False, True])
-def test_compiled_loops_are_the_global_filter(
-    cutoff_hz: float, rate_hz: float, every: int, *, gaps: bool
-) -> None:
-    rows = np.ascontiguousarray(walk(np.random.default_rng(6), 5003, 21).T)
-    valid = with_gaps(5003) if gaps else None
-    expected = Lowpass(cutoff_hz, rate_hz, every)(rows.T, valid).T
-    found = rows.copy()
-    BlockLowpass(cutoff_hz, rate_hz, every).filter_rows(found, valid, use_compiled=True)
-    assert np.abs(found - expected).max() < 1e-12 * np.abs(rows).max()
-
-
-@needs_numba
-@pytest.mark.parametrize("samples", [1, 8, 9, 15, 63, 64, 65, 129, 4000])
-def test_compiled_loops_take_any_length_and_some_signals_only(samples: int) -> None:
-    rows = np.ascontiguousarray(walk(np.random.default_rng(7), samples, 40).T)
-    rows[3] = np.nan
-    only = np.array([0, 2, *range(5, 38), 39])
-    expected = rows.copy()
-    expected[only] = Lowpass(15.0, 500.0)(rows[only].T).T
-    BlockLowpass(15.0, 500.0).filter_rows(rows, only=only, use_compiled=True)
-    np.testing.assert_allclose(rows, expected, rtol=0.0, atol=1e-12 * np.nanmax(np.abs(expected)))
-
-
-def gone_on(
-    lowpass: BlockLowpass, rows: Array, part: int, reach: int, *, use_compiled: bool
-) -> Array:
+def gone_on(lowpass: BlockLowpass, rows: Array, part: int, reach: int) -> Array:
     """Signals 0, 2, 3 and 4 from `reach` on, filtered part by part; what is behind stays."""
     only, found = np.array([0, 2, 3, 4]), rows.copy()
     states = lowpass.state_behind(rows[only, :reach])
@@ -136,7 +103,7 @@ def gone_on(
     while start + part + reach <= rows.shape[1]:
         room = found[:, start : start + part + reach].copy()
         known = room.shape[1]
-        lowpass.filter_on(room, known, part, states, only=only, use_compiled=use_compiled)
+        lowpass.filter_on(room, known, part, states, only=only)
         found[:, start : start + part + reach] = room
         start += part
     np.testing.assert_array_equal(found[:, start:], rows[:, start:])
@@ -144,17 +111,14 @@ def gone_on(
     return found[:, reach:start]
 
 
-@pytest.mark.parametrize("use_compiled", [False, pytest.param(True, marks=needs_numba)])
 @pytest.mark.parametrize("cutoff_hz", [6.0, 40.0, 200.0])
-def test_signals_that_go_on_are_filtered_part_by_part(
-    cutoff_hz: float, *, use_compiled: bool
-) -> None:
+def test_signals_that_go_on_are_filtered_part_by_part(cutoff_hz: float) -> None:
     lowpass = BlockLowpass(cutoff_hz, 1000.0)
-    assert lowpass.can_go_on(use_compiled=use_compiled)
+    assert lowpass.can_go_on()
     reach = lowpass.memory + REACH
     rows = np.ascontiguousarray(walk(np.random.default_rng(8), 3 * reach + 4_000, 5).T)
     expected = lowpass(rows.T).T
-    found = gone_on(lowpass, rows, 10 * STEP, reach, use_compiled=use_compiled)
+    found = gone_on(lowpass, rows, 10 * STEP, reach)
     assert found.shape[1] >= 3_000
     expected = expected[:, reach : reach + found.shape[1]]
     expected[1] = found[1]
@@ -162,5 +126,5 @@ def test_signals_that_go_on_are_filtered_part_by_part(
 
 
 def test_only_what_is_exact_goes_on() -> None:
-    assert not BlockLowpass(49.0, 100.0).can_go_on(use_compiled=False)
-    assert not BlockLowpass(1.0, 1000.0).can_go_on(use_compiled=False)
+    assert not BlockLowpass(49.0, 100.0).can_go_on()
+    assert not BlockLowpass(1.0, 1000.0).can_go_on()

@@ -23,7 +23,7 @@ from seqid_cli.discover.rows import Rows
 from seqid_cli.identify.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.motion.filtering import differentiate
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base import Basis, base_regressor, free_basis, loaded_columns

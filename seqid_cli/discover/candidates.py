@@ -121,7 +121,7 @@ class Stage:
                 continue
             widths = [raw[i][j].shape[1] for i, j in places]
             every = np.hstack([raw[i][j] for i, j in places])
-            both = self.rows.sieve(number, passes) @ every
+            both = self.rows.filtered(number, every, passes)
             pieces = np.split(both, np.cumsum(widths)[:-1], axis=1)
             per_scene.append(dict(zip(places, pieces, strict=True)))
         if not per_scene:

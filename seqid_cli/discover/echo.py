@@ -27,7 +27,8 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.cutoff import encoder_step
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

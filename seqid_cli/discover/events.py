@@ -30,7 +30,7 @@ from seqid_cli.discover.event_windows import (
 )
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import runs
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN, gaussian_spread
 
 Array = NDArray[np.float64]

@@ -43,7 +43,7 @@ from seqid_cli.discover.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.cutoff import encoder_step
-from seqid_cli.motion.filtering import runs, shrink
+from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.motion.motion import NOISE_BANDWIDTH, Motion, encoder_resolution
 from seqid_cli.motion.segments import unmoved
 

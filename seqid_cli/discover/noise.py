@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend
 
-from seqid_cli.motion.filtering import ORDER, Lowpass, runs
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.design import ORDER
+from seqid_cli.motion.filters.differentiation import runs
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

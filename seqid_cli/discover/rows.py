@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.sieve import Sieve
 from seqid_cli.discover.turning import Turn, turns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import REACH
@@ -34,6 +33,7 @@ FOLDS = 10
 ONLY_HERE = 0.5  # share of a joint's rows in one log, from which that log has folds enough for it
 FOLDS_OF_ONE = 5
 MOST_ROWS = 40_000
+TOGETHER = 64  # columns that are low-passed together
 FEWEST_ROWS = 50  # of a joint, all logs together, that are worth looking at
 SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
 FEWEST_FOLDS = 3  # in which a joint must have rows
@@ -117,7 +117,7 @@ class Rows:
             found, first = [], 0
             for number, scene in enumerate(self.scenes):
                 used = self.used[number][:, j]
-                for turn in turns(scene, self.sieve(number, 2), used, j):
+                for turn in turns(scene, self.picked[number], used, j):
                     found.append(replace(turn, first=turn.first + first))
                 first += int(used.sum())
             result.append(found)
@@ -125,31 +125,25 @@ class Rows:
 
     def columns(self, per_scene: Sequence[Mapping[int, Array]], passes: int) -> dict[int, Array]:
         """Low-pass an effect's columns, scene by scene, and keep the rows of each joint."""
-        sieved: dict[int, list[Array]] = {}
+        rows: dict[int, list[Array]] = {}
         for number, columns in enumerate(per_scene):
             for joint, values in columns.items():
-                kept = self.sieve(number, passes) @ values
-                sieved.setdefault(joint, []).append(kept[self.used[number][:, joint]])
-        return {j: self.whitened(j, np.concatenate(values)) for j, values in sieved.items()}
+                kept = self.filtered(number, values, passes)
+                rows.setdefault(joint, []).append(kept[self.used[number][:, joint]])
+        return {j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()}
 
-    def sieve(self, number: int, passes: int) -> Sieve:
-        """Low-pass and choice of rows of one scene in one matrix (M, N).
-
-        Where samples are valid it does what `Motion.filtered` does.
-        """
-        key = (number, passes)
-        if key not in self._sieves:
-            motion = self.scenes[number].motion
-            self._sieves[key] = Sieve.of(motion, self.picked[number], passes)
-        return self._sieves[key]
+    def filtered(self, number: int, values: Array, passes: int) -> Array:
+        """Low-pass values (N, K) of one scene and keep its rows (M, K)."""
+        motion, picked = self.scenes[number].motion, self.picked[number]
+        kept = np.empty((len(picked), values.shape[1]))
+        for first in range(0, values.shape[1], TOGETHER):
+            own = slice(first, first + TOGETHER)
+            kept[:, own] = motion.filtered(values[:, own], passes)[picked]
+        return kept
 
     @cached_property
     def made(self) -> dict[str, object]:
         """What others have computed of these rows and want to keep with them."""
-        return {}
-
-    @cached_property
-    def _sieves(self) -> dict[tuple[int, int], Sieve]:
         return {}
 
     def without(self, masks: Sequence[Mask]) -> Rows:

@@ -19,16 +19,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.noise import DETAIL, power_gain
-from seqid_cli.discover.sieve import Sieve
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import runs
+from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.motion.motion import Motion
 from seqid_cli.robust import gaussian_spread
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Index, Mask
 
 OFF = 0.03  # of the time for which a joint does not certainly slide: standard error of its middle
 LONG = 0.4  # of that time, that friction takes to change its sign
@@ -67,15 +64,15 @@ class Turn:
         part -= self.directions @ (self.taken[:, None] * (self.directions.T @ part))
 
 
-def turns(scene: Scene, sieve: Sieve, used: Mask, joint: int) -> list[Turn]:
+def turns(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Turn]:
     """Find what is uncertain in one joint's rows of one scene.
 
     Parameters
     ----------
     scene : Scene
         With torque.
-    sieve : Sieve
-        Two passes of the low-pass, to the rows (M,) that are kept of the scene.
+    picked : (M,) array of int
+        Samples that are kept as rows.
     used : (M,) mask
         Rows at which the joint counts; those of the result are these alone.
     joint : int
@@ -88,7 +85,7 @@ def turns(scene: Scene, sieve: Sieve, used: Mask, joint: int) -> list[Turn]:
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
     found: list[tuple[int, Array]] = []
     for start, pulses in _uncertain(scene, joint):
-        row, seen = sieve.part(start, pulses / noise)
+        row, seen = _low_passed(scene.motion, picked, start, pulses / noise)
         counts = np.flatnonzero(used[row : row + len(seen)])
         seen = seen[counts]
         felt = np.flatnonzero(
@@ -98,6 +95,22 @@ def turns(scene: Scene, sieve: Sieve, used: Mask, joint: int) -> list[Turn]:
             low, high = felt[0], felt[-1] + 1
             found.append((int(number[row + counts[low]]), seen[low:high]))
     return list(_together(sorted(found, key=lambda one: one[0])))
+
+
+def _low_passed(motion: Motion, picked: Index, first: int, pulses: Array) -> tuple[int, Array]:
+    """Low-pass pulses (m, k) twice that begin at a sample; their first row and rows (r, k).
+
+    Rows that the low-pass has forgotten them at are left out.
+    """
+    reach = motion.lowpass.memory
+    low, high = max(0, first - reach), min(motion.samples, first + len(pulses) + reach)
+    values = np.zeros((high - low, pulses.shape[1]))
+    start, stop = max(first, 0), min(first + len(pulses), motion.samples)
+    values[start - low : stop - low] = pulses[start - first : stop - first]
+    for _ in range(PASSES):
+        values = motion.lowpass(values, motion.valid[low:high])
+    row, end = np.searchsorted(picked, [low, high])
+    return int(row), values[picked[row:end] - low]
 
 
 def _uncertain(scene: Scene, joint: int) -> Iterator[tuple[int, Array]]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.motion.block_filter import REACH, BlockLowpass
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -76,8 +75,7 @@ def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[R
     Rows
         Chunks in time order.
     """
-    lowpass = motion.lowpass
-    overlap = BlockLowpass(lowpass.cutoff_hz, lowpass.rate_hz, lowpass.every).memory + REACH
+    overlap = motion.lowpass.memory
     for start in range(0, motion.samples, CHUNK):
         stop = min(start + CHUNK, motion.samples)
         low, high = max(0, start - overlap), min(motion.samples, stop + overlap)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_normal import Linearised, Seen, Sizes
 from seqid_cli.identify.imu_segments import Segment
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 
 Array = NDArray[np.float64]
 

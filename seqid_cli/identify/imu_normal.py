@@ -26,7 +26,7 @@ from seqid_cli.identify.imu_model import (
     predicted,
 )
 from seqid_cli.identify.imu_segments import REACH, EncoderRows, Segment
-from seqid_cli.motion.filtering import _FIRST, _SECOND
+from seqid_cli.motion.filters.differentiation import FIRST, SECOND
 from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ def stencils(spacing: float) -> Array:
     """Weights (3, 9) of nine nodes in q, dq and ddq at the middle one."""
     middle = np.zeros(WIDTH)
     middle[REACH] = 1.0
-    return np.stack([middle, _FIRST / spacing, _SECOND / spacing**2])
+    return np.stack([middle, FIRST / spacing, SECOND / spacing**2])
 
 
 def at_samples(segment: Segment, nodes: Array) -> Array:

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filtering import Lowpass, shrink
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.motion.imu_array import read_angular, speed_about
 from seqid_cli.motion.link_motion import axes_in_link
 from seqid_cli.motion.motion import Motion

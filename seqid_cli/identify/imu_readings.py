@@ -10,7 +10,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import binary_dilation, median_filter
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filtering import Lowpass, runs
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robot.types import Imu
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
 

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from seqid_cli.identify.imu_readings import Readings, readings_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.cutoff import encoder_step
-from seqid_cli.motion.filtering import Lowpass, differentiate, runs, shrink
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.smoother_encoder import EncoderView, encoder_view
 from seqid_cli.robot.types import Imu, Robot

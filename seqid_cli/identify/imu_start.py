@@ -23,7 +23,8 @@ from seqid_cli.identify.imu_model import (
     link_state,
 )
 from seqid_cli.identify.imu_segments import Segment
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]

@@ -123,7 +123,7 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
     lowpass = plan.kept_lowpass
     reach = int(FAR_ENOUGH * lowpass.memory) + lowpass.settling  # of the low-pass, once
-    count = int(np.clip(-(-8 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
+    count = int(np.clip(-(-16 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     parts = motion_blocks(log.blocks(), plan)
     rows = count * CHUNK
     columns = FilteredColumns(equations, rows, reach)

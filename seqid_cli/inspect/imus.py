@@ -14,7 +14,7 @@ from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import clipped, equal_runs, missing_share
 from seqid_cli.logs.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
-from seqid_cli.motion.filtering import runs
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu_array import layout
 from seqid_cli.motion.segments import standing
 from seqid_cli.robot.types import Imu, Robot

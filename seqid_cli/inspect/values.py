@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.motion.cutoff import encoder_step
-from seqid_cli.motion.filtering import runs
+from seqid_cli.motion.filters.differentiation import runs
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -18,7 +18,7 @@ from scipy.ndimage import binary_dilation
 from scipy.signal import firwin
 
 from seqid_cli.model.friction import FrictionSurface, friction_torque
-from seqid_cli.motion.filtering import shrink
+from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.motion.motion import Motion
 
 Array = NDArray[np.float64]

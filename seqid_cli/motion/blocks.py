@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.long import Block
-from seqid_cli.motion.block_filter import BlockLowpass
 from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.filtering import _FIRST, _SECOND, differentiate, shrink
-from seqid_cli.motion.kept_filter import can_keep, kept_filter
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import SIDE, differentiate, shrink
 from seqid_cli.motion.motion import Motion, _all_valid
 from seqid_cli.motion.segments import SCALES_S, SHAKEN, TRAVEL_STEPS, motion_reach
 
@@ -26,7 +25,6 @@ Mask = NDArray[np.bool_]
 
 LEAST_BLOCK = 32_768
 COARSE = 8  # looks per half of a time scale that mostly tell whether a joint moves
-REACH = 4  # samples that a derivative takes from either side
 
 
 @dataclass(frozen=True)
@@ -44,19 +42,14 @@ class Plan:
     margin: int
 
     @property
-    def lowpass(self) -> BlockLowpass:
+    def lowpass(self) -> Lowpass:
         """The filter at the log's own rate."""
-        return BlockLowpass(self.cutoff.hz, self.rate_hz)
+        return Lowpass(self.cutoff.hz, self.rate_hz)
 
     @property
-    def evaluates_kept(self) -> bool:
-        """Whether signals are filtered at the kept samples only, where they have no gaps."""
-        return self.lowpass.active and can_keep(self.cutoff.hz, self.rate_hz, self.factor)
-
-    @property
-    def kept_lowpass(self) -> BlockLowpass:
+    def kept_lowpass(self) -> Lowpass:
         """The same filter for the samples that stay."""
-        return BlockLowpass(self.cutoff.hz, self.kept_rate_hz, self.factor)
+        return Lowpass(self.cutoff.hz, self.kept_rate_hz, self.factor)
 
     @property
     def kept_rate_hz(self) -> float:
@@ -77,11 +70,11 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
     samples_per_cutoff : float
         Samples that stay per period of the cut-off, at least; infinite keeps all.
     """
-    lowpass = BlockLowpass(cutoff.hz, rate_hz)
+    lowpass = Lowpass(cutoff.hz, rate_hz)
     factor = 1
     if lowpass.active:
         factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
-    margin = max(2 * lowpass.memory + REACH, 2 * lowpass.settling, motion_reach(rate_hz))
+    margin = max(2 * lowpass.memory + SIDE, 2 * lowpass.settling, motion_reach(rate_hz))
     margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
     least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK  # thinned ones need less memory
     rows = -(-max(least, 2 * margin) // factor) * factor
@@ -181,31 +174,16 @@ def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motio
 
 def _filtered(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Array, Array]:
     """q, dq, ddq and tau (M, n) at every `factor`-th inner sample."""
-    n, lowpass, factor = window.q.shape[1], plan.lowpass, plan.factor
+    lowpass, factor, valid = plan.lowpass, plan.factor, window.valid
     inside = inner.start >= plan.margin and len(window.q) - inner.stop >= plan.margin
-    if plan.evaluates_kept and inside and window.valid.all():
-        return _filtered_inside(window, plan, inner)
-    rows = np.concatenate([window.q.T, window.tau.T])
-    for part in (rows, rows[n:]):
-        lowpass.filter_rows(part, window.valid)
-    q, tau = rows[:n], rows[n:]
-    dq, ddq = _derivatives(q, window.valid, plan.rate_hz, inner, factor)
-    q, tau = (np.ascontiguousarray(x[:, inner][:, ::factor].T) for x in (q, tau))
-    return q, dq, ddq, tau
-
-
-def _filtered_inside(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Array, Array]:
-    """As `_filtered`, where no run of valid samples ends."""
-    filters = plan.cutoff.hz, plan.rate_hz, plan.factor
-    count = -(-(inner.stop - inner.start) // plan.factor)
-    once = kept_filter(*filters, derivatives=True)
-    twice = kept_filter(*filters, passes=2)
-    moved = np.empty((3, count, window.q.shape[1]))
-    tau = np.empty((count, window.q.shape[1]))
-    for j, (q, torque) in enumerate(zip(window.q.T, window.tau.T, strict=True)):
-        moved[:, :, j] = once(q, inner.start, count)
-        tau[:, j] = twice(torque, inner.start, count)[0]
-    return moved[0], moved[1], moved[2], tau
+    if lowpass.can_decimate(factor) and inside and valid.all():
+        kept = factor, inner.start, -(-(inner.stop - inner.start) // factor)
+        q, dq, ddq = lowpass.decimated(window.q, *kept, derivatives=True)
+        return q, dq, ddq, lowpass.decimated(window.tau, *kept, passes=2)[0]
+    q = lowpass(window.q, valid)
+    dq, ddq = differentiate(q, plan.rate_hz, valid)
+    tau = lowpass(lowpass(window.tau, valid), valid)
+    return q[inner][::factor], dq[inner][::factor], ddq[inner][::factor], tau[inner][::factor]
 
 
 def _kept_moving(q: Array, plan: Plan, inner: slice) -> Mask:
@@ -238,27 +216,6 @@ def _seen_moving(rows: Array, step: Array, kept: NDArray[np.intp], half: int, ev
         for reach in (-(half // 3), half // 3 + 1)
     )
     return np.asarray(changes[:, high] > changes[:, low])
-
-
-def _derivatives(
-    q: Array, valid: Mask, rate_hz: float, inner: slice, factor: int
-) -> tuple[Array, Array]:
-    """First and second derivative (M, n) of signals (n, N) at every `factor`-th inner sample."""
-    low, high = inner.start - REACH, inner.stop + REACH
-    if low < 0 or high > q.shape[1] or not valid[low:high].all():
-        both = differentiate(np.ascontiguousarray(q.T), rate_hz, valid)
-        return both[0][inner][::factor], both[1][inner][::factor]
-    if factor == 1:
-        taps = _FIRST * rate_hz, _SECOND * rate_hz**2
-        near = q[:, low:high]
-        found = [np.stack([np.correlate(x, own) for x in near], axis=1) for own in taps]
-        return found[0], found[1]
-    first, second = (np.zeros((len(q), -(-(inner.stop - inner.start) // factor))) for _ in "12")
-    for k in range(2 * REACH + 1):
-        tap = q[:, low + k : inner.stop - REACH + k : factor]
-        first += (_FIRST[k] * rate_hz) * tap
-        second += (_SECOND[k] * rate_hz**2) * tap
-    return np.ascontiguousarray(first.T), np.ascontiguousarray(second.T)
 
 
 def joined_motions(parts: list[Motion]) -> Motion:

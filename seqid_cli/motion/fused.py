@@ -24,7 +24,8 @@ from seqid_cli.motion.cutoff import (
     smoothed_error,
     smoothed_score,
 )
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, filtered_torque
 from seqid_cli.motion.smoother import smoothed_motion
 from seqid_cli.motion.smoother_imus import mounted_imus, read

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from seqid_cli.motion.filtering import Lowpass, differentiate, runs
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 

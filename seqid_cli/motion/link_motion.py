@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.fused import absent_imus, fused_motion, needed
 from seqid_cli.motion.imu_array import calibrated, layout, read_angular
 from seqid_cli.motion.motion import Motion

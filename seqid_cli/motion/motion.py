@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.cutoff import HIGHEST_HZ, Cutoff, choose_cutoff
-from seqid_cli.motion.filtering import Lowpass, differentiate, runs, shrink
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segments import moving_mask, noise_step
 from seqid_cli.robot.types import Robot

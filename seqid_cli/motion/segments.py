@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from seqid_cli.motion.cutoff import encoder_step
-from seqid_cli.motion.filtering import runs, shrink
+from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.robust import white_noise
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from seqid_cli.identify.factors import triangular
 from seqid_cli.identify.least_squares import Accumulator
-from seqid_cli.motion.block_filter import REACH, BlockLowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.robot.base import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import torque_regressor
@@ -60,8 +60,8 @@ def _filter(rounds: int, *, quick: bool) -> list[list[str]]:
 
 def _filter_of(rounds: int, channels: int, samples: int) -> list[list[str]]:
     rows = np.cumsum(np.random.default_rng(0).normal(size=(channels, samples)), axis=1)
-    sos, lowpass = butter(4, 20.0, fs=1000.0, output="sos"), BlockLowpass(20.0, 1000.0)
-    reach = lowpass.memory + REACH
+    sos, lowpass = butter(4, 20.0, fs=1000.0, output="sos"), Lowpass(20.0, 1000.0)
+    reach = lowpass.memory
 
     def whole() -> Array:
         return np.asarray(sosfiltfilt(sos, rows, padtype="odd", padlen=6 * lowpass.settling))

@@ -13,7 +13,7 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from tests.model.effects.scenes import two_joint_robot

@@ -15,7 +15,7 @@ from seqid_cli.identify.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sliding
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from seqid_cli.discover.floor import NoiseFloor, noise_floor, rms
 from seqid_cli.discover.noise_level import Spectrum, level_of
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from tests.discover.drawn_logs import (
     RATE_HZ,
     low_passed,

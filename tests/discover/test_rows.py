@@ -8,12 +8,20 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from seqid_cli.discover.rows import BLOCK_S, FOLDS, FOLDS_OF_ONE, Rows, extrapolated, rows_of
+from seqid_cli.discover.rows import (
+    BLOCK_S,
+    FOLDS,
+    FOLDS_OF_ONE,
+    TOGETHER,
+    Rows,
+    extrapolated,
+    rows_of,
+)
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import sliding
 from tests.discover.arms import arm_scenes
-from tests.model.effects.scenes import RATE_HZ, friction_surface, motion_of, scene_of, wander
+from tests.model.effects.scenes import RATE_HZ, friction_surface, scene_of, wander
 
 
 @pytest.fixture(scope="module")
@@ -27,37 +35,13 @@ def rows(scenes: list[Scene]) -> Rows:
 
 
 @pytest.mark.parametrize("passes", [1, 2])
-def test_the_sieve_filters_as_the_motion_does(scenes: list[Scene], rows: Rows, passes: int) -> None:
+def test_rows_are_filtered_as_the_motion_is(scenes: list[Scene], rows: Rows, passes: int) -> None:
     rng = np.random.default_rng(4)
     for number, scene in enumerate(scenes):
-        steps = np.sign(rng.normal(size=(scene.samples, 3)))
-        at, used = rows.picked[number], rows.used[number]
-        expected = scene.motion.filtered(steps, times=passes)[at]
-        found = rows.sieve(number, passes) @ steps
-        for j in range(rows.n):
-            np.testing.assert_allclose(found[used[:, j]], expected[used[:, j]], atol=1e-4)
-
-
-@pytest.mark.parametrize("passes", [1, 2])
-def test_the_sieve_knows_ends_and_gaps(scenes: list[Scene], passes: int) -> None:
-    """Large constants show any weight that is missing; a gap's values do not leak."""
-    valid = np.ones(scenes[0].samples, dtype=bool)
-    valid[1500:1530] = valid[1600:1604] = False
-    motion = replace(scenes[0].motion, valid=valid)
-    rows = rows_of([replace(scenes[0], motion=motion)])
-    values = 100.0 + motion.q
-    values[~valid] = 1e6
-    expected = motion.filtered(values, times=passes)[rows.picked[0]]
-    there = valid[rows.picked[0]]
-    found = rows.sieve(0, passes) @ values
-    np.testing.assert_allclose(found[there], expected[there], rtol=2e-5)
-
-
-def test_the_sieve_leaves_alone_what_is_not_low_passed(scenes: list[Scene]) -> None:
-    scene = replace(scenes[0], motion=motion_of(wander(8.0), cutoff_hz=0.46 * RATE_HZ))
-    rows = rows_of([scene])
-    values = np.random.default_rng(0).normal(size=(scene.samples, 2))
-    np.testing.assert_array_equal(rows.sieve(0, 2) @ values, values[rows.picked[0]])
+        steps = np.sign(rng.normal(size=(scene.samples, TOGETHER + 3)))
+        expected = scene.motion.filtered(steps, times=passes)[rows.picked[number]]
+        found = rows.filtered(number, steps, passes)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_columns_are_filtered_and_stacked_joint_by_joint(scenes: list[Scene], rows: Rows) -> None:

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.filtered_columns import FilteredColumns
-from seqid_cli.motion.block_filter import REACH, BlockLowpass
 from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base import Basis, base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
@@ -19,8 +19,8 @@ from seqid_cli.robot.types import Robot
 from tests.bench.arm import RATE_HZ, motion, write_arm
 
 Array = NDArray[np.float64]
-LOWPASS = BlockLowpass(25.0, RATE_HZ)
-MARGIN = LOWPASS.memory + REACH
+LOWPASS = Lowpass(25.0, RATE_HZ)
+MARGIN = LOWPASS.memory
 PART = 1024
 SAMPLES = 9_500
 
@@ -63,23 +63,3 @@ def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice) -> None:
         off = np.abs(found[:, :, :-1] - expected[start:stop])[inside]
         assert off.max() < 1e-12 * np.abs(H).max()
         np.testing.assert_array_equal(found[:, :, -1], whole.q[start:stop] ** 2)
-
-
-def test_columns_are_computed_once_where_no_gap_is_near(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from seqid_cli.identify import filtered_columns
-
-    robot = load_robot(write_arm(tmp_path))
-    asked: list[int] = []
-
-    def counted(*args: Array, **options: object) -> Array:
-        asked.append(len(args[2]))
-        return base_regressor(*args, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(filtered_columns, "base_regressor", counted)
-    whole = moved(SAMPLES, slice(0, 0))
-    columns = FilteredColumns(Columns(robot, free_basis(robot)), PART, MARGIN)
-    for start in range(0, SAMPLES, PART):
-        columns.of(whole, start, min(start + PART, SAMPLES))
-    assert asked[1:-2].count(PART) >= 6

@@ -11,7 +11,7 @@ from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion, decimated
 
 Array = NDArray[np.float64]

@@ -18,7 +18,8 @@ from seqid_cli.model.torque import (
     standard_parameters,
 )
 from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base import base_parameters, base_regressor, standard_names

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.motion.cutoff import BANDWIDTHS, HIGHEST_HZ, choose_cutoff, encoder_step
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 from tests.plants.sensors import quantise
 
 Array = NDArray[np.float64]

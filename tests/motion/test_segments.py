@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.motion.filtering import runs
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.segments import (
     SMALLEST_STEP,
     Stretch,

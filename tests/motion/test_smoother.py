@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion import smoother
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions

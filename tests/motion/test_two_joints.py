@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.link_motion import LinkReading, _solve
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.two_joints import (

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.imu_array import read_angular, speed_about
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import estimate_motion

@@ -16,7 +16,7 @@ from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.predict import LogPrediction, predict
 from seqid_cli.identify.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.torque import TorqueModel, known_rotors
-from seqid_cli.motion.filtering import Lowpass
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages
 from seqid_cli.robot.base import gear_ratios
 from tests.plants.experiments import (

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import differentiate
+from seqid_cli.motion.filters.differentiation import differentiate
 
 Array = NDArray[np.float64]
 

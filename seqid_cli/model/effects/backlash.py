@@ -28,7 +28,7 @@ from seqid_cli.model.effects.effect import (
 )
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
-from seqid_cli.motion.filtering import differentiate, runs
+from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.motion.motion import Motion
 
 Array = NDArray[np.float64]

@@ -38,7 +38,7 @@ from seqid_cli.model.effects.effect import (
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.model.effects.units import unit_of
-from seqid_cli.motion.filtering import differentiate, runs
+from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import differentiate
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.robot.regressor import inverse_dynamics
 
 Array = NDArray[np.float64]

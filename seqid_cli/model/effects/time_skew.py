@@ -23,7 +23,7 @@ from scipy.ndimage import shift
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import differentiate
+from seqid_cli.motion.filters.differentiation import differentiate
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import differentiate
+from seqid_cli.motion.filters.differentiation import differentiate
 from tests.model.effects.scenes import (
     RATE_HZ,
     motion_of,

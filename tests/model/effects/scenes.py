@@ -13,7 +13,8 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.filtering import Lowpass, differentiate
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.robot.dh import DhRow, chain_from_dh

@@ -9,7 +9,7 @@ import pytest
 
 from seqid_cli.model.effects.encoder_eccentricity import EncoderEccentricity
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filtering import differentiate
+from seqid_cli.motion.filters.differentiation import differentiate
 from tests.model.effects.measured import best_fitted, fitted, left_over
 from tests.model.effects.scenes import GEAR, RATE_HZ, motion_of, scene_of, wander
 

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from seqid_cli.motion.filtering import Lowpass, differentiate, runs, shrink
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -1,0 +1,1 @@
+"""Low-pass, differentiation, and the choice of the cut-off."""

@@ -1,0 +1,67 @@
+"""Time derivatives of band-limited samples, and the runs of a mask."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seqid_cli.typing import Array, Mask
+
+# Central differences of eighth order: the error is below 1e-3 up to a tenth of the sampling rate.
+FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+SECOND = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
+SIDE = len(FIRST) // 2  # samples on either side that a derivative takes
+
+
+def runs(mask: Mask | None, length: int) -> list[tuple[int, int]]:
+    """Half-open index ranges in which `mask` is True; the whole length where it is None."""
+    if mask is None:
+        return [(0, length)]
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def shrink(mask: Mask, samples: int) -> Mask:
+    """Take `samples` off both ends of every run of True."""
+    result = np.zeros_like(mask)
+    for start, stop in runs(mask, len(mask)):
+        result[start + samples : max(stop - samples, start + samples)] = True
+    return result
+
+
+def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> tuple[Array, Array]:
+    """First and second time derivative of band-limited samples.
+
+    Parameters
+    ----------
+    values : (N, ...) array
+        Low-passed well below a fifth of the sampling rate.
+    rate_hz : float
+        Samples per second.
+    valid : (N,) bool array, optional
+        Derivatives do not reach across samples that are not valid.
+
+    Returns
+    -------
+    tuple of (N, ...) arrays
+        Per second and per second squared; zero outside valid runs.
+    """
+    first, second = np.zeros_like(values), np.zeros_like(values)
+    for start, stop in runs(valid, len(values)):
+        piece, count = _extended(values[start:stop]), stop - start
+        for k in range(len(FIRST)):
+            first[start:stop] += (FIRST[k] * rate_hz) * piece[k : k + count]
+            second[start:stop] += (SECOND[k] * rate_hz**2) * piece[k : k + count]
+    return first, second
+
+
+def _extended(values: Array) -> Array:
+    """`SIDE` samples more at both ends, mirrored through the end points."""
+    reach = min(SIDE, len(values) - 1)
+    before = 2 * values[:1] - values[reach:0:-1]
+    after = 2 * values[-1:] - values[-2 : -2 - reach : -1]
+    padded = np.concatenate([before, values, after])
+    missing = SIDE - reach
+    if missing:
+        width = [(missing, missing)] + [(0, 0)] * (values.ndim - 1)
+        padded = np.pad(padded, width, mode="edge")
+    return padded

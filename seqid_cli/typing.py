@@ -1,0 +1,11 @@
+"""Names for arrays, the same in all modules; shapes and units stand in the docstrings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+Complex = NDArray[np.complex128]

@@ -42,10 +42,10 @@ from seqid_cli.discover.periods import repeats_of
 from seqid_cli.discover.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.cutoff import encoder_step
+from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.motion.motion import NOISE_BANDWIDTH, Motion, encoder_resolution
-from seqid_cli.motion.segments import unmoved
+from seqid_cli.motion.segmentation import unmoved
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -34,7 +34,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.stored import local_copy
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 

@@ -26,7 +26,7 @@ from seqid_cli.logs.pieces import whole_of
 from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, known_rotors
-from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base import gear_ratios
 from seqid_cli.robot.types import Robot

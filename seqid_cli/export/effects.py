@@ -9,7 +9,7 @@ import numpy as np
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, fitted_effects
 from seqid_cli.model.effects.scene import Scene, sign_widths
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages

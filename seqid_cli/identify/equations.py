@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -83,21 +83,7 @@ def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[R
         H = base_regressor(robot, basis, motion.q[wide], motion.dq[wide], motion.ddq[wide])
         H = motion.lowpass(H, motion.valid[wide])
         where = slice(start, stop)
-        yield Rows(_part(motion, where), H[start - low : stop - low], where)
-
-
-def _part(motion: Motion, where: slice) -> Motion:
-    return replace(
-        motion,
-        t=motion.t[where],
-        q=motion.q[where],
-        dq=motion.dq[where],
-        ddq=motion.ddq[where],
-        tau=None if motion.tau is None else motion.tau[where],
-        moving=motion.moving[where],
-        usable=motion.usable[where],
-        valid=motion.valid[where],
-    )
+        yield Rows(motion.part(where), H[start - low : stop - low], where)
 
 
 def blocks(samples: int, rate_hz: float) -> Iterator[slice]:

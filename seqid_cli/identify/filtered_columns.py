@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.motion.blocks import part_of
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base import Basis, base_regressor, loaded_columns
 from seqid_cli.robot.types import Robot
@@ -58,7 +57,7 @@ class FilteredColumns:
         any.
         """
         low, high = max(0, start - self._reach), min(stop + self._reach, motion.samples)
-        near, inner = part_of(motion, low, high), slice(start - low, stop - low)
+        near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
         base_regressor(
             self._equations.robot,
             self._equations.basis,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_readings import Readings, readings_of
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.cutoff import encoder_step
+from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution

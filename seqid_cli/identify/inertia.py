@@ -54,8 +54,8 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
+from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
-from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
 from seqid_cli.robot.base import Basis, free_basis, gear_ratios, loaded_columns, standard_names
 from seqid_cli.robot.regressor import rotor_regressor

@@ -26,20 +26,19 @@ from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.stored import local_copy
-from seqid_cli.motion.cutoff import (
+from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.filters.bandwidth import (
     HIGHEST_HZ,
     LOWEST_HZ,
     Score,
     first_maximum,
     lowest_as_good,
-    score,
 )
+from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.fused import score_of_smoothed
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.segments import moving_mask, noise_step
-from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
 
@@ -52,13 +51,12 @@ GRID: Array = np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200)
 class LogScore:
     """What one log says of every cut-off of `GRID`, and the highest that it allows [Hz].
 
-    `smoothed` is what the log's smoothed motion says, over `joints` that move.
+    `smoothed` is what the log's smoothed motion says.
     """
 
     score: Score
     highest_hz: float
     smoothed: Score | None = None
-    joints: int = 0
 
 
 def score_of(
@@ -86,17 +84,15 @@ def score_of(
         If the motion cannot be had from this source.
     """
     resolution, rate = encoder_resolution(robot), log.rate_hz
-    if isinstance(log, SurveyedLog):
-        assert log.survey is not None
-        found = log.survey.score(resolution, GRID)
-        return None if found is None else LogScore(found, min(HIGHEST_HZ, rate / 8))
-    step = noise_step(log.q, resolution)
-    moving = np.flatnonzero(moving_mask(log.q, rate, step).any(axis=0))
-    if not len(moving):
+    survey = Survey.of(log.q, rate) if isinstance(log, Recording) else log.survey
+    assert survey is not None
+    found = survey.score(resolution, GRID)
+    if found is None:
         return None
-    found = score(log.q[:, moving], rate, resolution[moving], GRID)
+    if isinstance(log, SurveyedLog):
+        return LogScore(found, min(HIGHEST_HZ, rate / 8))
     highest = min(HIGHEST_HZ, rate / 8, highest_bridged(log))
-    return LogScore(found, highest, _smoothed(log, robot, imu, source), len(moving))
+    return LogScore(found, highest, _smoothed(log, robot, imu, source))
 
 
 def _smoothed(log: Recording, robot: Robot, imu: ImuStage | None, source: str) -> Score | None:
@@ -118,7 +114,7 @@ def chosen_together(scores: Sequence[LogScore]) -> tuple[float, float]:
     best = alone = first_maximum(total[:allowed])
     if any(one.smoothed for one in scores):
         total, allowed = _summed([(one.smoothed or one.score, one.highest_hz) for one in scores])
-        joints = sum(one.joints for one in scores)
+        joints = sum(one.score.joints for one in scores)
         best += lowest_as_good(total[best : max(allowed, best + 1)], joints)
     return float(GRID[best]), float(GRID[alone])
 

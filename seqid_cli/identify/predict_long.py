@@ -25,9 +25,8 @@ from seqid_cli.logs.stored import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted
 from seqid_cli.model.torque import Added, TorqueModel, sliding
-from seqid_cli.motion.blocks import Plan, make_plan, motion_blocks, part_of
+from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks
 from seqid_cli.motion.motion import Motion
-from seqid_cli.motion.survey import SurveyedLog
 from seqid_cli.params.schema import Stages
 
 Array = NDArray[np.float64]
@@ -122,7 +121,7 @@ class LongPrediction:
         added = self._added(motion, slowest) if self.effects else None
         allowed = self.model.predict_set(motion, slides, added)
         inner = slice(start, stop)
-        own = part_of(motion, start, stop)
+        own = motion.part(slice(start, stop))
         assert own.tau is not None
         return LogPrediction(
             path=self.log.path,

@@ -28,11 +28,17 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.long import rows_at_least
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.model.torque import sliding
-from seqid_cli.motion.blocks import Plan, joined_motions, make_plan, motion_blocks, part_of
-from seqid_cli.motion.cutoff import Cutoff
-from seqid_cli.motion.motion import Motion, encoder_resolution, require_rate
+from seqid_cli.motion.blocks import (
+    Plan,
+    SurveyedLog,
+    joined_motions,
+    make_plan,
+    motion_blocks,
+    open_surveyed,
+)
+from seqid_cli.motion.filters.bandwidth import Cutoff
+from seqid_cli.motion.motion import Motion, as_asked, encoder_resolution
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.survey import SurveyedLog, open_surveyed
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base import Basis
 from seqid_cli.robot.types import Robot
@@ -160,11 +166,11 @@ def _add_part(
 ) -> None:
     """Add the rows of some samples; the others are there for the filters."""
     low, high = max(0, part.start - reach), min(motion.samples, part.stop + reach)
-    usable = sliding(part_of(motion, low, high), equations.slowest)
+    usable = sliding(motion.part(slice(low, high)), equations.slowest)
     H = columns.of(motion, part.start, part.stop)
     for first in range(part.start, part.stop, CHUNK):
         end = min(first + CHUNK, part.stop)
-        chunk = part_of(motion, first, end)
+        chunk = motion.part(slice(first, end))
         rows = H[first - part.start : end - part.start]
         equations.add_chunk(chunk, rows, y[first:end], usable[first - low : end - low])
 
@@ -173,10 +179,7 @@ def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tup
     """Choose the cut-off of a log; returns it and the noise steps (n,) rad."""
     assert log.survey is not None
     resolution = encoder_resolution(robot)
-    cutoff = log.survey.cutoff(resolution)
-    if options.cutoff_hz is not None:
-        require_rate(log.path, log.rate_hz, options)
-        cutoff = replace(cutoff, hz=options.cutoff_hz, chosen=False)
+    cutoff = as_asked(log.survey.cutoff(resolution), log.path, log.rate_hz, options)
     return cutoff, log.survey.noise_step(resolution)
 
 
@@ -197,14 +200,14 @@ def overlapping(
         have += part.samples
         while have >= before + rows + margin:
             joined = joined_motions(held)
-            yield part_of(joined, 0, before + rows + margin), before, before + rows
+            yield joined.part(slice(0, before + rows + margin)), before, before + rows
             drop = max(0, before + rows - margin)
             before, have = before + rows - drop, have - drop
-            held = [part_of(joined, drop, drop + have)]
+            held = [joined.part(slice(drop, drop + have))]
     while have > before:
         joined = joined_motions(held)
         stop = min(before + rows, have)
-        yield part_of(joined, 0, min(stop + margin, have)), before, stop
+        yield joined.part(slice(0, min(stop + margin, have))), before, stop
         held, before = [joined], stop
 
 

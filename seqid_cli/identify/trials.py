@@ -22,9 +22,9 @@ from seqid_cli.identify.streaming import open_if_long
 from seqid_cli.identify.trials_long import pieces
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.motion import encoder_resolution
-from seqid_cli.motion.segments import Stretch, constant_velocity, noise_step
-from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.motion.segmentation import Stretch, constant_velocity, noise_step
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.logs.long import Block, LongLog
 from seqid_cli.motion.blocks import joined_blocks, part_of_block
-from seqid_cli.motion.segments import Stretch, constant_velocity, motion_reach, moving_mask
+from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from seqid_cli.logs.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu_array import layout
-from seqid_cli.motion.segments import standing
+from seqid_cli.motion.segmentation import standing
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.shares import percent
 

@@ -20,7 +20,7 @@ from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.segments import moving_mask, noise_step
+from seqid_cli.motion.segmentation import moving_mask, noise_step
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.positions import top_speeds
 from seqid_cli.inspect.report import ImuSummary, JointSummary, Moves
 from seqid_cli.inspect.values import lattice
-from seqid_cli.motion.segments import Stretch, constant_velocity
+from seqid_cli.motion.segmentation import Stretch, constant_velocity
 
 Array = NDArray[np.float64]
 

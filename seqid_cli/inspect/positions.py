@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import equal_runs, held, lattice, missing_share
-from seqid_cli.motion.segments import windowed_velocity
+from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.robot.types import Joint, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.shares import percent

@@ -23,7 +23,7 @@ from seqid_cli.logs.long import READERS, Block, Bridge
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

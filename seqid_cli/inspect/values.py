@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.motion.cutoff import encoder_step
+from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs
 
 Array = NDArray[np.float64]

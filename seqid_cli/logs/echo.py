@@ -22,7 +22,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.motion.segments import driven
+from seqid_cli.motion.segmentation import driven
 from seqid_cli.robot.base import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 

@@ -8,23 +8,24 @@ the signal) what lies beyond; gaps and the ends of the log are runs' ends like i
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.logs.long import Block
-from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.logs.long import Block, LongLog, open_long
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import SIDE, differentiate, shrink
-from seqid_cli.motion.motion import Motion, _all_valid
-from seqid_cli.motion.segments import SCALES_S, SHAKEN, TRAVEL_STEPS, motion_reach
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.motion.filters.survey import Survey
+from seqid_cli.motion.motion import PER_SAMPLE, Motion, all_valid
+from seqid_cli.motion.segmentation import motion_reach, moving_mask
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 
 LEAST_BLOCK = 32_768
-COARSE = 8  # looks per half of a time scale that mostly tell whether a joint moves
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,7 @@ def part_of_block(block: Block, low: int, high: int) -> Block:
 def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motion:
     factor = plan.factor
     inner = slice(start - low, stop - low)
+    kept = np.arange(inner.start, inner.stop, factor)
     q, dq, ddq, tau = _filtered(window, plan, inner)
     usable = shrink(window.valid, 2 * plan.lowpass.settling)
     return Motion(
@@ -163,9 +165,9 @@ def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motio
         dq=dq,
         ddq=ddq,
         tau=tau,
-        moving=_kept_moving(window.q, plan, inner),
+        moving=moving_mask(window.q, plan.rate_hz, plan.step, kept),
         usable=usable[inner][::factor],
-        valid=_all_valid(window.valid[inner], factor),
+        valid=all_valid(window.valid[inner], factor),
         rate_hz=plan.kept_rate_hz,
         lowpass=plan.kept_lowpass,
         cutoff=plan.cutoff,
@@ -186,72 +188,57 @@ def _filtered(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Ar
     return q[inner][::factor], dq[inner][::factor], ddq[inner][::factor], tau[inner][::factor]
 
 
-def _kept_moving(q: Array, plan: Plan, inner: slice) -> Mask:
-    """Where joints (N, n) move, as `moving_mask` tells, at every `factor`-th inner sample."""
-    rows = q.T
-    kept = np.arange(inner.start, inner.stop, plan.factor)
-    moving = np.zeros((len(rows), len(kept)), dtype=np.bool_)
-    for scale in sorted(SCALES_S, reverse=True):  # the longest one mostly says it all
-        half = max(1, round(scale * plan.rate_hz / 2))
-        if 2 * half >= len(q):
-            continue
-        for every in (max(plan.factor, half // COARSE), 1):  # and some samples of it
-            left = np.flatnonzero(~moving.all(axis=1))
-            if len(left):
-                moving[left] |= _seen_moving(rows, plan.step, kept, half, every)[left]
-    return np.ascontiguousarray(moving.T)
-
-
-def _seen_moving(rows: Array, step: Array, kept: NDArray[np.intp], half: int, every: int) -> Mask:
-    """Where joints (n, K) move on one time scale, by the travel at every so many samples."""
-    travel = rows[:, 2 * half :: every] - rows[:, : -2 * half : every]
-    np.abs(travel, out=travel)
-    least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
-    found = travel > least
-    changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
-    np.cumsum(found, axis=1, out=changes[:, 1:])
-    # A change within the window moves its middle and a third of a half to either side.
-    low, high = (
-        np.clip(-(-(kept - half + reach) // every), 0, travel.shape[1])
-        for reach in (-(half // 3), half // 3 + 1)
-    )
-    return np.asarray(changes[:, high] > changes[:, low])
-
-
 def joined_motions(parts: list[Motion]) -> Motion:
-    """Put consecutive parts of one motion together."""
+    """Put consecutive parts of one motion, which has torque, together."""
     if len(parts) == 1:
         return parts[0]
-
-    return replace(
-        parts[0],
-        t=np.concatenate([part.t for part in parts]),
-        q=np.concatenate([part.q for part in parts]),
-        dq=np.concatenate([part.dq for part in parts]),
-        ddq=np.concatenate([part.ddq for part in parts]),
-        tau=np.concatenate([_torque(part) for part in parts]),
-        moving=np.concatenate([part.moving for part in parts]),
-        usable=np.concatenate([part.usable for part in parts]),
-        valid=np.concatenate([part.valid for part in parts]),
-    )
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(x, name) for x in parts]) for name in PER_SAMPLE
+    }
+    return replace(parts[0], **joined)
 
 
-def _torque(motion: Motion) -> Array:
-    assert motion.tau is not None
-    return motion.tau
+@dataclass(frozen=True)
+class SurveyedLog(LongLog):
+    """A long log with what there is to know of its positions."""
+
+    survey: Survey | None = None
 
 
-def part_of(motion: Motion, low: int, high: int) -> Motion:
-    """Samples [low, high) of a motion."""
-    part = slice(low, high)
-    return replace(
-        motion,
-        t=motion.t[part],
-        q=motion.q[part],
-        dq=motion.dq[part],
-        ddq=motion.ddq[part],
-        tau=_torque(motion)[part],
-        moving=motion.moving[part],
-        usable=motion.usable[part],
-        valid=motion.valid[part],
-    )
+def open_surveyed(
+    path: Path, robot: Robot, *, time_source: TimeSource = "header"
+) -> SurveyedLog | None:
+    """Open a log that is to be passed over; in one pass, if its stamps are as even as usual.
+
+    Parameters
+    ----------
+    path, robot, time_source
+        As for `open_long`.
+
+    Returns
+    -------
+    SurveyedLog or None
+        None where the log can only be read as a whole.
+
+    Raises
+    ------
+    InputError
+        As for `open_long`.
+    """
+    found: list[Survey] = []
+
+    def watch(rate_hz: float, q: Array) -> None:
+        if not found:
+            found.append(Survey(robot.n, rate_hz))
+        found[0].push(q)
+
+    log = open_long(path, robot, time_source=time_source, watch=watch)
+    if log is None:
+        return None
+    survey = found[0]
+    if not (log.exact and survey.at_rate(log.rate_hz, log.samples)):
+        survey = Survey(robot.n, log.rate_hz, log.samples)
+        for block in log.blocks():
+            survey.push(block.q)
+    known = {field.name: getattr(log, field.name) for field in fields(LongLog)}
+    return SurveyedLog(**known, survey=survey)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.cutoff import (
+from seqid_cli.motion.filters.bandwidth import (
     Score,
     choose_smoothed_cutoff,
     smoothed_error,

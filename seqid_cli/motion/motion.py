@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.cutoff import HIGHEST_HZ, Cutoff, choose_cutoff
+from seqid_cli.motion.filters.bandwidth import HIGHEST_HZ, Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
+from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.segments import moving_mask, noise_step
+from seqid_cli.motion.segmentation import moving_mask
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 SAMPLES_PER_CUTOFF = 10
+PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
 LEAST_SAMPLES_PER_PERIOD = 4.0  # of the cut-off, in a log that is used with a model
 BRIDGED_SHARE = 0.05  # of the samples, from which on bridged ones limit the cut-off
 BRIDGED_PERIODS = 0.2  # of the cut-off, that a bridged hole may last
@@ -77,6 +77,12 @@ class Motion:
             return 1.0
         return min(1.0, 2 * NOISE_BANDWIDTH * self.lowpass.cutoff_hz / self.rate_hz)
 
+    def part(self, where: slice) -> Motion:
+        """Some samples; the filter stays."""
+        values = {name: getattr(self, name) for name in PER_SAMPLE}
+        own: dict[str, Any] = {n: None if v is None else v[where] for n, v in values.items()}
+        return replace(self, **own)
+
     def filtered(self, values: Array, times: int = 1) -> Array:
         """Send computed terms (N, ...) through the motion's own low-pass."""
         for _ in range(times):
@@ -108,9 +114,10 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     """
     rate = recording.rate_hz
     resolution = encoder_resolution(robot)
-    step = noise_step(recording.q, resolution)
-    moving = moving_mask(recording.q, rate, step)
-    cutoff = _cutoff(recording, np.any(moving, axis=0), resolution, options)
+    survey = Survey.of(recording.q, rate)
+    moving = moving_mask(recording.q, rate, survey.noise_step(resolution))
+    chosen = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
+    cutoff = as_asked(chosen, recording.path, rate, options)
     lowpass = Lowpass(cutoff.hz, rate)
     q = lowpass(recording.q, recording.valid)
     dq, ddq = differentiate(q, rate, recording.valid)
@@ -141,17 +148,17 @@ def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | Non
     return lowpass(lowpass(recording.tau, recording.valid), recording.valid), usable
 
 
-def _cutoff(
-    recording: Recording, moving: Mask, resolution: Array, options: MotionOptions
-) -> Cutoff:
-    highest = highest_bridged(recording)
-    rate = recording.rate_hz
-    chosen = choose_cutoff(
-        recording.q, rate, moving=moving, resolution=resolution, highest_hz=highest
-    )
+def as_asked(chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions) -> Cutoff:
+    """The cut-off of a log: the one that it has chosen, or the user's.
+
+    Raises
+    ------
+    InputError
+        As of `require_rate`.
+    """
     if options.cutoff_hz is None:
         return chosen
-    require_rate(recording.path, recording.rate_hz, options)
+    require_rate(path, rate_hz, options)
     return replace(chosen, hz=options.cutoff_hz, alone_hz=chosen.hz, chosen=False)
 
 
@@ -202,23 +209,15 @@ def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) ->
     if factor < 2 or not motion.lowpass.active:
         return motion
     rate = motion.rate_hz / factor
-    valid = _all_valid(motion.valid, factor)
     return replace(
-        motion,
-        t=motion.t[::factor],
-        q=motion.q[::factor],
-        dq=motion.dq[::factor],
-        ddq=motion.ddq[::factor],
-        tau=None if motion.tau is None else motion.tau[::factor],
-        moving=motion.moving[::factor],
-        usable=motion.usable[::factor],
-        valid=valid,
+        motion.part(slice(None, None, factor)),
+        valid=all_valid(motion.valid, factor),
         rate_hz=rate,
         lowpass=Lowpass(motion.lowpass.cutoff_hz, rate, factor * motion.lowpass.every),
     )
 
 
-def _all_valid(valid: Mask, factor: int) -> Mask:
+def all_valid(valid: Mask, factor: int) -> Mask:
     """A kept sample is valid if all samples up to the next kept one are."""
     result = valid[::factor].copy()
     for start, stop in runs(~valid, len(valid)):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.cutoff import encoder_step
+from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.smoother_belief import believed, contradiction, fits
 from seqid_cli.motion.smoother_chunk import Chunk, Mounted, motion_at, resampled

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from seqid_cli.inspect.report import Finding
     from seqid_cli.logs.raw import TimeSource
     from seqid_cli.logs.recording import Recording
-    from seqid_cli.motion.survey import SurveyedLog
+    from seqid_cli.motion.blocks import SurveyedLog
     from seqid_cli.robot.types import Robot
 
 P = TypeVar("P")

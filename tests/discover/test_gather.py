@@ -20,7 +20,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.predict import predict
-from seqid_cli.motion.survey import open_surveyed
+from seqid_cli.motion.blocks import open_surveyed
 from tests.discover.long_logs import BEGUN, Files, LongCase, long_case
 
 Array = NDArray[np.float64]

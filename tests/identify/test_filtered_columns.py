@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.filtered_columns import FilteredColumns
-from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base import Basis, base_regressor, free_basis

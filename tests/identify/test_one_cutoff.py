@@ -13,10 +13,10 @@ from seqid_cli.commands.app import run
 from seqid_cli.errors import InputError
 from seqid_cli.identify.one_cutoff import chosen_together, identification_options, score_of
 from seqid_cli.logs.read import read_recording
-from seqid_cli.motion.cutoff import choose_cutoff
+from seqid_cli.motion.blocks import open_surveyed
+from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.survey import open_surveyed
 from seqid_cli.params.prediction_schema import PredictionFile
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
@@ -31,10 +31,7 @@ def test_one_log_scores_as_it_chooses() -> None:
     recording = read_recording(LOGS[0], robot)
     one = score_of(recording, robot)
     assert one is not None
-    moving = np.ptp(recording.q, axis=0) > 0.05
-    own = choose_cutoff(
-        recording.q, recording.rate_hz, moving=moving, resolution=encoder_resolution(robot)
-    )
+    own = Survey.of(recording.q, recording.rate_hz).cutoff(encoder_resolution(robot))
     assert chosen_together([one])[0] == pytest.approx(own.hz, rel=0.06)
 
 

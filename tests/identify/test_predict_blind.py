@@ -18,7 +18,7 @@ from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion import blocks
-from seqid_cli.motion.survey import open_surveyed
+from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.params.schema import EffectOfJoint, RigidStage, Stages
 from seqid_cli.robot.base import standard_names
 from seqid_cli.robot.file import load_robot

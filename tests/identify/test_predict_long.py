@@ -18,9 +18,9 @@ from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion import blocks
+from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.survey import open_surveyed
 from seqid_cli.params.schema import EffectSession, RigidStage, Stages
 from seqid_cli.robot.base import standard_names
 from seqid_cli.robot.file import load_robot

@@ -17,8 +17,8 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.streaming import open_if_long, streams
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
+from seqid_cli.motion.blocks import SurveyedLog, open_surveyed
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.survey import SurveyedLog, open_surveyed
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import RigidStage, Stages

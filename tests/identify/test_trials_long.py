@@ -13,7 +13,7 @@ from seqid_cli.identify import streaming, trials_long
 from seqid_cli.identify.trials import Trial, TrialsOf
 from seqid_cli.logs import parquet_blocks
 from seqid_cli.logs.read import read_recording
-from seqid_cli.motion.survey import SurveyedLog
+from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.bench.arm import JOINTS, RESOLUTION, write_arm

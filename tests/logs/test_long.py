@@ -16,7 +16,7 @@ from seqid_cli.logs import parquet_blocks, spool
 from seqid_cli.logs.long import Block, LongLog, open_long, rows_at_least
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.read import read_recording
-from seqid_cli.motion.survey import open_surveyed
+from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.robot.types import Robot
 from tests.logs.samples import JOINTS, curve, make_robot
 from tests.logs.writers import write_mcap, write_parquet

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion, decimated
 

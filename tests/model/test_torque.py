@@ -17,7 +17,7 @@ from seqid_cli.model.torque import (
     sliding,
     standard_parameters,
 )
-from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion

@@ -14,11 +14,10 @@ from seqid_cli.logs.long import Block
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion import blocks as module
 from seqid_cli.motion.blocks import Plan, joined_motions, make_plan, motion_blocks
-from seqid_cli.motion.cutoff import choose_cutoff
+from seqid_cli.motion.filters.survey import Survey, Welch
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.segments import moving_mask, noise_step
-from seqid_cli.motion.survey import Survey, Welch
+from seqid_cli.motion.segmentation import moving_mask, noise_step
 from tests.logs.samples import make_robot
 
 Array = NDArray[np.float64]
@@ -110,7 +109,7 @@ def test_the_spectrum_is_welchs(samples: int) -> None:
 
 
 @pytest.mark.parametrize("resolution", [0.0, STEP])
-def test_the_survey_chooses_as_the_whole_log_does(resolution: float) -> None:
+def test_a_survey_in_parts_chooses_as_that_of_the_whole_log(resolution: float) -> None:
     recording = log()
     known = np.full(3, resolution)
     survey = Survey(3, RATE_HZ, SAMPLES)
@@ -120,7 +119,7 @@ def test_the_survey_chooses_as_the_whole_log_does(resolution: float) -> None:
     np.testing.assert_allclose(survey.noise_step(known), step, rtol=1e-12)
     moving = np.asarray(np.any(moving_mask(recording.q, RATE_HZ, step), axis=0))
     np.testing.assert_array_equal(survey.moving(step), moving)
-    expected = choose_cutoff(recording.q, RATE_HZ, moving=moving, resolution=known)
+    expected = Survey.of(recording.q, RATE_HZ).cutoff(known)
     found = survey.cutoff(known)
     assert found.hz == pytest.approx(expected.hz, rel=1e-12)
     assert found.bias == pytest.approx(expected.bias, rel=1e-9)

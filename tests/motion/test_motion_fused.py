@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion import fused as fused_module
-from seqid_cli.motion.cutoff import differentiated_error, smoothed_error
+from seqid_cli.motion.filters.bandwidth import differentiated_error, smoothed_error
 from seqid_cli.motion.fused import disagreement, fused_motion
 from seqid_cli.motion.link_motion import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion

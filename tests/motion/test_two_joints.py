@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.link_motion import LinkReading, _solve
 from seqid_cli.motion.motion import Motion

@@ -12,7 +12,7 @@ from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.cutoff import Cutoff
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion

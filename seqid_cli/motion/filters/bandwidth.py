@@ -27,10 +27,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
@@ -129,87 +128,18 @@ def _step(position: Array) -> float:
 class Score:
     """J of the module's text for each of some cut-offs, summed over joints.
 
-    `bandwidth_hz` is that of the motion; cut-offs above the Nyquist rate score like the last below.
+    `bandwidth_hz` is that of the motion of the `joints` that move; cut-offs above the Nyquist rate
+    score like the last below.
     """
 
     values: Array
     bandwidth_hz: float
+    joints: int
 
     @property
     def highest_hz(self) -> float:
         """Highest cut-off that the motion's bandwidth allows."""
         return max(BANDWIDTHS * self.bandwidth_hz, 2 * LOWEST_HZ)
-
-
-def score(q: Array, rate_hz: float, resolution: Array, cutoffs: Array) -> Score:
-    """Score cut-offs by the positions of joints that move.
-
-    Parameters
-    ----------
-    q : (N, n) array
-        Encoder positions [rad].
-    rate_hz : float
-        Samples per second.
-    resolution : (n,) array
-        Encoder step [rad] of the robot file; zero where it is to be read off the data.
-    cutoffs : (C,) array
-        [Hz].
-    """
-    step = np.where(resolution > 0, resolution, encoder_step(q))
-    below = np.minimum(cutoffs, rate_hz / 2)
-    values, bandwidth = np.zeros(len(cutoffs)), 0.0
-    for position, own in zip(q.T, step, strict=True):
-        signal, noise, _ = _powers(position, rate_hz, float(own), below)
-        values += np.log(signal) - KAPPA * noise / signal
-        bandwidth = max(bandwidth, _bandwidth(np.diff(position) * rate_hz, rate_hz))
-    return Score(values, bandwidth)
-
-
-def choose_cutoff(
-    q: Array,
-    rate_hz: float,
-    *,
-    moving: NDArray[np.bool_] | None = None,
-    resolution: Array | None = None,
-    highest_hz: float = HIGHEST_HZ,
-) -> Cutoff:
-    """Choose one low-pass cut-off for all joints of a log.
-
-    Parameters
-    ----------
-    q : (N, n) array
-        Encoder positions [rad].
-    rate_hz : float
-        Samples per second.
-    moving : (n,) bool array, optional
-        Joints that move; the others say nothing about the bandwidth.
-    resolution : (n,) array, optional
-        Encoder step [rad] of the robot file; zero or missing where it is to be read off the data.
-    highest_hz : float
-        Highest cut-off that may be chosen.
-
-    Returns
-    -------
-    Cutoff
-        Hz, with the figures behind it.
-    """
-    step = encoder_step(q)
-    if resolution is not None:
-        step = np.where(resolution > 0, resolution, step)
-    joints = [j for j in range(q.shape[1]) if moving is None or moving[j]]
-    highest = min(highest_hz, rate_hz / 8)
-    if joints:
-        bandwidth = max(_bandwidth(np.diff(q[:, j]) * rate_hz, rate_hz) for j in joints)
-        highest = min(highest, max(BANDWIDTHS * bandwidth, 2 * LOWEST_HZ))
-    candidates = np.geomspace(min(LOWEST_HZ, highest / 2), highest, 120)
-    score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
-    density = step**2 / 12 * 2 / rate_hz
-    for j in joints:
-        signal, noise, density[j] = _powers(q[:, j], rate_hz, step[j], candidates)
-        score += np.log(signal) - KAPPA * noise / signal
-        bias = np.maximum(bias, noise / signal)
-    best = first_maximum(score) if joints else len(candidates) // 2
-    return Cutoff(float(candidates[best]), step, float(bias[best]), True, density)
 
 
 def choose_smoothed_cutoff(
@@ -219,7 +149,7 @@ def choose_smoothed_cutoff(
     variance: Array,
     rate_hz: float,
     *,
-    moving: NDArray[np.bool_],
+    moving: Mask,
 ) -> Cutoff:
     """Choose one low-pass cut-off for all joints of a log whose motion comes from the smoother.
 
@@ -265,7 +195,7 @@ def smoothed_score(
     rate_hz: float,
     cutoffs: Array,
     *,
-    moving: NDArray[np.bool_],
+    moving: Mask,
 ) -> Score:
     """Score cut-offs by smoothed motion; arguments as of `choose_smoothed_cutoff`."""
     error = np.array([smoothed_error(variance, encoder.noise_density, hz) for hz in cutoffs])
@@ -275,7 +205,7 @@ def smoothed_score(
         signal = np.maximum(power - error[:, j], 1e-12)
         values += np.log(signal) - KAPPA * error[:, j] / signal
         bandwidth = max(bandwidth, _bandwidth(dq[:, j], rate_hz))
-    return Score(values, bandwidth)
+    return Score(values, bandwidth, int(np.sum(moving)))
 
 
 def lowest_as_good(score: Array, joints: int) -> int:
@@ -303,34 +233,50 @@ def first_maximum(score: Array) -> int:
 
 
 def _bandwidth(velocity: Array, rate_hz: float) -> float:
-    """Frequency, Hz, below which 99 percent of the velocity's power lies."""
+    """As `bandwidth_of`, of a velocity (N,)."""
     length = min(len(velocity), max(256, int(20 * rate_hz)))
     frequency, density = welch(velocity, rate_hz, nperseg=length, detrend=False)
-    # Twice the floor at the top of the spectrum comes off: a coarse encoder is not a fast motion.
+    return bandwidth_of(frequency, density, rate_hz)
+
+
+def bandwidth_of(frequency: Array, density: Array, rate_hz: float) -> float:
+    """Frequency, Hz, below which 99 percent of the velocity's power lies, by its spectrum (F,).
+
+    Twice the floor at the top of the spectrum comes off: a coarse encoder is not a fast motion.
+    """
     floor = float(np.median(density[frequency > 0.25 * rate_hz]))
     power = np.cumsum(np.maximum(density - 2 * floor, 0.0))
     return float(frequency[np.searchsorted(power, 0.99 * power[-1])])
 
 
-def _powers(
-    position: Array, rate_hz: float, step: float, cutoffs: Array
+def acceleration_powers(
+    frequency: Array, density: Array, rate_hz: float, step: float, cutoffs: Array
 ) -> tuple[Array, Array, float]:
-    """Power of the acceleration and of its noise below each cut-off, (rad/s^2)^2; noise density."""
-    length = min(len(position), max(256, int(8 * rate_hz)))
-    # The second difference whitens the steep spectrum of the position before the window smears it.
-    second = np.diff(position, 2) * rate_hz**2
-    frequency, density = welch(second, rate_hz, nperseg=min(length, len(second)), detrend=False)
-    gain = (np.sinc(frequency / rate_hz)) ** 4
-    density = density / np.maximum(gain, 0.05)
+    """Power of the acceleration and of its noise below each cut-off, and the noise density.
+
+    Parameters
+    ----------
+    frequency, density : (F,) arrays
+        Spectrum [Hz, (rad/s^2)^2/Hz] of the second difference of the position: it whitens the
+        steep spectrum of the position before the window smears it.
+    rate_hz : float
+    step : float
+        Of the encoder [rad].
+    cutoffs : (C,) array [Hz]
+
+    Returns
+    -------
+    tuple of (C,) array, (C,) array, float
+        [(rad/s^2)^2, (rad/s^2)^2, rad^2/Hz].
+    """
+    density = density / np.maximum(np.sinc(frequency / rate_hz) ** 4, 0.05)
     omega4 = (2 * np.pi * frequency) ** 4
     floor = _noise_density(frequency, density, omega4, rate_hz, step)
-    width = frequency[1]
-    total = np.concatenate(([0.0], np.cumsum(density[1:] * width)))
+    total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
     noise = differentiated_error(np.asarray(floor), cutoffs)
     signal = np.interp(cutoffs, frequency, total) - noise
     # Power beyond the first point where noise takes over is noise, whatever its exact level.
-    signal = np.maximum.accumulate(np.maximum(signal, 1e-12))
-    return signal, noise, floor
+    return np.maximum.accumulate(np.maximum(signal, 1e-12)), noise, floor
 
 
 def _noise_density(

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from seqid_cli.motion.cutoff import BANDWIDTHS, HIGHEST_HZ, choose_cutoff, encoder_step
+from seqid_cli.motion.filters.bandwidth import BANDWIDTHS, HIGHEST_HZ, Cutoff, encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.motion.filters.survey import Survey
+from seqid_cli.typing import Array
 from tests.plants.sensors import quantise
 
-Array = NDArray[np.float64]
-
 RATE = 500.0
+
+
+def chosen(q: Array, rate_hz: float, resolution: Array | None = None) -> Cutoff:
+    """The cut-off that a log of these positions chooses."""
+    known = np.zeros(q.shape[1]) if resolution is None else resolution
+    return Survey.of(q, rate_hz).cutoff(known)
 
 
 def motion(rng: np.random.Generator, seconds: float = 20.0, top_hz: float = 1.5) -> Array:
@@ -43,7 +48,7 @@ def test_a_position_that_never_changes_has_no_step() -> None:
 
 def test_the_coarser_the_encoder_the_lower_the_cutoff() -> None:
     q = motion(np.random.default_rng(2))
-    hz = [choose_cutoff(quantise(q, 2 * np.pi / 2**bits), RATE).hz for bits in (9, 12, 15, 18)]
+    hz = [chosen(quantise(q, 2 * np.pi / 2**bits), RATE).hz for bits in (9, 12, 15, 18)]
     assert hz == sorted(hz)
     assert hz[0] < 0.7 * hz[-1]
 
@@ -56,7 +61,7 @@ def test_the_acceleration_noise_is_what_quantisation_makes(counts: int) -> None:
     for seed in range(6):
         q = motion(np.random.default_rng(seed))
         rounded = quantise(q, step)
-        cutoff = choose_cutoff(rounded, RATE)
+        cutoff = chosen(rounded, RATE)
         lowpass = Lowpass(cutoff.hz, RATE)
         _, ddq = differentiate(lowpass(rounded - q), RATE)
         errors.append(ddq[500:-500].std(axis=0))
@@ -71,14 +76,14 @@ def test_white_noise_without_steps_is_measured() -> None:
     rng = np.random.default_rng(3)
     std = 2e-3
     q = motion(rng, 40.0) + std * rng.standard_normal((20000, 2))
-    np.testing.assert_allclose(choose_cutoff(q, RATE).noise_density, std**2 * 2 / RATE, rtol=0.2)
+    np.testing.assert_allclose(chosen(q, RATE).noise_density, std**2 * 2 / RATE, rtol=0.2)
 
 
 def test_the_motion_passes_below_the_cutoff() -> None:
     """What the filter takes off the true acceleration is below a percent of its power."""
     for counts in (600, 2**17):
         q = motion(np.random.default_rng(4))
-        cutoff = choose_cutoff(quantise(q, 2 * np.pi / counts), RATE)
+        cutoff = chosen(quantise(q, 2 * np.pi / counts), RATE)
         _, full = differentiate(q, RATE)
         _, passed = differentiate(Lowpass(cutoff.hz, RATE)(q), RATE)
         inner = slice(500, -500)
@@ -88,34 +93,34 @@ def test_the_motion_passes_below_the_cutoff() -> None:
 def test_the_bias_stays_below_what_kappa_pays_for() -> None:
     for counts in (600, 4096, 2**17):
         q = quantise(motion(np.random.default_rng(5)), 2 * np.pi / counts)
-        assert choose_cutoff(q, RATE).bias < 0.05
+        assert chosen(q, RATE).bias < 0.05
 
 
 def test_a_fine_encoder_stops_at_ten_times_the_motion() -> None:
     t = np.arange(20000) / RATE
     q = np.sin(2 * np.pi * 0.5 * t)[:, None]
-    cutoff = choose_cutoff(q, RATE)
+    cutoff = chosen(q, RATE)
     assert cutoff.hz <= 1.3 * BANDWIDTHS * 0.5
     assert cutoff.hz < HIGHEST_HZ
 
 
 def test_joints_that_rest_do_not_vote() -> None:
     q = quantise(motion(np.random.default_rng(6)), 2 * np.pi / 4096)
-    alone = choose_cutoff(q[:, :1], RATE)
+    alone = chosen(q[:, :1], RATE)
     rested = q.copy()
     rested[:, 1] = quantise(np.array(0.2), 2 * np.pi / 4096)
-    both = choose_cutoff(rested, RATE, moving=np.array([True, False]))
+    both = chosen(rested, RATE)
     assert both.hz == pytest.approx(alone.hz)
 
 
 def test_a_robot_file_overrules_the_step_seen() -> None:
     q = motion(np.random.default_rng(7))
-    told = choose_cutoff(q, RATE, resolution=np.array([0.01, 0.0]))
+    told = chosen(q, RATE, resolution=np.array([0.01, 0.0]))
     assert told.encoder_step[0] == 0.01
-    assert told.hz < choose_cutoff(q, RATE).hz
+    assert told.hz < chosen(q, RATE).hz
 
 
 def test_the_cutoff_is_below_an_eighth_of_the_rate() -> None:
     rng = np.random.default_rng(8)
     q = motion(rng, top_hz=8.0)[::10]
-    assert choose_cutoff(q, RATE / 10).hz <= RATE / 80 + 1e-9
+    assert chosen(q, RATE / 10).hz <= RATE / 80 + 1e-9

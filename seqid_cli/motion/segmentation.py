@@ -14,17 +14,15 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from seqid_cli.motion.cutoff import encoder_step
+from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.robust import white_noise
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Index, Mask
 
 SCALES_S = (0.1, 0.3, 1.0)
+COARSE = 8  # looks per half of a time scale that mostly tell whether a joint moves
 TRAVEL_STEPS = 2.5  # noise steps of travel, beyond which a joint moves
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
@@ -70,7 +68,7 @@ def motion_reach(rate_hz: float) -> int:
     return int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2
 
 
-def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
+def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) -> Mask:
     """Where each joint moves.
 
     Parameters
@@ -81,26 +79,41 @@ def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
         Samples per second.
     step : (n,) array
         Encoder noise [rad], see `noise_step`.
+    at : (K,) array of int, optional
+        Samples that are asked about, evenly spaced; all by default.
 
     Returns
     -------
-    (N, n) bool array
+    (K, n) bool array
         True where a joint moves on any of the time scales.
     """
-    moving = np.zeros(q.shape, dtype=bool)
-    for scale in SCALES_S:
+    at = np.arange(len(q)) if at is None else at
+    coarse = int(at[1] - at[0]) if len(at) > 1 else 1
+    moving = np.zeros((q.shape[1], len(at)), dtype=np.bool_)
+    for scale in sorted(SCALES_S, reverse=True):  # the longest one mostly says it all
         half = max(1, round(scale * rate_hz / 2))
         if 2 * half >= len(q):
             continue
-        travel = np.abs(q[2 * half :] - q[: -2 * half])
-        largest = travel.max(axis=1, keepdims=True)
-        change = (travel > TRAVEL_STEPS * step) & (travel > SHAKEN * largest)
-        # A change within the window moves its middle; the window's halves are grown back by a
-        # third.
-        grown = np.zeros(q.shape, dtype=np.uint8)
-        grown[half:-half] = change
-        moving |= maximum_filter1d(grown, 2 * (half // 3) + 1, axis=0, mode="constant") > 0
-    return moving
+        for every in (max(coarse, half // COARSE), 1):  # and some samples of it
+            left = np.flatnonzero(~moving.all(axis=1))
+            if len(left):
+                moving[left] |= _seen_moving(q.T, step, at, half, every)[left]
+    return np.ascontiguousarray(moving.T)
+
+
+def _seen_moving(rows: Array, step: Array, at: Index, half: int, every: int) -> Mask:
+    """Where joints (n, K) move on one time scale, by the travel at every so many samples."""
+    travel = rows[:, 2 * half :: every] - rows[:, : -2 * half : every]
+    np.abs(travel, out=travel)
+    least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
+    changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
+    np.cumsum(travel > least, axis=1, out=changes[:, 1:])
+    # A change within the window moves its middle and a third of a half to either side.
+    low, high = (
+        np.clip(-(-(at - half + reach) // every), 0, travel.shape[1])
+        for reach in (-(half // 3), half // 3 + 1)
+    )
+    return np.asarray(changes[:, high] > changes[:, low])
 
 
 def driven(q: Array) -> Mask:
@@ -204,7 +217,7 @@ def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int,
     return [(a, b) for a, b in pairwise(turns) if b - a > 8]
 
 
-def _steps(position: Array, step: float) -> NDArray[np.intp]:
+def _steps(position: Array, step: float) -> Index:
     """Indices at which the position has changed by a count or more: all that a turn can need."""
     counts = np.round(position / step).astype(np.int64)
     return np.flatnonzero(np.diff(counts)) + 1

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.motion.segments import (
+from seqid_cli.motion.segmentation import (
+    SCALES_S,
     SMALLEST_STEP,
     Stretch,
     constant_velocity,
@@ -219,3 +220,31 @@ def test_a_joint_that_others_shake_is_held() -> None:
     q = np.column_stack([np.sin(t), 0.3 * np.cos(t), shaken, np.zeros_like(t)])
     q[7] = np.nan
     assert driven(q).tolist() == [True, True, False, False]
+
+
+def plainly_moving(q: Array, rate_hz: float, step: Array) -> NDArray[np.bool_]:
+    """What `moving_mask` promises, looked at sample by sample."""
+    moving = np.zeros(q.shape, dtype=bool)
+    for scale in SCALES_S:
+        half = max(1, round(scale * rate_hz / 2))
+        travel = np.abs(q[2 * half :] - q[: -2 * half])
+        largest = travel.max(axis=1, keepdims=True, initial=0.0)
+        for i, j in zip(
+            *np.nonzero((travel > 2.5 * step) & (travel > 0.01 * largest)), strict=True
+        ):
+            moving[max(0, i + half - half // 3) : i + half + half // 3 + 1, j] = True
+    return moving
+
+
+@pytest.mark.parametrize("samples", [20, 60, 300, 3000])
+def test_moving_is_as_looked_at_sample_by_sample(samples: int) -> None:
+    rng = np.random.default_rng(3)
+    speed = np.repeat(rng.choice([0.0, 0.0, 1e-5, 2e-4], (samples // 20 + 1, 3)), 20, axis=0)
+    q = quantise(np.cumsum(speed, axis=0)[:samples], 1e-3)
+    step = np.full(3, 1e-3)
+    expected = plainly_moving(q, 250.0, step)
+    np.testing.assert_array_equal(moving_mask(q, 250.0, step), expected)
+    at = np.arange(7, samples, 9)
+    np.testing.assert_array_equal(moving_mask(q, 250.0, step, at), expected[at])
+    assert expected.any() or samples < 100
+    assert not expected.all()

@@ -1,32 +1,34 @@
 """What the choice of a cut-off needs to know of a log, gathered block by block.
 
-The same figures as `noise_step`, `moving_mask` and `choose_cutoff` take from a whole log: Welch
-spectra are means over segments, counted from the first sample on, and add up as the samples come;
-which joints move follows from the largest travel over each time scale; an encoder's step from the
-levels it was seen at.
+Welch spectra are means over segments, counted from the first sample on, and add up as the samples
+come; which joints move follows from the largest travel over each time scale; an encoder's step
+from the levels it was seen at. A short log is one block.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import rfft
 from scipy.signal import get_window, welch
 
-from seqid_cli.logs.long import LongLog, open_long
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.thinned import Thinned
-from seqid_cli.motion import cutoff as whole
-from seqid_cli.motion.cutoff import Cutoff, Score, differentiated_error
-from seqid_cli.motion.segments import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
-from seqid_cli.robot.types import Robot
+from seqid_cli.motion.filters import bandwidth
+from seqid_cli.motion.filters.bandwidth import (
+    BANDWIDTHS,
+    HIGHEST_HZ,
+    KAPPA,
+    LOWEST_HZ,
+    Cutoff,
+    Score,
+    acceleration_powers,
+    bandwidth_of,
+    first_maximum,
+)
+from seqid_cli.motion.segmentation import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Index, Mask
 
 MOST_LEVELS = 65_536  # distinct positions of a joint; a step and noise show in fewer
 SECOND_S, VELOCITY_S = 8, 20  # segments of the spectra of the second and the first difference
@@ -123,6 +125,13 @@ class Survey:
         self._step: Array | None = None
         self._tail: Array | None = None
 
+    @classmethod
+    def of(cls, q: Array, rate_hz: float) -> Survey:
+        """Look at all positions (N, n) of a log."""
+        survey = cls(q.shape[1], rate_hz, len(q))
+        survey.push(q)
+        return survey
+
     def push(self, q: Array) -> None:
         """Take the next samples."""
         self._step = None
@@ -181,12 +190,12 @@ class Survey:
     def encoder_step(self) -> Array:
         """Smallest step of each joint's position (n,) rad, 0 where it is not quantised."""
         if self._step is None:
-            steps = [whole.encoder_step(levels[:, None]) for levels in self._known]
+            steps = [bandwidth.encoder_step(levels[:, None]) for levels in self._known]
             self._step = np.concatenate(steps)
         return self._step
 
     def noise_step(self, resolution: Array) -> Array:
-        """As `segments.noise_step`."""
+        """As `segmentation.noise_step`."""
         step = np.maximum(self.encoder_step(), resolution)
         least = np.maximum(step, SMALLEST_STEP)
         if not (step > 0).all():
@@ -194,70 +203,70 @@ class Survey:
             least = np.maximum(least, np.where(step > 0, 0.0, 3 * noise))
         return least
 
-    def moving(self, step: Array) -> NDArray[np.bool_]:
+    def moving(self, step: Array) -> Mask:
         """Joints (n,) that move at any time."""
-        moves: NDArray[np.bool_] = self._travel > TRAVEL_STEPS * step
+        moves: Mask = self._travel > TRAVEL_STEPS * step
         return moves
 
-    def cutoff(self, resolution: Array) -> Cutoff:
-        """As `cutoff.choose_cutoff` for the joints that move."""
-        step = self.encoder_step()
-        step = np.where(resolution > 0, resolution, step)
-        joints = np.flatnonzero(self.moving(self.noise_step(resolution)))
-        highest = min(whole.HIGHEST_HZ, self.rate_hz / 8)
+    def cutoff(self, resolution: Array, *, highest_hz: float = HIGHEST_HZ) -> Cutoff:
+        """Choose one low-pass cut-off by the joints that move; the others say nothing about it.
+
+        Parameters
+        ----------
+        resolution : (n,) array
+            Encoder step [rad] of the robot file; zero where it is to be read off the data.
+        highest_hz : float
+            Highest cut-off that may be chosen.
+        """
+        step, joints = self._steps(resolution)
+        highest = min(highest_hz, self.rate_hz / 8)
         if len(joints):
-            frequency, density = self._velocity.density(self.rate_hz)
-            density *= self.rate_hz**2
-            widest = max(self._bandwidth(frequency, density[j]) for j in joints)
-            highest = min(highest, max(whole.BANDWIDTHS * widest, 2 * whole.LOWEST_HZ))
-        candidates = np.geomspace(min(whole.LOWEST_HZ, highest / 2), highest, 120)
+            highest = min(highest, max(BANDWIDTHS * self._widest(joints), 2 * LOWEST_HZ))
+        candidates = np.geomspace(min(LOWEST_HZ, highest / 2), highest, 120)
         score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
         floors = step**2 / 12 * 2 / self.rate_hz
         for j, signal, noise, floor in self._powers(joints, step, candidates):
             floors[j] = floor
-            score += np.log(signal) - whole.KAPPA * noise / signal
+            score += np.log(signal) - KAPPA * noise / signal
             bias = np.maximum(bias, noise / signal)
-        best = whole.first_maximum(score) if len(joints) else len(candidates) // 2
+        best = first_maximum(score) if len(joints) else len(candidates) // 2
         return Cutoff(float(candidates[best]), step, float(bias[best]), True, floors)
 
     def score(self, resolution: Array, cutoffs: Array) -> Score | None:
-        """As `cutoff.score` of the joints that move; None where none does."""
-        step = self.encoder_step()
-        step = np.where(resolution > 0, resolution, step)
-        joints = np.flatnonzero(self.moving(self.noise_step(resolution)))
+        """Score cut-offs (C,) Hz by the joints that move; None where none does."""
+        step, joints = self._steps(resolution)
         if not len(joints):
             return None
-        frequency, density = self._velocity.density(self.rate_hz)
-        density *= self.rate_hz**2
-        bandwidth = max(self._bandwidth(frequency, density[j]) for j in joints)
         values = np.zeros(len(cutoffs))
         below = np.minimum(cutoffs, self.rate_hz / 2)
         for _, signal, noise, _ in self._powers(joints, step, below):
-            values += np.log(signal) - whole.KAPPA * noise / signal
-        return Score(values, bandwidth)
+            values += np.log(signal) - KAPPA * noise / signal
+        return Score(values, self._widest(joints), len(joints))
 
-    def _bandwidth(self, frequency: Array, density: Array) -> float:
-        floor = float(np.median(density[frequency > 0.25 * self.rate_hz]))
-        power = np.cumsum(np.maximum(density - 2 * floor, 0.0))
-        return float(frequency[np.searchsorted(power, 0.99 * power[-1])])
+    def _steps(self, resolution: Array) -> tuple[Array, Index]:
+        """Encoder steps (n,) rad and the joints that move."""
+        step = np.where(resolution > 0, resolution, self.encoder_step())
+        return step, np.flatnonzero(self.moving(self.noise_step(resolution)))
+
+    def _widest(self, joints: Index) -> float:
+        """Bandwidth of the motion, Hz: the largest of some joints."""
+        frequency, density = self._velocity.density(self.rate_hz)
+        density *= self.rate_hz**2
+        return max(bandwidth_of(frequency, density[j], self.rate_hz) for j in joints)
 
     def _powers(
-        self, joints: NDArray[np.intp], step: Array, cutoffs: Array
+        self, joints: Index, step: Array, cutoffs: Array
     ) -> Iterator[tuple[int, Array, Array, float]]:
         """Joint, power of its acceleration and of the noise below each cut-off, noise density."""
         if not len(joints):
             return
-        frequency, densities = self._second.density(self.rate_hz)
-        densities *= self.rate_hz**4
-        gain = np.sinc(frequency / self.rate_hz) ** 4
-        omega4 = (2 * np.pi * frequency) ** 4
-        for j in (int(j) for j in joints):
-            density = densities[j] / np.maximum(gain, 0.05)
-            floor = whole._noise_density(frequency, density, omega4, self.rate_hz, step[j])
-            total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
-            noise = differentiated_error(np.asarray(floor), cutoffs)
-            signal = np.interp(cutoffs, frequency, total) - noise
-            yield j, np.maximum.accumulate(np.maximum(signal, 1e-12)), noise, floor
+        frequency, density = self._second.density(self.rate_hz)
+        density *= self.rate_hz**4
+        for j in joints:
+            yield (
+                int(j),
+                *acceleration_powers(frequency, density[j], self.rate_hz, step[j], cutoffs),
+            )
 
 
 def _frequencies(length: int, rate_hz: float) -> Array:
@@ -276,49 +285,3 @@ def _lengths(rate_hz: float, samples: int) -> tuple[int, int, list[int]]:
 
 def _segment(samples: int, seconds: float, rate_hz: float) -> int:
     return min(samples, max(LEAST_SEGMENT, int(seconds * rate_hz)))
-
-
-@dataclass(frozen=True)
-class SurveyedLog(LongLog):
-    """A long log with what there is to know of its positions."""
-
-    survey: Survey | None = None
-
-
-def open_surveyed(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header"
-) -> SurveyedLog | None:
-    """Open a log that is to be passed over; in one pass, if its stamps are as even as usual.
-
-    Parameters
-    ----------
-    path, robot, time_source
-        As for `open_long`.
-
-    Returns
-    -------
-    SurveyedLog or None
-        None where the log can only be read as a whole.
-
-    Raises
-    ------
-    InputError
-        As for `open_long`.
-    """
-    found: list[Survey] = []
-
-    def watch(rate_hz: float, q: Array) -> None:
-        if not found:
-            found.append(Survey(robot.n, rate_hz))
-        found[0].push(q)
-
-    log = open_long(path, robot, time_source=time_source, watch=watch)
-    if log is None:
-        return None
-    survey = found[0]
-    if not (log.exact and survey.at_rate(log.rate_hz, log.samples)):
-        survey = Survey(robot.n, log.rate_hz, log.samples)
-        for block in log.blocks():
-            survey.push(block.q)
-    known = {field.name: getattr(log, field.name) for field in fields(LongLog)}
-    return SurveyedLog(**known, survey=survey)

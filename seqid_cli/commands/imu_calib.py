@@ -71,7 +71,7 @@ def run(
         raise ConfigError("the robot file names no IMU", where=str(robot), hint=hint)
 
     from seqid_cli.identify.imu import calibrate_imus
-    from seqid_cli.motion.imu_array import layout_report
+    from seqid_cli.motion.imu.array import layout_report
     from seqid_cli.motion.options import MotionOptions
 
     for imu in job.robot.imus:

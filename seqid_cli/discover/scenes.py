@@ -18,7 +18,7 @@ from seqid_cli.model.effects.scene import (
     temperature_at,
 )
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

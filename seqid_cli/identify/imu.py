@@ -25,7 +25,7 @@ from seqid_cli.identify.imu_segments import Segment, calibration_cutoff, segment
 from seqid_cli.identify.imu_start import starting_constants
 from seqid_cli.identify.parts import reduced
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.imu_array import layout
+from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages, Verdict

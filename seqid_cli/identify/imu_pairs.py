@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import shrink
-from seqid_cli.motion.imu_array import read_angular, speed_about
-from seqid_cli.motion.link_motion import axes_in_link
+from seqid_cli.motion.imu.array import read_angular, speed_about
+from seqid_cli.motion.imu.link_acceleration import axes_in_link
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import AxisReference
 from seqid_cli.robot.types import Imu, Robot

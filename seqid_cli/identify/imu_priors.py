@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_model import Constants, channels_of, tangents
 from seqid_cli.identify.imu_segments import Segment
-from seqid_cli.motion.imu_array import layout
+from seqid_cli.motion.imu.array import layout
 from seqid_cli.robot.types import Imu
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from seqid_cli.identify.imu_fit import Fit
 from seqid_cli.identify.imu_model import MOTION, channels_of, design, mounted, tilted
 from seqid_cli.identify.imu_pairs import Pair, best_references, condition_of
 from seqid_cli.identify.imu_segments import Segment
-from seqid_cli.motion.imu_array import layout
-from seqid_cli.motion.link_motion import axes_in_link
+from seqid_cli.motion.imu.array import layout
+from seqid_cli.motion.imu.link_acceleration import axes_in_link
 from seqid_cli.params.schema import ImuCalibration, JointDeflection, Verdict
 from seqid_cli.robot.types import Imu, Robot
 

@@ -22,7 +22,7 @@ from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution
-from seqid_cli.motion.smoother_encoder import EncoderView, encoder_view
+from seqid_cli.motion.smoother.encoder import EncoderView, encoder_view
 from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.params.schema import ImuStage, MotionUse
 from seqid_cli.robot.types import Robot

@@ -2,9 +2,9 @@
 
 An inertia that is identified below one cut-off holds what the logs say there: friction that lags,
 elasticity and what else a model leaves out enter it differently elsewhere. So all logs of a stage
-are filtered alike: the scores of `motion.cutoff`, log S - KAPPA N / S, add up over logs and joints,
-and the sum is maximised; the slowest rate of the logs limits it. The file carries the cut-off and
-later stages take it (`inherited`), unless the user gives another.
+are filtered alike: the scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
+and joints, and the sum is maximised; the slowest rate of the logs limits it. The file carries the
+cut-off and later stages take it (`inherited`), unless the user gives another.
 
 Where the motion comes from the smoother its own score counts, and the lowest cut-off that scores
 nearly as well as the best, from that of the encoders on.
@@ -35,10 +35,10 @@ from seqid_cli.motion.filters.bandwidth import (
     lowest_as_good,
 )
 from seqid_cli.motion.filters.survey import Survey
-from seqid_cli.motion.fused import score_of_smoothed
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.smoother.fused import score_of_smoothed
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
 

@@ -20,7 +20,7 @@ from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, sliding
 from seqid_cli.motion.blocks import SurveyedLog
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

@@ -1,8 +1,8 @@
 """Equations of logs of any length, in memory that does not grow with them.
 
-A long log is passed over twice: to lay its time base and choose its cut-off (`motion.survey`; a
-third time where its stamps are uneven), and to filter, decimate and reduce its equations block by
-block. What comes out is what the same log held in memory gives with the motion of its encoders,
+A long log is passed over twice: to lay its time base and choose its cut-off
+(`motion.filters.survey`; a third time where its stamps are uneven), and to filter, decimate and
+reduce its equations block by block. What comes out is what the same log held in memory gives with the motion of its encoders,
 because
 
 - blocks are cut on the same grid as there, filtered with all the samples that the filter remembers;

@@ -15,7 +15,7 @@ from seqid_cli.inspect.values import clipped, equal_runs, missing_share
 from seqid_cli.logs.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.motion.imu_array import layout
+from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.segmentation import standing
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.shares import percent

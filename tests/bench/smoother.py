@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from seqid_cli.motion.smoother import smoothed_motion
+from seqid_cli.motion.smoother.smooth import smoothed_motion
 from tests.study.fused_cases import Case, Rig, case
 from tests.study.tables import table
 

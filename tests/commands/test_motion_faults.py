@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.inspect.screening import Screened
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage

@@ -25,7 +25,7 @@ from seqid_cli.params.schema import SCHEMA, ImuStage, MotionUse
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
-from tests.motion.test_smoother import scene
+from tests.motion.smoother.test_smooth import scene
 from tests.params.documents import (
     friction_stage,
     full_file,

@@ -13,7 +13,7 @@ from seqid_cli.identify.imu import calibrate_imus
 from seqid_cli.identify.imu_fit import without
 from seqid_cli.identify.imu_readings import cleaned, roughness
 from seqid_cli.identify.imu_segments import lagrange
-from seqid_cli.motion.imu_array import calibrated as mended
+from seqid_cli.motion.imu.array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robust import white_noise

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import welch
 
 from seqid_cli.logs.long import Block
@@ -19,8 +18,6 @@ from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segmentation import moving_mask, noise_step
 from tests.logs.samples import make_robot
-
-Array = NDArray[np.float64]
 
 RATE_HZ = 500.0
 SAMPLES = 9_137

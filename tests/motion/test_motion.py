@@ -7,17 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.motion import decimated, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 from tests.plants.sensors import quantise
 from tests.robot.robots import arm_6r, planar_2r
-
-Array = NDArray[np.float64]
 
 RATE = 500.0
 STEP = 2 * np.pi / 2**14

@@ -20,6 +20,7 @@ from seqid_cli.motion.segmentation import (
     standing,
     windowed_velocity,
 )
+from seqid_cli.typing import Array
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import (
     Reference,
@@ -31,8 +32,6 @@ from tests.plants.trajectories import (
     trapezoid,
     zigzag,
 )
-
-Array = NDArray[np.float64]
 
 COARSE, MIDDLE, FINE = (2 * np.pi / counts for counts in (600, 2**12, 2**17))
 SPEEDS = (0.1, 0.4, 1.0, 2.0, 4.0)

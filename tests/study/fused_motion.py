@@ -12,24 +12,24 @@ from numpy.typing import NDArray
 from seqid_cli.errors import SeqidError
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.imu_array import read_angular, speed_about
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.array import read_angular, speed_about
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.smoother import Smoothed, smoothed_motion
-from seqid_cli.motion.smoother_chunk import Chunk
-from seqid_cli.motion.smoother_encoder import encoder_view
-from seqid_cli.motion.smoother_imus import mounted_imus, read
-from seqid_cli.motion.smoother_solve import probed_covariance, solved
-from seqid_cli.motion.smoother_system import linearised, normal_equations
-from seqid_cli.motion.smoother_terms import Jerk
-from seqid_cli.motion.two_joints import (
+from seqid_cli.motion.smoother.chunk import Chunk
+from seqid_cli.motion.smoother.encoder import encoder_view
+from seqid_cli.motion.smoother.imus import mounted_imus, read
+from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
+from seqid_cli.motion.smoother.solve import probed_covariance, solved
+from seqid_cli.motion.smoother.system import linearised, normal_equations
+from seqid_cli.motion.smoother.terms import Jerk
+from seqid_cli.robot.kinematics import rotation_between
+from tests.motion.imu.two_joints import (
     joint_acceleration,
     joint_speed,
     second_joint_acceleration,
     second_joint_velocity,
 )
-from seqid_cli.robot.kinematics import rotation_between
 from tests.study.fused_cases import GYRO_NOISE, Case, Fault, Rig, case
 from tests.study.tables import number, table
 

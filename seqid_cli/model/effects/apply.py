@@ -18,7 +18,7 @@ from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths, temperature_at
 from seqid_cli.model.torque import Added, TorqueModel
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectSession, Stages

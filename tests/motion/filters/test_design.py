@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfreqz
 
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.design import ORDER, StateSpace, one_pass
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 RATE_HZ = 1000.0
 

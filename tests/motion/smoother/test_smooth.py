@@ -7,23 +7,22 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion import smoother
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.smoother import Smoothed, smoothed_motion
-from seqid_cli.motion.smoother_chunk import Chunk
-from seqid_cli.motion.smoother_encoder import encoder_view
-from seqid_cli.motion.smoother_imus import mounted_imus, read
-from seqid_cli.motion.smoother_solve import probed_covariance, solved
-from seqid_cli.motion.smoother_system import linearised, normal_equations
-from seqid_cli.motion.smoother_terms import (
+from seqid_cli.motion.smoother import smooth as smoother
+from seqid_cli.motion.smoother.chunk import Chunk
+from seqid_cli.motion.smoother.encoder import encoder_view
+from seqid_cli.motion.smoother.imus import mounted_imus, read
+from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
+from seqid_cli.motion.smoother.solve import probed_covariance, solved
+from seqid_cli.motion.smoother.system import linearised, normal_equations
+from seqid_cli.motion.smoother.terms import (
     Jerk,
     Mounting,
     chain_state,
@@ -35,14 +34,13 @@ from seqid_cli.motion.smoother_terms import (
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.typing import Array
 from tests.plants.experiments import inertia_trials, validation_trials
 from tests.plants.rigid import link_motion as true_link
 from tests.plants.rigs import one_joint, six_joint, two_joint
 from tests.plants.simulate import Log, Plant, simulate
 from tests.robot.robots import random_model
 from tests.study.lab import recording_of, robot_of
-
-Array = NDArray[np.float64]
 
 SETTLED = slice(200, -200)
 RIGS = ("one", "one_400", "two", "six")

@@ -8,23 +8,21 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.link_motion import axes_in_link, best_motion
+from seqid_cli.motion.imu.link_acceleration import axes_in_link, best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import link_angular_motion
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 from tests.plants.experiments import inertia_trials
 from tests.plants.rigs import two_joint
 from tests.plants.simulate import simulate
 from tests.robot.robots import random_model
 from tests.study.lab import recording_of, robot_of
-
-Array = NDArray[np.float64]
 
 DENSITY = 0.05  # rad/s^2/sqrt(Hz), of accelerometers with 0.03 m/s^2 of noise 0.05 m apart
 

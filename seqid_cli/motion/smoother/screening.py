@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from seqid_cli.motion.smoother_chunk import Chunk, Mounted, mean_motion
-from seqid_cli.motion.smoother_imus import moved
-from seqid_cli.motion.smoother_system import jacobians, predicted
+from seqid_cli.motion.smoother.chunk import Chunk, Mounted, mean_motion
+from seqid_cli.motion.smoother.imus import moved
+from seqid_cli.motion.smoother.system import jacobians, predicted
 from seqid_cli.robust import gaussian_spread
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 DISAGREEMENT = 0.5  # share of the expected reading's changes, beyond which an IMU is not believed
 LARGEST_OFFSET = 2.0  # m/s^2 or rad/s, of a mean reading

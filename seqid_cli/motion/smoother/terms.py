@@ -12,13 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.robot.kinematics import cross, joint_transforms
 from seqid_cli.robot.types import Chain
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array
 
 JERK = np.array([-1.0, 3.0, -3.0, 1.0])
 STRETCH = 512  # intervals whose couplings fit into the cache

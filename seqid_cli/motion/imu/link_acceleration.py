@@ -15,20 +15,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.fused import absent_imus, fused_motion, needed
-from seqid_cli.motion.imu_array import calibrated, layout, read_angular
+from seqid_cli.motion.imu.array import calibrated, layout, read_angular
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import SOURCES
+from seqid_cli.motion.smoother.fused import absent_imus, fused_motion, needed
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import forward, link_angular_motion
 from seqid_cli.robot.types import Imu, Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Index
 
 DISAGREEMENT = 0.5  # share of the encoder's acceleration beyond which an IMU is not believed
 AXIS_ERROR = 0.003  # what calibration leaves of scale and alignment
@@ -218,7 +216,7 @@ def _predicted(robot: Robot, motion: Motion, link: int) -> Array:
     return link_angular_motion(robot.chain, motion.q, motion.dq, motion.ddq, link).dw
 
 
-def _healthy(reading: LinkReading, robot: Robot, motion: Motion, moving: NDArray[np.intp]) -> bool:
+def _healthy(reading: LinkReading, robot: Robot, motion: Motion, moving: Index) -> bool:
     """Whether an IMU agrees with what the encoders say its link does."""
     link = reading.imu.after_joint
     own = moving[moving <= link]
@@ -233,7 +231,7 @@ def _healthy(reading: LinkReading, robot: Robot, motion: Motion, moving: NDArray
 
 
 def _solve(
-    robot: Robot, motion: Motion, moving: NDArray[np.intp], readings: list[LinkReading]
+    robot: Robot, motion: Motion, moving: Index, readings: list[LinkReading]
 ) -> tuple[Array, Array]:
     """Weighted least squares per sample for the moving joints: accelerations, their error (n,)."""
     count = len(moving)

@@ -1,7 +1,7 @@
 """Joint motion from encoders and all calibrated IMUs together, by one smoother with covariance.
 
 Each joint's jerk is white, so its trajectory is a cubic spline whose third differences are
-penalised (see `smoother_terms`). Encoders enter by the edges that they cross and by their codes,
+penalised (see `terms`). Encoders enter by the edges that they cross and by their codes,
 IMUs by every accelerometer and gyro as a function of all joints before them; where an IMU sits,
 its small misalignment and its biases are constants of a chunk. Gauss-Newton on the whole chunk: the
 normal equations are banded, bordered by the constants. The size of each joint's jerk in a chunk is
@@ -16,17 +16,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
-from seqid_cli.motion.smoother_belief import believed, contradiction, fits
-from seqid_cli.motion.smoother_chunk import Chunk, Mounted, motion_at, resampled
-from seqid_cli.motion.smoother_encoder import bridged, encoder_view
-from seqid_cli.motion.smoother_imus import handed_on, mounted_imus, read
-from seqid_cli.motion.smoother_solve import (
+from seqid_cli.motion.smoother.chunk import Chunk, Mounted, motion_at, resampled
+from seqid_cli.motion.smoother.encoder import bridged, encoder_view
+from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, read
+from seqid_cli.motion.smoother.screening import believed, contradiction, fits
+from seqid_cli.motion.smoother.solve import (
     Solution,
     between,
     detailed,
@@ -34,13 +33,11 @@ from seqid_cli.motion.smoother_solve import (
     probed_covariance,
     settled,
 )
-from seqid_cli.motion.smoother_system import chosen
-from seqid_cli.motion.smoother_terms import Jerk
+from seqid_cli.motion.smoother.system import chosen
+from seqid_cli.motion.smoother.terms import Jerk
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Places = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 FIRST_JERK = 1e3  # rad/s^3 between knots a millisecond apart, to start with
 FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for the constants
@@ -60,7 +57,7 @@ class Smoothed:
     q: Array
     dq: Array
     ddq: Array
-    places: Places
+    places: Index
     covariance_at_places: Array  # (G, n, 3, 3)
     bias: dict[str, Array]
     lever: dict[str, Array]
@@ -107,7 +104,7 @@ class _Part:
 
     start: int
     motion: Array
-    places: Places
+    places: Index
     covariance: Array
     jerk: Array
     imus: tuple[Mounted, ...]

@@ -7,16 +7,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.motion.smoother import Smoothed, smoothed_motion
-from seqid_cli.motion.smoother_encoder import encoder_view
+from seqid_cli.motion.smoother.encoder import encoder_view
+from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robust import white_noise
+from seqid_cli.typing import Array
 from tests.study.fused_cases import Case, Fault, Rig, case
-
-Array = NDArray[np.float64]
 
 COARSE = 600  # counts per turn
 SETTLED = slice(200, -200)

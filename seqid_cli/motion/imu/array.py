@@ -14,19 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.differentiation import differentiate, runs
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 DETERMINED = 1 - 1e-6
-STRETCH = 0.05  # of the RMS speed, below which a sign may turn unseen
 
 
 @dataclass(frozen=True)
@@ -293,77 +288,3 @@ def speed_about(products: Array, axis: Array) -> Array:
     """Magnitude (N,) rad/s of the angular velocity about a known axis, from w w'."""
     speed: Array = np.sqrt(np.maximum(np.einsum("nij,i,j->n", products, axis, axis), 0.0))
     return speed
-
-
-def angular_velocity(products: Array, reference: Array) -> Array:
-    """Angular velocity (N, 3) rad/s from w w', its sign taken from a rough reference (N, 3).
-
-    The main direction of w w' and the root of its size (Eq. 31 and 41 need it up to the sign). The
-    sign is decided for whole stretches between two passages near zero, by a vote of the samples
-    for or against the reference: single samples of a noisy reference cannot turn it, and where the
-    reference says nothing the sign of the stretch before is kept, as the paper proposes below
-    Eq. 42. Slow samples follow the line between the stretches beside them.
-    """
-    value, vector = np.linalg.eigh(products)
-    w: Array = vector[:, :, 2] * np.sqrt(np.maximum(value[:, 2], 0.0))[:, None]
-    speed = np.linalg.norm(w, axis=1)
-    floor = STRETCH * float(np.sqrt(np.mean(speed**2))) if len(speed) else 0.0
-    fast = runs(speed > floor, len(speed))
-    last = 1.0
-    for start, stop in fast:
-        # An eigenvector's sign means nothing: neighbours first, then all by the reference.
-        agree = np.sum(w[start + 1 : stop] * w[start : stop - 1], axis=1)
-        chain = np.cumprod(np.concatenate(([1.0], np.where(agree < 0, -1.0, 1.0))))
-        own = w[start:stop] * chain[:, None]
-        vote = np.sign(np.sum(own * reference[start:stop], axis=1)) @ np.sum(own**2, axis=1)
-        last = float(np.sign(vote)) or last
-        w[start:stop] = last * own
-    known = speed > floor
-    if known.any() and not known.all():
-        at = np.arange(len(w))
-        between = np.column_stack([np.interp(at, at[known], w[known, k]) for k in range(3)])
-        w *= np.where(~known & (np.sum(w * between, axis=1) < 0), -1.0, 1.0)[:, None]
-    return w
-
-
-def fused_velocity(
-    w: Array, dw: Array, rate_hz: float, *, speed_noise: float, acceleration_noise: float
-) -> Array:
-    """Fuse the angular velocity from the products with the integral of the angular acceleration.
-
-    The root of a square is worst where it is small: an error e of the products is e / (2 |w|) of
-    the velocity, the larger the slower. The integral is smooth, but drifts. A Kalman smoother with
-    both errors (a random walk driven by `dw` and observed by `w`) takes the better at each sample.
-
-    Parameters
-    ----------
-    w : (N, 3) array
-        Signed angular velocity [rad/s], see `angular_velocity`.
-    dw : (N, 3) array
-        Angular acceleration [rad/s^2].
-    rate_hz : float
-    speed_noise : float
-        Standard deviation of the products [rad^2/s^2].
-    acceleration_noise : float
-        Standard deviation of `dw` [rad/s^2].
-
-    Returns
-    -------
-    (N, 3) array
-        Angular velocity [rad/s].
-    """
-    speed = np.linalg.norm(w, axis=1)
-    sigma = speed_noise / np.maximum(2 * speed, np.sqrt(speed_noise))
-    weight = 1.0 / np.maximum(sigma, 1e-9) ** 2
-    link = 1.0 / max(acceleration_noise / rate_hz, 1e-12) ** 2
-    steps = 0.5 * (dw[1:] + dw[:-1]) / rate_hz
-    band = np.zeros((2, len(w)))
-    band[0] = weight
-    band[0, 1:] += link
-    band[0, :-1] += link
-    band[1, :-1] = -link
-    right = weight[:, None] * w
-    right[1:] += link * steps
-    right[:-1] -= link * steps
-    fused: Array = solveh_banded(band, right, lower=True)
-    return fused

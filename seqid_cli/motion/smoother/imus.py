@@ -6,19 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.smoother_chunk import Mounted
-from seqid_cli.motion.smoother_terms import Mounting
+from seqid_cli.motion.smoother.chunk import Mounted
+from seqid_cli.motion.smoother.terms import Mounting
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 # Prior standard deviations where no calibration says better, and what changes since it was made.
 BIAS, GYRO_BIAS, LEVER, DELAY_S, GAIN = 0.3, 0.05, 1.0, 0.02, 0.01

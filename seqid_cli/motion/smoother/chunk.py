@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.motion.smoother_encoder import EncoderView
-from seqid_cli.motion.smoother_terms import Mounting, spline_weights
+from seqid_cli.motion.smoother.encoder import EncoderView
+from seqid_cli.motion.smoother.terms import Mounting, spline_weights
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Index, Mask
 
 CELL_S = 0.016  # within which an arm hardly turns
 
@@ -108,7 +105,7 @@ class Chunk:
         return max(1, int(CELL_S / self.spacing))
 
     @property
-    def cells(self) -> NDArray[np.intp]:
+    def cells(self) -> Index:
         """First interval of each cell."""
         return np.arange(0, self.intervals, self.cell)
 
@@ -152,9 +149,7 @@ def sampled(c: Array, weights: Array) -> Array:
     return np.asarray(x)
 
 
-def mean_motion(
-    chunk: Chunk, c: Array, fraction: float = 0.0, at: NDArray[np.intp] | None = None
-) -> Array:
+def mean_motion(chunk: Chunk, c: Array, fraction: float = 0.0, at: Index | None = None) -> Array:
     """q, dq, ddq (3, n, M) averaged over the samples of every interval, or of those `at` alone."""
     weights, m = chunk.mean_knots(fraction), len(c) - 3
     if at is not None:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.ndimage import uniform_filter1d
 
-from seqid_cli.motion.smoother_chunk import Chunk, jerk_of
-from seqid_cli.motion.smoother_imus import moved
-from seqid_cli.motion.smoother_system import (
+from seqid_cli.motion.smoother.chunk import Chunk, jerk_of
+from seqid_cli.motion.smoother.imus import moved
+from seqid_cli.motion.smoother.system import (
     Cells,
     Constants,
     Normal,
@@ -25,9 +24,8 @@ from seqid_cli.motion.smoother_system import (
     normal_equations,
     predicted,
 )
-from seqid_cli.motion.smoother_terms import JERK, Jerk
-
-Array = NDArray[np.float64]
+from seqid_cli.motion.smoother.terms import JERK, Jerk
+from seqid_cli.typing import Array, Index
 
 LEAST_JERK = 30.0  # rad/s^3 between knots
 LARGEST_CHANGE, LEAST_KNOWN = 10.0, 0.01  # of the jerk's size in one round; of its intervals
@@ -287,7 +285,7 @@ def _renewed_jerk(chunk: Chunk, c: Array, jerk: Jerk, left_open: Array) -> Jerk:
     return Jerk(size, jerk.correlation, np.clip(relative, *RELATIVE))
 
 
-def probed_covariance(solution: Solution, shared: Solution) -> tuple[NDArray[np.intp], Array]:
+def probed_covariance(solution: Solution, shared: Solution) -> tuple[Index, Array]:
     """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), interpolated from knots far apart.
 
     Parameters
@@ -309,9 +307,7 @@ def probed_covariance(solution: Solution, shared: Solution) -> tuple[NDArray[np.
     return _everywhere(solution, knots, found)
 
 
-def _everywhere(
-    solution: Solution, knots: NDArray[np.intp], found: Array
-) -> tuple[NDArray[np.intp], Array]:
+def _everywhere(solution: Solution, knots: Index, found: Array) -> tuple[Index, Array]:
     """Covariance at samples closer together, by the power of the jerk that the variance follows."""
     chunk, relative = solution.chunk, solution.jerk.relative
     every = max(1, int(DENSE_S / chunk.spacing))
@@ -332,7 +328,7 @@ def _everywhere(
     return places * chunk.every // chunk.stride, out
 
 
-def _along(shared: Solution, knots: NDArray[np.intp]) -> Array:
+def _along(shared: Solution, knots: Index) -> Array:
     """By how much (G, n, 3, r) the constants may move the motion at some knots."""
     n, W = shared.chunk.joints, shared.chunk.knots[0]
     reach = shared.reach().reshape(len(shared.c), n, -1)
@@ -340,7 +336,7 @@ def _along(shared: Solution, knots: NDArray[np.intp]) -> Array:
     return np.moveaxis(np.tensordot(W, along, (1, 0)), 0, 2)
 
 
-def _at_knots(solution: Solution, knots: NDArray[np.intp]) -> Array:
+def _at_knots(solution: Solution, knots: Index) -> Array:
     """Covariance (G, n, 3, 3) at knots: whole at a few, the acceleration's variance at all."""
     few = np.arange(0, len(knots), FEWER)
     found = between(_forward(solution, knots[few], slice(0, 3)), few, len(knots))
@@ -351,7 +347,7 @@ def _at_knots(solution: Solution, knots: NDArray[np.intp]) -> Array:
     return found
 
 
-def _forward(solution: Solution, knots: NDArray[np.intp], which: slice) -> Array:
+def _forward(solution: Solution, knots: Index, which: slice) -> Array:
     """Covariance (G, n, d, d) of some derivatives at knots.
 
     The factor's rows of a knot hold all that comes before it. What comes after the next knot is
@@ -371,7 +367,7 @@ def _forward(solution: Solution, knots: NDArray[np.intp], which: slice) -> Array
     return found
 
 
-def between(values: Array, at: NDArray[np.intp], samples: int) -> Array:
+def between(values: Array, at: Index, samples: int) -> Array:
     """Interpolate (G, ...) linearly to all samples."""
     k = np.clip(np.searchsorted(at, np.arange(samples)) - 1, 0, max(len(at) - 2, 0))
     after = np.minimum(k + 1, len(at) - 1)

@@ -7,24 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.link_motion import LinkReading, _solve
+from seqid_cli.motion.imu.link_acceleration import LinkReading, _solve
 from seqid_cli.motion.motion import Motion
-from seqid_cli.motion.two_joints import (
+from seqid_cli.robot.kinematics import AngularMotion, link_angular_motion, rotation_between
+from seqid_cli.robot.types import Chain, Imu, Joint, Robot
+from seqid_cli.typing import Array
+from tests.motion.imu.two_joints import (
     axis_direction,
     joint_acceleration,
     joint_speed,
     second_joint_acceleration,
     second_joint_velocity,
 )
-from seqid_cli.robot.kinematics import AngularMotion, link_angular_motion, rotation_between
-from seqid_cli.robot.types import Chain, Imu, Joint, Robot
 from tests.robot.robots import random_model
-
-Array = NDArray[np.float64]
 
 M, L, SAMPLES = 1, 4, 80
 

@@ -20,19 +20,18 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.motion import smoother_solve
-from seqid_cli.motion.smoother_chunk import CELL_S, Chunk, Mounted
-from seqid_cli.motion.smoother_encoder import encoder_view
-from seqid_cli.motion.smoother_imus import mounted_imus, read
-from seqid_cli.motion.smoother_solve import Solution, encoder_motion, halved, renewed
-from seqid_cli.motion.smoother_system import linearised
-from seqid_cli.motion.smoother_terms import Jerk
+from seqid_cli.motion.smoother import solve as smoother_solve
+from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Mounted
+from seqid_cli.motion.smoother.encoder import encoder_view
+from seqid_cli.motion.smoother.imus import mounted_imus, read
+from seqid_cli.motion.smoother.solve import Solution, encoder_motion, halved, renewed
+from seqid_cli.motion.smoother.system import linearised
+from seqid_cli.motion.smoother.terms import Jerk
 from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.typing import Array
 from tests.plants.rigs import two_joint
 from tests.plants.sensors import quantise
 from tests.study.lab import robot_of
-
-Array = NDArray[np.float64]
 
 DT = 0.02  # s, between samples and between knots
 SAMPLES = 60

@@ -15,7 +15,6 @@ from functools import lru_cache
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import (
@@ -27,13 +26,12 @@ from seqid_cli.motion.filters.bandwidth import (
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, filtered_torque
-from seqid_cli.motion.smoother import smoothed_motion
-from seqid_cli.motion.smoother_imus import mounted_imus, read
+from seqid_cli.motion.smoother.imus import mounted_imus, read
+from seqid_cli.motion.smoother.smooth import smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 ABSENT = "not calibrated or not recorded"  # the smoother's words, put more exactly here
 CONTRADICTION = 5.0  # times the encoder's noise, whose quantisation is not white in slow moves
@@ -115,7 +113,7 @@ def needed(motion: Motion, encoder: Motion) -> bool:
     return bool(len(gain)) and float(np.median(gain)) > WORTHWHILE
 
 
-def disagreement(encoder: Motion, ddq: Array) -> NDArray[np.bool_]:
+def disagreement(encoder: Motion, ddq: Array) -> Mask:
     """Joints (n,) whose encoder contradicts accelerations that were filtered like its own.
 
     A wrong calibration, clocks apart, or a link that does not follow its encoder: elastic, loose,
@@ -136,7 +134,7 @@ def disagreement(encoder: Motion, ddq: Array) -> NDArray[np.bool_]:
     return np.asarray(seen & ~(apart <= limit))
 
 
-def _names(robot: Robot, chosen: NDArray[np.bool_]) -> str:
+def _names(robot: Robot, chosen: Mask) -> str:
     return ", ".join(name for name, is_it in zip(robot.joint_names, chosen, strict=True) if is_it)
 
 
@@ -183,7 +181,7 @@ class _Found:
     dq: Array
     ddq: Array
     variance: Array
-    seen: NDArray[np.bool_]
+    seen: Mask
     imus: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -274,7 +272,7 @@ def _low_passed(
     recording: Recording,
     lowpass: Lowpass,
     smoothed: _Found,
-    moves: NDArray[np.bool_],
+    moves: Mask,
 ) -> list[Array]:
     """q, dq, ddq (N, n): smoothed where IMUs see a joint, else differentiated as without them."""
     valid = recording.valid

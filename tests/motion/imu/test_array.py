@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.imu_array import (
-    angular_velocity,
+from seqid_cli.motion.imu.array import (
     array_inverse,
     array_matrix,
     calibrated,
-    fused_velocity,
     layout,
     layout_report,
     read_angular,
@@ -21,10 +18,10 @@ from seqid_cli.motion.imu_array import (
 )
 from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
+from seqid_cli.typing import Array
+from tests.motion.imu.two_joints import angular_velocity
 from tests.plants.rigid import LinkMotion
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
-
-Array = NDArray[np.float64]
 
 OPEN = Lowpass(1e9, 100.0)  # passes everything
 
@@ -188,25 +185,6 @@ def test_a_wild_reference_sample_does_not_turn_the_sign_and_silence_keeps_it() -
     reference[400:560] = 0.0  # silent over half of a stretch
     got = angular_velocity(w[:, :, None] * w[:, None, :], reference)
     np.testing.assert_allclose(got, w, atol=1e-7)
-
-
-def test_fused_velocity_beats_the_root_of_the_products_and_the_integral() -> None:
-    rng = np.random.default_rng(10)
-    t = np.arange(2000) / 250.0
-    w = np.column_stack([np.sin(3 * t), 0.5 * np.sin(3 * t), np.zeros_like(t)])
-    dw = np.column_stack([3 * np.cos(3 * t), 1.5 * np.cos(3 * t), np.zeros_like(t)])
-    noise = 0.05 * rng.standard_normal((len(t), 3, 3))
-    products = w[:, :, None] * w[:, None, :] + 0.5 * (noise + noise.transpose(0, 2, 1))
-    rough = w + 0.2 * rng.standard_normal(w.shape)
-    root = angular_velocity(products, rough)
-    noisy = dw + 0.3 * rng.standard_normal(w.shape)
-    integral = root[0] + np.cumsum(noisy, axis=0) / 250.0
-    fused = fused_velocity(root, noisy, 250.0, speed_noise=0.05, acceleration_noise=0.3)
-
-    def error(v: Array) -> float:
-        return float(np.sqrt(np.mean((v - w) ** 2)))
-
-    assert error(fused) < 0.5 * min(error(root), error(integral))
 
 
 def test_noisy_accelerometers_count_less_and_the_covariance_says_so(imu: Imu) -> None:

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.robust import white_noise
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 EDGE = 0.03  # of a count, by which the places of an encoder's edges are off
 NOISY = 0.3  # share of code changes that turn back at once, beyond which noise hides the edges

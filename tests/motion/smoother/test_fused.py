@@ -9,23 +9,21 @@ from functools import cache
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion import fused as fused_module
 from seqid_cli.motion.filters.bandwidth import differentiated_error, smoothed_error
-from seqid_cli.motion.fused import disagreement, fused_motion
-from seqid_cli.motion.link_motion import best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.smoother import Smoothed, smoothed_motion
+from seqid_cli.motion.smoother import fused as fused_module
+from seqid_cli.motion.smoother.fused import disagreement, fused_motion
+from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
-from tests.motion.test_smoother import Scene
-from tests.motion.test_smoother import scene as simulated
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
+from tests.motion.smoother.test_smooth import Scene
+from tests.motion.smoother.test_smooth import scene as simulated
 
 
 @cache

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.motion.smoother_chunk import Chunk, Mounted, jerk_of, mean_motion, sampled
-from seqid_cli.motion.smoother_terms import (
+from seqid_cli.motion.smoother.chunk import Chunk, Mounted, jerk_of, mean_motion, sampled
+from seqid_cli.motion.smoother.terms import (
     JERK,
     Band,
     Jerk,
@@ -20,9 +19,7 @@ from seqid_cli.motion.smoother_terms import (
     readings,
     spline_weights,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Index, Mask
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
 
@@ -244,7 +241,7 @@ def normal_equations(
     )
 
 
-def chosen(x: Mounted, constants: Constants) -> NDArray[np.intp]:
+def chosen(x: Mounted, constants: Constants) -> Index:
     """Which of an IMU's constants take part."""
     channels = len(x.noise)
     first = {"none": 0, "clock": channels + 6, "place": 0, "all": 0}[constants]

@@ -1,0 +1,1 @@
+"""What one IMU tells of its link, and joint accelerations from all of them."""

@@ -1,0 +1,1 @@
+"""Motion by encoders and IMUs together: a smoother along the whole chain."""

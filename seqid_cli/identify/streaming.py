@@ -2,8 +2,8 @@
 
 A long log is passed over twice: to lay its time base and choose its cut-off
 (`motion.filters.survey`; a third time where its stamps are uneven), and to filter, decimate and
-reduce its equations block by block. What comes out is what the same log held in memory gives with the motion of its encoders,
-because
+reduce its equations block by block. What comes out is what the same log held in memory gives with
+the motion of its encoders, because
 
 - blocks are cut on the same grid as there, filtered with all the samples that the filter remembers;
 - each joint's equations are reduced to the factors of blocks of about a second, as ever; they carry

@@ -21,9 +21,6 @@ from seqid_cli.typing import Array, Mask
 
 SAMPLES_PER_CUTOFF = 10
 PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
-LEAST_SAMPLES_PER_PERIOD = 4.0  # of the cut-off, in a log that is used with a model
-BRIDGED_SHARE = 0.05  # of the samples, from which on bridged ones limit the cut-off
-BRIDGED_PERIODS = 0.2  # of the cut-off, that a bridged hole may last
 NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
 
 
@@ -162,16 +159,19 @@ def as_asked(chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions)
     return replace(chosen, hz=options.cutoff_hz, alone_hz=chosen.hz, chosen=False)
 
 
-def require_rate(path: Path, rate_hz: float, options: MotionOptions) -> None:
+def require_rate(
+    path: Path, rate_hz: float, options: MotionOptions, *, min_samples: float = 4.0
+) -> None:
     """Refuse a log that is too slow for the cut-off of the model that it is to be used with.
+
+    `min_samples` is the number of samples that a period of the cut-off must have.
 
     Raises
     ------
     InputError
-        If it has fewer than `LEAST_SAMPLES_PER_PERIOD` samples per period of the cut-off, and that
-        is not what the user asked for.
+        If it has fewer samples per period of the cut-off, and that is not what the user asked for.
     """
-    highest = rate_hz / LEAST_SAMPLES_PER_PERIOD
+    highest = rate_hz / min_samples
     hz = 0.0 if options.origin in ("", "as given") else options.cutoff_hz or 0.0
     if hz <= highest:
         return
@@ -183,16 +183,26 @@ def require_rate(path: Path, rate_hz: float, options: MotionOptions) -> None:
     )
 
 
-def highest_bridged(recording: Recording) -> float:
+def highest_bridged(
+    recording: Recording, *, min_share: float = 0.05, max_periods: float = 0.2
+) -> float:
     """Highest cut-off [Hz] that the bridged holes of a log allow.
 
     A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 / 12:
-    13 percent at `BRIDGED_PERIODS` / h. A few holes are left out of the equations instead.
+    13 percent at 0.2 / h. A few holes are left out of the equations instead.
+
+    Parameters
+    ----------
+    recording : Recording
+    min_share : float
+        Share of the samples, from which on bridged ones limit the cut-off.
+    max_periods : float
+        Periods of the cut-off that a bridged hole may last.
     """
-    if recording.bridged is None or recording.bridged.mean() < BRIDGED_SHARE:
+    if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ
     lengths = [stop - start for start, stop in runs(recording.bridged, len(recording.t))]
-    return BRIDGED_PERIODS * recording.rate_hz / (float(np.median(lengths)) + 1.0)
+    return max_periods * recording.rate_hz / (float(np.median(lengths)) + 1.0)
 
 
 def encoder_resolution(robot: Robot) -> Array:

@@ -26,9 +26,6 @@ COARSE = 8  # looks per half of a time scale that mostly tell whether a joint mo
 TRAVEL_STEPS = 2.5  # noise steps of travel, beyond which a joint moves
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
-HELD = 0.1  # of the farthest joint's travel, below which a joint is held, not driven
-MIDDLE = (0.01, 0.99)  # quantiles of the positions, between which a joint travels
-FLICKER = 1.5  # noise steps, between which an encoder may go to and fro at rest
 VELOCITY_TOLERANCE = 0.1
 SLOWER = 0.1  # of the mean velocity, by which an end may be slower than the middle
 STEADY = 0.15  # of the mean velocity, at the ends of a stretch
@@ -116,7 +113,7 @@ def _seen_moving(rows: Array, step: Array, at: Index, half: int, every: int) -> 
     return np.asarray(changes[:, high] > changes[:, low])
 
 
-def driven(q: Array) -> Mask:
+def driven(q: Array, *, min_travel_share: float = 0.1, tail: float = 0.01) -> Mask:
     """Which joints are driven on a way of their own.
 
     The others are held, and the moves of other joints shake them. In closed loop with a constant
@@ -128,14 +125,18 @@ def driven(q: Array) -> Mask:
     ----------
     q : (N, n) array
         Positions, rad (m); not finite ones are passed over.
+    min_travel_share : float
+        Share of the farthest joint's travel, below which a joint is held.
+    tail : float
+        Share of the positions at either end that is not counted as travel.
 
     Returns
     -------
     (n,) bool array
-        True where the joint travels at least `HELD` times as far as the one that travels farthest.
+        True where the joint travels at least that share as far as the one that travels farthest.
     """
-    low, high = np.nanquantile(q, MIDDLE, axis=0)
-    return np.asarray(high - low >= HELD * np.max(high - low))
+    low, high = np.nanquantile(q, (tail, 1 - tail), axis=0)
+    return np.asarray(high - low >= min_travel_share * np.max(high - low))
 
 
 def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
@@ -293,7 +294,9 @@ def _end_velocities(piece: Array, step: float) -> tuple[float, float]:
     return excess(first), excess(last)
 
 
-def unmoved(q: Array, resolution: Array | None, samples: int) -> Mask:
+def unmoved(
+    q: Array, resolution: Array | None, samples: int, *, max_swing_steps: float = 1.5
+) -> Mask:
     """Where no joint leaves its place by more than the encoder's noise, for so many samples.
 
     Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two counts, it
@@ -307,6 +310,8 @@ def unmoved(q: Array, resolution: Array | None, samples: int) -> Mask:
         Smallest steps of the encoders, where the robot file knows them.
     samples : int
         Length of a rest at the least.
+    max_swing_steps : float
+        Noise steps, between which an encoder may go to and fro at rest.
 
     Returns
     -------
@@ -314,7 +319,7 @@ def unmoved(q: Array, resolution: Array | None, samples: int) -> Mask:
     """
     size = max(3, samples)
     swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)
-    middle = (swing <= FLICKER * noise_step(q, resolution)).all(axis=1)
+    middle = (swing <= max_swing_steps * noise_step(q, resolution)).all(axis=1)
     return np.asarray(maximum_filter1d(middle.astype(np.uint8), size) > 0)
 
 

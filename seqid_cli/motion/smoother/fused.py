@@ -34,11 +34,8 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
 ABSENT = "not calibrated or not recorded"  # the smoother's words, put more exactly here
-CONTRADICTION = 5.0  # times the encoder's noise, whose quantisation is not white in slow moves
 LARGEST_KEPT = 100_000  # positions of a log whose smoothed motion is kept to be used again
 MOSTLY = 0.95  # share of the samples with a reading that calls for no remark
-WORTHWHILE = 3.0  # times that acceleration must be better known
-ALLOWED = 0.05  # of the acceleration's size: what shakes faster than IMUs sample shows up below
 
 
 def fused_motion(
@@ -100,20 +97,22 @@ def score_of_smoothed(
     return smoothed_score(encoder.cutoff, *given, moving=np.any(encoder.moving, axis=0))
 
 
-def needed(motion: Motion, encoder: Motion) -> bool:
+def needed(motion: Motion, encoder: Motion, *, min_gain: float = 3.0) -> bool:
     """Whether acceleration is so much better known than by the encoders that it pays.
 
     What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
     believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
-    too coarse to show anything.
+    too coarse to show anything: acceleration must be `min_gain` times better known.
     """
     moving = motion.moving.any(axis=0)
     known = np.maximum(motion.acceleration_error[moving], 1e-300)
     gain = encoder.acceleration_error[moving] / known
-    return bool(len(gain)) and float(np.median(gain)) > WORTHWHILE
+    return bool(len(gain)) and float(np.median(gain)) > min_gain
 
 
-def disagreement(encoder: Motion, ddq: Array) -> Mask:
+def disagreement(
+    encoder: Motion, ddq: Array, *, max_noise_ratio: float = 5.0, max_share: float = 0.05
+) -> Mask:
     """Joints (n,) whose encoder contradicts accelerations that were filtered like its own.
 
     A wrong calibration, clocks apart, or a link that does not follow its encoder: elastic, loose,
@@ -125,12 +124,16 @@ def disagreement(encoder: Motion, ddq: Array) -> Mask:
         From the encoders alone.
     ddq : (N, n) array
         Accelerations [rad/s^2], low-passed at the encoders' cut-off.
+    max_noise_ratio : float
+        Times the encoder's noise, whose quantisation is not white in slow moves.
+    max_share : float
+        Share of the acceleration: what shakes faster than IMUs sample shows up below.
     """
     seen = encoder.moving.any(axis=0)
     used = encoder.usable
     apart = np.sqrt(np.mean((ddq - encoder.ddq)[used] ** 2, axis=0))
     size = np.sqrt(np.mean(encoder.ddq[used] ** 2, axis=0))
-    limit = CONTRADICTION * encoder.cutoff.acceleration_noise + ALLOWED * size
+    limit = max_noise_ratio * encoder.cutoff.acceleration_noise + max_share * size
     return np.asarray(seen & ~(apart <= limit))
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.robot.kinematics import cross, joint_transforms
+from seqid_cli.robot.kinematics import cross, joint_transforms, link_motion
 from seqid_cli.robot.types import Chain
 from seqid_cli.typing import Array
 
@@ -162,28 +162,6 @@ def chain_state(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -
     return ChainState(R_all, x["p"], x["z"], x["wb"], x["dwb"], x["ab"], x["w"], x["dw"], x["a"])
 
 
-def carried(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
-    """Acceleration minus gravity, dw and w (3, 3, N) of the last of m links, along its own axes.
-
-    q, dq, ddq are (m, N).
-    """
-    head = _head(chain, len(q))
-    turns, offsets = joint_transforms(head, q)
-    own = np.zeros((3, 3, q.shape[1]))
-    own[0] -= gravity[:, None]
-    for i in range(head.n):
-        if i:
-            own[0] += cross(own[1], offsets[i]) + cross(own[2], cross(own[2], offsets[i]))
-        own = np.asarray(sum(turns[i, a] * own[:, a, None] for a in range(3)))
-        along, speed = head.axis[i][:, None], head.axis[i][:, None] * dq[i]
-        if head.prismatic[i]:
-            own[0] += along * ddq[i] + 2.0 * cross(own[2], speed)
-        else:
-            own[1] += along * ddq[i] + cross(own[2], speed)
-            own[2] += speed
-    return own
-
-
 @dataclass(frozen=True)
 class Mounting:
     """An IMU on its link, as it is believed to be.
@@ -244,10 +222,9 @@ def felt(state: ChainState, x: Mounting) -> Array:
 
 def felt_by(chain: Chain, gravity: Array, motion: Array, x: Mounting) -> Array:
     """What `felt` says, (3, 3, N), by the motion (3, m, N) of the joints before an IMU alone."""
-    own = carried(chain, gravity, *motion)
-    _, dw, w = own
-    reach = np.repeat(x.lever[:, None], own.shape[2], axis=1)
-    own[0] += cross(dw, reach) + cross(w, cross(w, reach))
+    head = link_motion(_head(chain, motion.shape[1]), gravity, *motion)
+    force = head.a[-1] + np.einsum("abn,b->an", head.H[-1], x.lever)
+    own = np.stack([force, head.dw[-1], head.w[-1]])
     return np.asarray(np.tensordot(x.R, own, (0, 1)).transpose(1, 0, 2))
 
 

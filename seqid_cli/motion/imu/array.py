@@ -21,8 +21,6 @@ from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array, Mask
 
-DETERMINED = 1 - 1e-6
-
 
 @dataclass(frozen=True)
 class AngularReading:
@@ -66,11 +64,24 @@ def array_matrix(imu: Imu) -> Array:
 
 def layout(imu: Imu) -> ArrayLayout:
     """Judge a layout before any data: which unknowns it determines, and how well."""
-    _, s, Vt = np.linalg.svd(_scaled(array_matrix(imu))[0])
+    _, condition, errors = _resolved(imu)
+    seen = np.isfinite(errors)
+    return ArrayLayout(condition, bool(seen[3:6].all()), bool(seen[6:].all()))
+
+
+def _resolved(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> tuple[int, float, Array]:
+    """Rank and condition of an array, and standard errors (12,) of what it sees, else infinite.
+
+    An unknown is seen where the readings resolve at least `min_resolution` of it.
+    """
+    A, scale = _scaled(array_matrix(imu))
+    _, s, Vt = np.linalg.svd(A)
     kept = s > 1e-6 * s[0]
-    resolution = np.sum(Vt[: len(s)][kept] ** 2, axis=0)
-    seen = resolution > DETERMINED
-    return ArrayLayout(float(s[0] / s[kept][-1]), bool(seen[3:6].all()), bool(seen[6:].all()))
+    own = Vt[: len(s)][kept]
+    variance = np.sum((own / s[kept, None]) ** 2, axis=0) / scale**2
+    seen = np.sum(own**2, axis=0) > min_resolution
+    errors = np.where(seen, np.sqrt(variance), np.inf)
+    return int(kept.sum()), float(s[0] / s[kept][-1]), errors
 
 
 @dataclass(frozen=True)
@@ -113,20 +124,13 @@ def layout_report(imu: Imu) -> LayoutReport:
     LayoutReport
         With one sentence for each thing that it cannot see.
     """
-    A, scale = _scaled(array_matrix(imu))
-    _, s, Vt = np.linalg.svd(A)
-    kept = s > 1e-6 * s[0]
-    rank = int(kept.sum())
-    resolution = np.sum(Vt[: len(s)][kept] ** 2, axis=0)
-    seen = resolution > DETERMINED
-    variance = np.sum((Vt[: len(s)][kept] / s[kept, None]) ** 2, axis=0) / scale**2
-    errors = np.where(seen, np.sqrt(variance), np.inf)
-    condition = float(s[0] / s[kept][-1])
+    rank, condition, errors = _resolved(imu)
+    seen = np.isfinite(errors)
     acceleration = bool(seen[3:6].all()) or imu.gyro
     products = bool(seen[6:].all()) or imu.gyro
     said = tuple(_statements(imu, seen, rank, condition))
     force = bool(seen[:3].all())
-    return LayoutReport(len(A), rank, condition, force, acceleration, products, errors, said)
+    return LayoutReport(len(imu.axes), rank, condition, force, acceleration, products, errors, said)
 
 
 def _statements(imu: Imu, seen: Mask, rank: int, condition: float) -> list[str]:

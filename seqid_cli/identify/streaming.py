@@ -48,7 +48,7 @@ Mask = NDArray[np.bool_]
 
 LONG = 200_000  # samples from which on a log is better passed over than held
 FAR_ENOUGH = 0.8  # of the low-pass's memory: it has forgotten to 1e-10
-LEAST_CHUNKS, MOST_CHUNKS = 2, 3  # of the equations, worked on together
+LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
 TOGETHER = 2  # times as much, for right sides: they need little memory
 
 
@@ -129,7 +129,7 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
     lowpass = plan.kept_lowpass
     reach = int(FAR_ENOUGH * lowpass.memory) + lowpass.settling  # of the low-pass, once
-    count = int(np.clip(-(-16 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
+    count = int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     parts = motion_blocks(log.blocks(), plan)
     rows = count * CHUNK
     columns = FilteredColumns(equations, rows, reach)

@@ -25,7 +25,7 @@ from seqid_cli.identify.trials import (
     speed_levels,
 )
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.motion.segments import Stretch
+from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot

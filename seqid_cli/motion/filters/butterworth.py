@@ -28,8 +28,10 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import toeplitz
+from scipy.linalg.blas import dgemm
+from scipy.signal import lfilter
 
-from seqid_cli.motion.filters.design import one_pass
+from seqid_cli.motion.filters.design import ORDER, one_pass
 from seqid_cli.motion.filters.differentiation import FIRST, SECOND, SIDE, runs
 from seqid_cli.typing import Array, Index, Mask
 
@@ -116,7 +118,7 @@ class Lowpass:
             height = max(1, TILE // (stop - start + 2 * pad))
             for top in range(0, count, height):
                 own = slice(top, top + height)
-                part = own if only is None else only[own]
+                part = own if only is None else _as_slice(only[own])
                 rows[part, start:stop] = kernel.both_ways(rows[part, start:stop], pad)
 
     def can_decimate(self, every: int) -> bool:
@@ -165,6 +167,12 @@ class Lowpass:
         return np.ascontiguousarray(kept[:, :count])
 
 
+def _as_slice(numbers: Index) -> Index | slice:
+    """Ascending numbers without a gap as a slice: what it takes is no copy."""
+    low, high = int(numbers[0]), int(numbers[-1]) + 1
+    return slice(low, high) if high - low == len(numbers) else numbers
+
+
 @dataclass(frozen=True)
 class _Kernel:
     """Block matrices of one filter, transposed; see the module's text."""
@@ -201,24 +209,27 @@ class _Kernel:
         added = grown[:, m:] + s @ self.from_s
         z = _scanned(last[:, None] * self.steady, added, self.over_block, back=True)
         y = x @ self.from_x[:, 2 * m :]
-        y += np.concatenate([s, z], axis=1) @ self.from_states
+        states = np.concatenate([s, z], axis=1)
+        dgemm(1.0, self.from_states.T, states.T, 1.0, y.T, overwrite_c=True)  # y += states @ ...
         return np.asarray(y)
 
 
 def _scanned(start: Array, added: Array, step: Array, *, back: bool = False) -> Array:
-    """States (c b, m) before each block: x+ = step x + added, from the start (c, m), by doubling.
+    """States (c b, m) before each block: x+ = step x + added, from the start (c, m).
 
-    `added` is (c b, m); `back` goes from the last block to the first.
+    `added` is (c b, m); `back` goes from the last block to the first. Two numbers are one mode, and
+    modes of a second pass are driven by those of the first.
     """
     grown = added.reshape(len(start), -1, start.shape[1])
     grown = (grown[:, ::-1] if back else grown)[:, :-1]
-    states = np.concatenate([start[:, None], grown], axis=1).transpose(0, 2, 1).copy()
-    distance = 1
-    while distance < states.shape[2] and np.abs(step).max() > NEGLIGIBLE**2:
-        states[:, :, distance:] += step @ states[:, :, :-distance]
-        step, distance = step @ step, 2 * distance
-    found = states[:, :, ::-1] if back else states
-    return np.ascontiguousarray(found.transpose(0, 2, 1)).reshape(added.shape)
+    states = np.concatenate([start[:, None], grown], axis=1)
+    modes = states.view(np.complex128)
+    for k in range(0, states.shape[2], 2):
+        if k >= ORDER:
+            states[:, 1:, k : k + 2] += states[:, :-1, :ORDER] @ step[k : k + 2, :ORDER].T
+        pole = complex(step[k, k], step[k + 1, k])
+        modes[:, :, k // 2] = lfilter([1.0], [1.0, -pole], modes[:, :, k // 2], axis=1)
+    return np.ascontiguousarray(states[:, ::-1] if back else states).reshape(added.shape)
 
 
 def _extended(rows: Array, pad: int, length: int) -> Array:

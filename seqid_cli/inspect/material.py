@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
-from seqid_cli.logs.bridging import with_losses
+from seqid_cli.logs.checks.bridging import with_losses
+from seqid_cli.logs.checks.lost_samples import mended
 from seqid_cli.logs.clocks import tidy
-from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Recording

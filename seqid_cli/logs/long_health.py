@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from seqid_cli.logs import echo, health
+from seqid_cli.logs.checks import echo, health
 from seqid_cli.logs.raw import Array, Stream
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.robot.types import Robot

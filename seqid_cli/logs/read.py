@@ -10,24 +10,35 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs import bags, csv_file, echo, health, mcap, parquet
-from seqid_cli.logs.bridging import with_losses
+from seqid_cli.logs.checks import echo, health
+from seqid_cli.logs.checks.bridging import with_losses
+from seqid_cli.logs.checks.lost_samples import Mended, mended
 from seqid_cli.logs.clocks import Tidy, tidy
-from seqid_cli.logs.lost_samples import Mended, mended
-from seqid_cli.logs.open import check_log, storage_file
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
+from seqid_cli.logs.mcap import reader, rosbags
+from seqid_cli.logs.raw import (
+    ACCELEROMETERS,
+    GYRO,
+    Array,
+    BlockReader,
+    Mask,
+    RawLog,
+    Stream,
+    TimeSource,
+)
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.logs.stored import local_copy
+from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
-READERS: dict[str, Reader] = {
-    "parquet": parquet.read,
-    "mcap": mcap.read,
-    "csv": csv_file.read,
-    "rosbag2": bags.read_rosbag2,
-    "rosbag1": bags.read_rosbag1,
+READERS: dict[str, BlockReader] = {
+    "parquet": parquet.read_blocks,
+    "mcap": reader.read_blocks,
+    "csv": csv_file.read_blocks,
+    "rosbag2": rosbags.read_blocks,
+    "rosbag1": rosbags.read_blocks,
 }
 _ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
@@ -130,12 +141,18 @@ def _read(
     if time_source not in ("header", "log"):
         raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
     try:
-        raw = READERS[kind](path, robot, time_source)
+        raw = read_whole(path, kind, robot, time_source)
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
     return _assemble(path, kind, digest, raw, robot, rate_hz), raw
+
+
+def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
+    """Read a file of a format as one block; see `BlockReader`."""
+    (raw,) = READERS[kind](path, robot, time_source, rows=None)
+    return raw
 
 
 @dataclass(frozen=True)

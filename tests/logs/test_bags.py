@@ -18,9 +18,9 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.open import expand
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.types import Channels
 from tests.logs.format_writers import (
     DYNAMIC,

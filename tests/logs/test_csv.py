@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.open import check_log
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.files import check_log
 from seqid_cli.robot.types import Channels, Imu
 from tests.logs.format_writers import Data, csv_franka, csv_rtde
 from tests.logs.samples import ARRAY, GYRO, JOINTS, Array, grid, make_motion, make_robot

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.logs.echo import REMEDY, WARNING, _law, echoes
+from seqid_cli.logs.checks.echo import REMEDY, WARNING, _law, echoes
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.file import load_robot
 from tests.discover.drawn_logs import wander

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.logs.checks.lost_samples import Mended, mended
 from seqid_cli.logs.long import open_long
-from seqid_cli.logs.lost_samples import Mended, mended
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
 from tests.logs.samples import JOINTS, curve, make_robot

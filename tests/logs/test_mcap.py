@@ -12,7 +12,7 @@ import pytest
 from mcap.writer import Writer
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.mcap import list_topics
+from seqid_cli.logs.mcap.reader import list_topics
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.types import Channels

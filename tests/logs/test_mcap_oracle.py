@@ -14,11 +14,18 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from seqid_cli.logs import mcap
-from seqid_cli.logs.mcap_records import Scan
+from seqid_cli.logs.mcap.reader import list_topics, read_blocks
+from seqid_cli.logs.mcap.records import Scan
 from seqid_cli.logs.raw import RawLog, Stream
-from tests.logs.samples import GYRO, JOINTS, make_robot
-from tests.logs.writers import Message, header, imu_messages, rewrite, write_messages
+from tests.logs.samples import GYRO, JOINTS, make_robot, read_raw
+from tests.logs.writers import (
+    Message,
+    header,
+    imu_messages,
+    payloads,
+    rewrite,
+    write_messages,
+)
 
 ROBOT = make_robot(imus=(GYRO,))
 QUANTITIES = ("position", "velocity", "effort")
@@ -126,7 +133,7 @@ def assert_same(raw: RawLog, path: Path) -> None:
 def test_cdr(messages: list[Message], storage: dict[str, object], tmp_path: Path) -> None:
     source = write_messages(tmp_path / "source.mcap", messages, encoding="cdr")
     path = rewrite(source, tmp_path / "log.mcap", **storage)  # type: ignore[arg-type]
-    assert_same(mcap.read(path, ROBOT), path)
+    assert_same(read_raw(path, ROBOT), path)
 
 
 @check
@@ -134,7 +141,7 @@ def test_cdr(messages: list[Message], storage: dict[str, object], tmp_path: Path
 def test_json(messages: list[Message], tmp_path: Path) -> None:
     path = write_messages(tmp_path / "log.mcap", messages, encoding="json")
     as_cdr = write_messages(tmp_path / "cdr.mcap", messages, encoding="cdr")
-    assert_same(mcap.read(path, ROBOT), as_cdr)
+    assert_same(read_raw(path, ROBOT), as_cdr)
 
 
 @check
@@ -144,8 +151,8 @@ def test_blocks_are_the_whole(
 ) -> None:
     source = write_messages(tmp_path / "source.mcap", messages, encoding="cdr")
     path = rewrite(source, tmp_path / "log.mcap", **storage)  # type: ignore[arg-type]
-    blocks = list(mcap.read_blocks(path, ROBOT, rows=rows))
-    whole = mcap.read(path, ROBOT)
+    blocks = list(read_blocks(path, ROBOT, rows=rows))
+    whole = read_raw(path, ROBOT)
     joints = [block.joints for block in blocks]
     np.testing.assert_array_equal(
         np.concatenate([b.stamp_ns for b in joints]), whole.joints.stamp_ns
@@ -185,7 +192,7 @@ def test_protobuf(tmp_path: Path, optional: bool) -> None:
             content.timestamp.FromNanoseconds(stamp)
             writer.write_message("/joint_states", content, i, i)
         writer.finish()
-    raw = mcap.read(path, make_robot())
+    raw = read_raw(path, make_robot())
     np.testing.assert_array_equal(raw.joints.stamp_ns, stamps)
     np.testing.assert_array_equal(values_of(raw.joints), wanted)
 
@@ -213,14 +220,14 @@ def test_padding_is_not_structure(tmp_path: Path) -> None:
         writer = Writer(out)
         writer.start()
         channel = writer.register_channel("/joint_states", "cdr", 0)
-        for message in Scan(source).messages():
-            data = bytearray(message.data)
+        for log_ns, content in enumerate(payloads(source), start=1):
+            data = bytearray(content)
             assert data[21:24] == b"\0\0\0"  # behind the frame's five bytes
             data[21:24] = rng.bytes(3)
-            writer.add_message(channel, message.log_ns, bytes(data), message.log_ns)
+            writer.add_message(channel, log_ns, bytes(data), log_ns)
         writer.finish()
     np.testing.assert_array_equal(
-        mcap.read(path, make_robot()).joints.channels["position"],
+        read_raw(path, make_robot()).joints.channels["position"],
         [content.position for _, _, content in messages],
     )
 
@@ -246,10 +253,10 @@ def test_chunks_without_needed_topics_are_not_unpacked(tmp_path: Path) -> None:
     for at in range(first.chunk_start_offset + 60, first.chunk_start_offset + 70):
         data[at] ^= 0xFF
     path.write_bytes(data)
-    raw = mcap.read(path, make_robot())
+    raw = read_raw(path, make_robot())
     assert raw.partial == ""
     np.testing.assert_array_equal(raw.joints.channels["position"][:, 0], np.arange(40, 100))
-    topics, _ = mcap.list_topics(path)
+    topics, _ = list_topics(path)
     assert {info.topic: info.messages for info in topics} == {"/camera": 40, "/joint_states": 60}
     scan = Scan(path)
     assert sum(len(batch.payloads) for batch in scan.batches()) < 100
@@ -284,7 +291,7 @@ def test_index_that_lies_is_not_believed(tmp_path: Path) -> None:
                 struct.pack_into("<Q", wrong, at + 1 + 8 + 6 + 16 * 3 + 8, lie)
         assert wrong != data
         path.write_bytes(wrong)
-        raw = mcap.read(path, make_robot())
+        raw = read_raw(path, make_robot())
         np.testing.assert_array_equal(
             raw.joints.channels["position"], [content.position for _, _, content in messages]
         )

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs import mcap, parquet_blocks
-from seqid_cli.logs.parquet import read as read_parquet
+from seqid_cli.logs.mcap.reader import read_blocks
+from seqid_cli.logs.tables import parquet
 from tests.bench.make_logs import JOINTS as PANDA
 from tests.bench.make_logs import write_cdr, write_columns
 from tests.logs import fuzz
-from tests.logs.samples import GYRO, JOINTS, grid, make_robot
+from tests.logs.samples import GYRO, JOINTS, grid, make_robot, read_raw
 from tests.logs.writers import rewrite, write_mcap
 
 ROBOT = make_robot()
@@ -48,7 +48,7 @@ def records(data: bytes, opcode: int) -> list[int]:
 
 def assert_rows_of(path: Path, q: np.ndarray, least: int) -> str:
     """The rows that are read are rows of the log, in order; returns what was said."""
-    raw = mcap.read(path, ROBOT)
+    raw = read_raw(path, ROBOT)
     rows = raw.joints.channels["position"]
     known = {row.tobytes(): i for i, row in enumerate(q)}
     order = [known[row.tobytes()] for row in np.ascontiguousarray(rows)]
@@ -81,7 +81,7 @@ def test_reading_goes_on_behind_garbage(
     partial = assert_rows_of(path, q, int(0.8 * COUNT))
     assert "damaged bytes" in partial
     if summary:
-        lost = COUNT - len(mcap.read(path, ROBOT).joints)
+        lost = COUNT - len(read_raw(path, ROBOT).joints)
         assert not lost or f"{lost} of {COUNT} messages are lost" in partial
 
 
@@ -93,7 +93,7 @@ def test_dropped_chunk_is_counted_without_statistics(
     data[records(data, 0x06)[3] + 100] ^= 0xFF
     path.write_bytes(data)
     partial = assert_rows_of(path, q, int(0.8 * COUNT))
-    lost = COUNT - len(mcap.read(path, ROBOT).joints)
+    lost = COUNT - len(read_raw(path, ROBOT).joints)
     assert lost > 0
     assert f"{lost} messages are lost" in partial
 
@@ -113,7 +113,7 @@ def test_blocks_of_a_cut_file(tmp_path: Path, source: Path, q: np.ndarray, share
     data = source.read_bytes()
     path = tmp_path / "log"
     path.write_bytes(data[: int(share * len(data))])
-    blocks = list(mcap.read_blocks(path, ROBOT, rows=100))
+    blocks = list(read_blocks(path, ROBOT, rows=100))
     rows = np.vstack([block.joints.channels["position"] for block in blocks])
     np.testing.assert_array_equal(rows, q[: len(rows)])
     assert abs(len(rows) / COUNT - share) < 0.1
@@ -123,9 +123,9 @@ def test_blocks_of_a_cut_file(tmp_path: Path, source: Path, q: np.ndarray, share
 def test_blocks_of_a_file_without_joints(tmp_path: Path, source: Path) -> None:
     path = rewrite(source, tmp_path / "log", keep=lambda topic: False)
     with pytest.raises(InputError, match="no messages on /joint_states"):
-        list(mcap.read_blocks(path, ROBOT))
+        list(read_blocks(path, ROBOT))
     with pytest.raises(InputError, match="names in the log"):
-        list(mcap.read_blocks(source, make_robot(["other"])))
+        list(read_blocks(source, make_robot(["other"])))
 
 
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     def peak(count: int) -> int:
         path = write_cdr(tmp_path / str(count), count)
         tracemalloc.start()
-        for block in mcap.read_blocks(path, robot, rows=2_000):
+        for block in read_blocks(path, robot, rows=2_000):
             assert len(block.joints) < 8_000
         size = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
@@ -147,8 +147,8 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
 def test_parquet_blocks_are_the_whole(tmp_path: Path) -> None:
     path = write_columns(tmp_path / "log.parquet", 150_000)
     robot = make_robot(PANDA)
-    whole = read_parquet(path, robot)
-    blocks = [block.joints for block in parquet_blocks.read_blocks(path, robot, rows=40_000)]
+    whole = read_raw(path, robot)
+    blocks = [block.joints for block in parquet.read_blocks(path, robot, rows=40_000)]
     assert max(map(len, blocks)) == 40_000
     stamps = np.concatenate([block.stamp_ns for block in blocks])
     np.testing.assert_array_equal(stamps, whole.joints.stamp_ns)
@@ -163,7 +163,7 @@ def test_damaged_parquet_blocks(tmp_path: Path) -> None:
     data[100:3_000] = bytes(2_900)
     path.write_bytes(data)
     with pytest.raises(InputError, match="damaged"):
-        list(parquet_blocks.read_blocks(path, make_robot(PANDA)))
+        list(parquet.read_blocks(path, make_robot(PANDA)))
 
 
 def test_a_little_fuzzing() -> None:

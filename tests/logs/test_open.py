@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.open import check_log, expand
+from seqid_cli.logs.storage.files import check_log, expand
 from tests.logs.samples import JOINTS, grid, make_motion
 from tests.logs.writers import write_mcap, write_parquet
 
@@ -214,7 +214,7 @@ def test_missing_file_folder_and_unreadable_file(tmp_path: Path) -> None:
 
 def test_no_heavy_import() -> None:
     code = (
-        "import sys, seqid_cli.logs.open\n"
+        "import sys, seqid_cli.logs.storage.files\n"
         "heavy = {'numpy', 'scipy', 'pyarrow', 'mcap', 'msgspec'} & set(sys.modules)\n"
         "sys.exit(' '.join(heavy) if heavy else 0)"
     )

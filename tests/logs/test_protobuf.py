@@ -11,7 +11,7 @@ from mcap.records import Schema
 from mcap.writer import Writer
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.protobuf import schema_parser
+from seqid_cli.logs.messages.parsers import schema_parser
 from seqid_cli.logs.read import read_recording
 from tests.logs.samples import GYRO, JOINTS, grid, make_motion, make_robot
 
@@ -53,7 +53,7 @@ def descriptors() -> bytes:
     imu += field("angular_velocity", 2, MESSAGE, of=".ros.Vector3")
     imu += field("linear_acceleration", 3, MESSAGE, of=".ros.Vector3")
     types = b"".join(item(4, content) for content in (header, joint_state, vector, imu))
-    return item(1, item(1, b"ros.proto") + item(2, b"ros") + types)
+    return item(1, item(1, b"ros.proto") + item(2, b"ros") + types + PROTO3)
 
 
 def header(stamp_s: float) -> bytes:
@@ -70,6 +70,9 @@ def doubles(number: int, values: np.ndarray, packed: bool) -> bytes:
 
 def vector(values: np.ndarray) -> bytes:
     return b"".join(item(i + 1, float(value)) for i, value in enumerate(values) if value != 0.0)
+
+
+PROTO3 = item(12, b"proto3")
 
 
 @pytest.mark.parametrize("packed", [True, False])
@@ -103,12 +106,17 @@ def test_joint_states_and_imu(tmp_path: Path, packed: bool) -> None:
 def test_negative_and_absent_fields() -> None:
     types = item(1, b"M") + field("a", 1, INT32) + field("b", 2, DOUBLE) + field("c", 3, STRING)
     types += field("d", 4, INT32, repeated=True)
-    data = item(1, item(4, types))
-    parse = schema_parser(Schema(1, data, "protobuf", "M"))
+    data = item(1, item(1, b"m.proto") + item(4, types) + PROTO3)
+    parse = schema_parser("protobuf", Schema(1, data, "protobuf", "M"))
     assert parse is not None
-    assert parse(b"") == {"a": 0, "b": 0.0, "c": "", "d": []}
+
+    def values(content: bytes) -> tuple[object, ...]:
+        found = parse(content)
+        return found.a, found.b, found.c, list(found.d)
+
+    assert values(b"") == (0, 0.0, "", [])
     message = item(1, (1 << 64) - 5) + item(4, varint(3) + varint((1 << 64) - 1)) + item(9, b"?")
-    assert parse(message) == {"a": -5, "b": 0.0, "c": "", "d": [3, -1]}
+    assert values(message) == (-5, 0.0, "", [3, -1])
 
 
 @pytest.mark.parametrize("schema", [b"", b"\xff", b"\x0a\xff\xff\xff\xff\x7f"])

@@ -12,18 +12,21 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
-from seqid_cli.logs import ros2
-from seqid_cli.logs.decoding import NameMap
-from seqid_cli.logs.mcap_records import Scan
+from seqid_cli.logs.messages import cdr, fields, parsers
+from seqid_cli.logs.messages.batch import NameMap, Payloads
 from seqid_cli.logs.read import read_recording
 from tests.logs.samples import JOINTS, grid, make_motion, make_robot
-from tests.logs.writers import DEFINITIONS, IMU, JOINT_STATE, header, imu_messages, write_messages
+from tests.logs.writers import (
+    DEFINITIONS,
+    IMU,
+    JOINT_STATE,
+    header,
+    imu_messages,
+    payloads,
+    write_messages,
+)
 
 NAMES = ("a", "joint_with_a_long_name", "c3")
-
-
-def payloads(path: Path) -> list[bytes]:
-    return [message.data for message in Scan(path).messages()]
 
 
 def random_joint_state(rng: random.Random) -> SimpleNamespace:
@@ -45,7 +48,7 @@ def test_joint_states_match_the_library(tmp_path: Path) -> None:
     rng = random.Random(7)
     messages = [("/joint_states", i, random_joint_state(rng)) for i in range(300)]
     batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
-    decoded = ros2.joint_state_decoder(NameMap(NAMES))(batch)
+    decoded = cdr.decoder("joint_state", NameMap(NAMES))(Payloads.of(batch))
     schema = Schema(1, DEFINITIONS[JOINT_STATE].encode(), "ros2msg", JOINT_STATE)
     decode = DecoderFactory().decoder_for("cdr", schema)
     assert decode is not None
@@ -70,7 +73,7 @@ def test_imus_match_what_was_written(tmp_path: Path) -> None:
     for i, (_, _, content) in enumerate(messages):
         content.header.frame_id = "f" * (i % 11)
     batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
-    decoded = ros2.imu_decoder()(batch)
+    decoded = cdr.decoder("imu", NameMap(NAMES))(Payloads.of(batch))
     np.testing.assert_array_equal(decoded.values, np.hstack([a, w]))
     np.testing.assert_array_equal(decoded.stamp_ns, stamps)
 
@@ -81,7 +84,7 @@ def test_damaged_payloads_are_refused_one_by_one(tmp_path: Path) -> None:
     batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
     broken = [data[: len(data) // 2] if i % 2 else data for i, data in enumerate(batch)]
     broken += [b"", b"\0", b"\0\1\0\0", b"\0\x02\0\0" + bytes(60)]
-    decoded = ros2.joint_state_decoder(NameMap(NAMES))(broken)
+    decoded = cdr.decoder("joint_state", NameMap(NAMES))(Payloads.of(broken))
     assert decoded.good[0:40:2].all()
     assert not decoded.good[40:].any()
     assert not decoded.good[[i for i in range(1, 40, 2) if messages[i][2].name]].any()
@@ -112,14 +115,12 @@ def test_definition_with_other_fields(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("comments", [True, False])
 def test_usual_definition_is_recognised(comments: bool) -> None:
-    from seqid_cli.logs.topics import _is_usual
-
     text = DEFINITIONS[IMU]
     if comments:
         text = "# This is a message\n" + text.replace("float64[9] ", "float64[9]   ", 1)
-    assert _is_usual(Schema(1, text.encode(), "ros2msg", IMU), "imu")
+    assert parsers.is_usual(Schema(1, text.encode(), "ros2msg", IMU), "imu")
     other = text.replace("geometry_msgs/Quaternion orientation\n", "")
-    assert not _is_usual(Schema(1, other.encode(), "ros2msg", IMU), "imu")
+    assert not parsers.is_usual(Schema(1, other.encode(), "ros2msg", IMU), "imu")
 
 
 def test_dynamic_joint_states(tmp_path: Path) -> None:
@@ -158,9 +159,6 @@ def test_dynamic_joint_states(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("effort", ["torque", "current"])
 def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) -> None:
-    from seqid_cli.logs import messages
-    from seqid_cli.logs.topics import _decoder, _is_usual
-
     kind, line = "control_msgs/msg/DynamicJointState", "=" * 80
     definition = (
         "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
@@ -188,17 +186,17 @@ def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) ->
         writer.finish()
     batch = payloads(path)
     found = Schema(1, definition.encode(), "ros2msg", kind)
-    assert _is_usual(found, "dynamic_joint_state")
-    assert not _is_usual(
+    assert parsers.is_usual(found, "dynamic_joint_state")
+    assert not parsers.is_usual(
         Schema(1, definition.replace("float64[] v", "float32[] v").encode(), "ros2msg", kind),
         "dynamic_joint_state",
     )
-    parse = messages.schema_parser(found)
-    decode = _decoder("cdr", found, "dynamic_joint_state", NameMap(NAMES, effort))
+    parse = parsers.schema_parser("cdr", found)
+    decode = parsers.decoder("cdr", found, "dynamic_joint_state", NameMap(NAMES, effort))
     assert parse is not None
     assert decode is not None
-    slow = messages.dynamic_joint_state_decoder(parse, NameMap(NAMES, effort))(batch)
-    fast = decode(batch)
+    slow = fields.decoder("dynamic_joint_state", NameMap(NAMES, effort), parse)(Payloads.of(batch))
+    fast = decode(Payloads.of(batch))
     assert fast.good.all()
     np.testing.assert_array_equal(fast.values, slow.values)
     np.testing.assert_array_equal(fast.stamp_ns, slow.stamp_ns)

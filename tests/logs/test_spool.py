@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.logs.spool import Spool
+from seqid_cli.logs.storage.spool import Spool
 
 Usage = namedtuple("Usage", "total used free")
 

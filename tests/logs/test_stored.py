@@ -16,8 +16,8 @@ import pytest
 from seqid_cli import api
 from seqid_cli.commands.app import run
 from seqid_cli.errors import ConfigError, InputError, UsageError
-from seqid_cli.logs.open import expand
-from seqid_cli.logs.stored import StoredLog, is_url, local_copy
+from seqid_cli.logs.storage.files import expand
+from seqid_cli.logs.storage.remote import StoredLog, is_url, local_copy
 
 fsspec = pytest.importorskip("fsspec")
 

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from seqid_cli.logs.contents import survey
 from seqid_cli.logs.read import read_recording
-from seqid_cli.logs.survey import survey
 from tests.logs.format_writers import EXACT, FLOAT32, Data
 from tests.logs.samples import JOINTS, grid, make_motion, make_robot
 from tests.logs.writers import write_mcap, write_parquet

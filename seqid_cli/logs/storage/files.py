@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.csv_form import is_text, read_form
-from seqid_cli.logs.presets import looks_like_log
-from seqid_cli.logs.stored import is_url, stored_logs
+from seqid_cli.logs.storage.remote import is_url, stored_logs
+from seqid_cli.logs.tables.csv_form import is_text, read_form
+from seqid_cli.logs.tables.naming_schemes import looks_like_log
 
 SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
 CSV_SUFFIXES = (".csv", ".tsv")

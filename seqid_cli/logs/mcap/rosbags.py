@@ -18,7 +18,7 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs import mcap
+from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.robot.types import Robot
 
@@ -27,6 +27,7 @@ _KEPT = (
     "sensor_msgs/msg/Imu",
     "control_msgs/msg/DynamicJointState",
 )
+_ROSBAG1 = b"#ROSBAG V2.0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
 _SHOWN = 12
@@ -67,26 +68,25 @@ class _Bag:
 _Open = Callable[[Path], AbstractContextManager[_Bag]]
 
 
-def read_rosbag2(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog:
-    """Read the SQLite file of a ROS 2 bag; parameters and result as of `mcap.read`."""
-    return _read(path, robot, time_source, _rosbag2)
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = None
+) -> Iterator[RawLog]:
+    """Read a ROS 1 bag, or the SQLite file of a ROS 2 bag; see `reader.read_blocks`.
 
-
-def read_rosbag1(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog:
-    """Read a ROS 1 bag; parameters and result as of `mcap.read`."""
-    return _read(path, robot, time_source, _rosbag1)
+    The first block tells as well what of the bag could not be copied.
+    """
+    with as_mcap(path) as (copy, lost):
+        try:
+            for raw in reader.read_blocks(copy, robot, time_source, rows=rows):
+                yield replace(raw, partial="; ".join(filter(None, (lost, raw.partial))))
+                lost = ""
+        except InputError as error:
+            raise InputError(error.message, hint=error.hint, where=str(path)) from error
 
 
 @contextmanager
-def as_mcap(path: Path, kind: str) -> Iterator[tuple[Path, str]]:
+def as_mcap(path: Path) -> Iterator[tuple[Path, str]]:
     """Copy what a bag holds of joint states and IMU messages to a temporary MCAP file.
-
-    Parameters
-    ----------
-    path : Path
-        The bag.
-    kind : {"rosbag1", "rosbag2"}
-        What it is.
 
     Yields
     ------
@@ -100,16 +100,9 @@ def as_mcap(path: Path, kind: str) -> Iterator[tuple[Path, str]]:
     """
     with TemporaryDirectory(prefix="seqid-") as folder:
         target = Path(folder) / "bag.mcap"
-        yield target, _copy(path, target, _rosbag1 if kind == "rosbag1" else _rosbag2)
-
-
-def _read(path: Path, robot: Robot, time_source: TimeSource, open_bag: _Open) -> RawLog:
-    with as_mcap(path, "rosbag1" if open_bag is _rosbag1 else "rosbag2") as (copy, lost):
-        try:
-            raw = mcap.read(copy, robot, time_source)
-        except InputError as error:
-            raise InputError(error.message, hint=error.hint, where=str(path)) from error
-    return replace(raw, partial="; ".join(part for part in (lost, raw.partial) if part))
+        with path.open("rb") as file:
+            first = file.read(len(_ROSBAG1)) == _ROSBAG1
+        yield target, _copy(path, target, _rosbag1 if first else _rosbag2)
 
 
 def _copy(path: Path, target: Path, open_bag: _Open) -> str:

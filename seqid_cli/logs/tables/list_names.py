@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.presets import LEROBOT_STATE
+from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 
 _LARGEST = 16 << 20  # bytes of an info.json
 _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -11,9 +11,11 @@ import numpy as np
 import pyarrow as pa
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.columns import TimeColumn, numbers, read_stamps
-from seqid_cli.logs.episodes import separate
-from seqid_cli.logs.presets import (
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Stamps, Stream
+from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
+from seqid_cli.logs.tables.episodes import separate
+from seqid_cli.logs.tables.imus import imu_columns
+from seqid_cli.logs.tables.naming_schemes import (
     EFFORT,
     EPISODES,
     QUANTITIES,
@@ -26,8 +28,6 @@ from seqid_cli.logs.presets import (
     stamp_parts,
     time_names,
 )
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Stamps, Stream
-from seqid_cli.logs.table_imus import imu_columns
 from seqid_cli.robot.types import Channels, Robot
 
 ROWS = "the rows"
@@ -38,8 +38,7 @@ class TableFile(Protocol):
     """A file that holds a table.
 
     `names` are its columns, elements of list columns as `column[k]`; `entries` the places of the
-    joints in its lists, empty where the file does not name them; `partial` what `load` could not
-    read.
+    joints in its lists, empty where the file does not name them.
     """
 
     @property
@@ -58,8 +57,8 @@ class TableFile(Protocol):
     def notes(self) -> Sequence[str]:
         """What was noticed while the file was opened."""
 
-    def load(self, columns: Sequence[str]) -> tuple[pa.Table, str]:
-        """Read columns; returns them and what was lost.
+    def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
+        """Read columns, at most `rows` rows at a time if that is given; says what was lost.
 
         Raises
         ------
@@ -88,7 +87,7 @@ class Plan:
         return list(dict.fromkeys(names))
 
 
-def read_table(file: TableFile, robot: Robot) -> RawLog:
+def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
     """Read the channels that the robot file knows.
 
     Parameters
@@ -97,11 +96,15 @@ def read_table(file: TableFile, robot: Robot) -> RawLog:
         An opened table.
     robot : Robot
         Its joints, IMUs and `[channels]` say which columns are read.
+    rows : int or None
+        Rows in a block, if the format allows it; None for the whole table as one block.
 
-    Returns
-    -------
+    Yields
+    ------
     RawLog
-        All streams share the stamps of the rows; nulls and NaN stay missing.
+        The next rows. All streams share their stamps; nulls and NaN stay missing. What was noticed
+        of the file is told by the first block, what was noticed of rows by theirs. A file that
+        holds several episodes is one block: they are put one behind the other as a whole.
 
     Raises
     ------
@@ -110,23 +113,30 @@ def read_table(file: TableFile, robot: Robot) -> RawLog:
     """
     plan = make_plan(file, robot)
     _require_once(file.where, plan.columns, file.names)
-    table, partial = file.load(plan.columns)
-    stamps, keep, warnings = read_stamps(file.where, table, plan.time)
+    notes = [*file.notes, *plan.warnings]
+    for table, partial in file.tables(plan.columns, None if plan.episode else rows):
+        yield _raw_log(file.where, table, plan, robot, partial, notes)
+        notes = []
+
+
+def _raw_log(
+    where: str, table: pa.Table, plan: Plan, robot: Robot, partial: str, notes: list[str]
+) -> RawLog:
+    stamps, keep, warnings = read_stamps(where, table, plan.time)
     if plan.episode is not None:
-        episode = numbers(file.where, table, plan.episode)
-        stamps, keep, notes = separate(stamps, keep, episode, plan.episode)
-        warnings += notes
-    channels = {quantity: _columns(file.where, table, row) for quantity, row in plan.joints.items()}
+        episode = numbers(where, table, plan.episode)
+        stamps, keep, more = separate(stamps, keep, episode, plan.episode)
+        warnings += more
+    channels = {quantity: _columns(where, table, row) for quantity, row in plan.joints.items()}
     joints = Stream(ROWS, stamps, channels)
     if plan.episode is not None or len(keep) < len(stamps):
         joints = joints.take(keep)
     imus: dict[str, tuple[Stream, ...]] = {
-        imu: (_imu_stream(file.where, table, stamps, columns).take(keep),)
+        imu: (_imu_stream(where, table, stamps, columns).take(keep),)
         for imu, columns in plan.imus.items()
     }
     prefer_current = robot.channels.current is not None and robot.channels.torque is None
-    notes = [*file.notes, *plan.warnings, *warnings]
-    return RawLog(joints, imus, partial, tuple(notes), prefer_current=prefer_current)
+    return RawLog(joints, imus, partial, (*notes, *warnings), prefer_current=prefer_current)
 
 
 def make_plan(file: TableFile, robot: Robot) -> Plan:

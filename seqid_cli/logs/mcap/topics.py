@@ -2,17 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from seqid_cli.logs.decoding import JOINT_QUANTITIES
+from seqid_cli.logs.mcap.collector import Samples
+from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Kind
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Stamps, Stream, TimeSource
-from seqid_cli.logs.topics import Kind, Samples
 from seqid_cli.robot.types import Imu, Robot
 
 JOINT_STATES = "/joint_states"
+DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
+# Types that only measured states have; a JointState on another topic may as well be a command.
+_STATES = ("foxglove.JointStates",)
+_DYNAMIC = "DynamicJointState"
+
+
+def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | None:
+    """Choose the topic of the joint states: `/dynamic_joint_states`, or the one that has the type.
+
+    Two candidates are none: which robot is meant is not known then.
+
+    Parameters
+    ----------
+    topics : iterable of (str, str)
+        Topics, with a leading slash, and the names of their schemas.
+
+    Returns
+    -------
+    (str, Kind) or None
+        The topic and how its messages are to be read.
+    """
+    known = dict(topics)
+    if DYNAMIC_JOINT_STATES in known:
+        return DYNAMIC_JOINT_STATES, "dynamic_joint_state"
+    states = [topic for topic, schema in known.items() if schema in _STATES]
+    dynamic = [topic for topic, schema in known.items() if schema.endswith(_DYNAMIC)]
+    if len(states) == 1:
+        return states[0], "joint_state"
+    return (dynamic[0], "dynamic_joint_state") if len(dynamic) == 1 else None
 
 
 def imu_topics(robot: Robot) -> dict[str, Kind]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.columns import ARROW_ERRORS
-from seqid_cli.logs.csv_form import MISSING, CsvForm, read_form
-from seqid_cli.logs.presets import stamp_parts, time_names
 from seqid_cli.logs.raw import RawLog, TimeSource
-from seqid_cli.logs.tabular import read_table
+from seqid_cli.logs.tables.columns import ARROW_ERRORS
+from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
+from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
+from seqid_cli.logs.tables.table import read_table
 from seqid_cli.robot.types import Robot
 
 _BLOCK = 8 << 20  # bytes; no line can be longer
@@ -44,7 +44,7 @@ class _Ragged:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """An opened CSV file; see `tabular.TableFile`."""
+    """An opened CSV file; see `table.TableFile`."""
 
     path: Path
     form: CsvForm
@@ -61,8 +61,8 @@ class CsvTable:
         """All columns."""
         return self.form.names
 
-    def load(self, columns: Sequence[str]) -> tuple[pa.Table, str]:
-        """Read columns; lines with another number of fields are left out and counted.
+    def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
+        """Read columns as one table; lines with another number of fields are left out and counted.
 
         Raises
         ------
@@ -72,7 +72,8 @@ class CsvTable:
         places = {name: self.names.index(name) for name in columns}
         parsed = self._parse(places, threads=True)
         if isinstance(parsed, pa.Table) and not _texts(parsed):
-            return parsed, ""
+            yield parsed, ""
+            return
         ragged = _Ragged()
         parsed = self._parse(places, threads=False, ragged=ragged)
         if isinstance(parsed, pa.Table) and _texts(parsed):
@@ -80,7 +81,7 @@ class CsvTable:
             parsed = again if isinstance(again, BaseException) else parsed
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
-        return parsed, self._partial(ragged, parsed.num_rows)
+        yield parsed, self._partial(ragged, parsed.num_rows)
 
     def _parse(
         self,
@@ -178,42 +179,12 @@ def _texts(table: pa.Table) -> bool:
     return any(pa.types.is_string(kind) or pa.types.is_binary(kind) for kind in table.schema.types)
 
 
-def read(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog:
-    """Read a CSV log.
-
-    Parameters
-    ----------
-    path : Path
-        The file: names in the first line, then one line per sample.
-    robot : Robot
-        Its joints, IMUs and `[channels]` say which columns are read.
-    time_source : {"header", "log"}
-        Without meaning here: a line has one time.
-
-    Returns
-    -------
-    RawLog
-        All streams share the stamps of the lines; empty fields stay missing. `partial` tells of
-        lines that were left out.
-
-    Raises
-    ------
-    InputError
-        Damaged file, missing column, or a field that is no number.
-    """
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = None
+) -> Iterator[RawLog]:
+    """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
-    return read_table(open_table(path), robot)
-
-
-def open_table(path: Path) -> CsvTable:
-    """Read the names of the columns.
-
-    Raises
-    ------
-    InputError
-        It is no table.
-    """
-    return CsvTable(path, read_form(path))
+    return read_table(CsvTable(path, read_form(path)), robot, rows)
 
 
 def list_columns(path: Path) -> tuple[list[str], int]:
@@ -224,7 +195,7 @@ def list_columns(path: Path) -> tuple[list[str], int]:
     InputError
         It is no table.
     """
-    table = open_table(path)
+    form = read_form(path)
     with path.open("rb") as file:
         lines = sum(1 for line in iter(lambda: file.readline(_BLOCK), b"") if line.strip())
-    return list(table.names), max(0, lines - table.form.skip)
+    return list(form.names), max(0, lines - form.skip)

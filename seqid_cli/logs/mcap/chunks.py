@@ -14,11 +14,11 @@ from typing import NamedTuple
 import lz4.frame
 import numpy as np
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from seqid_cli.logs.checksum import crc32
-from seqid_cli.logs.payloads import Bytes
+from seqid_cli.logs.messages.batch import Bytes
 
 RECORD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")  # first and last time, size, CRC, length of compression's name

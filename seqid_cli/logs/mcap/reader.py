@@ -8,21 +8,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.decoding import NameMap
-from seqid_cli.logs.joint_topics import find_joint_topic
-from seqid_cli.logs.mcap_records import Scan
-from seqid_cli.logs.raw import RawLog, TimeSource
-from seqid_cli.logs.topic_streams import (
+from seqid_cli.logs.mcap.collector import Collector
+from seqid_cli.logs.mcap.records import Scan, read_summary
+from seqid_cli.logs.mcap.topics import (
     JOINT_STATES,
     Streams,
     any_finite,
+    find_joint_topic,
     imu_topics,
     needed_topics,
 )
-from seqid_cli.logs.topics import Collector, Kind
+from seqid_cli.logs.messages.batch import Kind, NameMap
+from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.robot.types import Imu, Robot
-
-BLOCK_ROWS = 32_768
 
 _SHOWN = 12  # topics or names listed in a message
 
@@ -36,8 +34,10 @@ class TopicInfo(NamedTuple):
     messages: int
 
 
-def read(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog:
-    """Read an MCAP log.
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = 32_768
+) -> Iterator[RawLog]:
+    """Read an MCAP log block by block, in memory that does not grow with its length.
 
     Parameters
     ----------
@@ -47,56 +47,25 @@ def read(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog
         Joints are matched by name; its IMUs say which topics are read.
     time_source : {"header", "log"}
         Stamps of the message headers, or the times at which the messages were logged.
-
-    Returns
-    -------
-    RawLog
-        `partial` says what a damaged file lost.
-
-    Raises
-    ------
-    InputError
-        No joint states, none of the robot's joints in them, or nothing readable.
-    """
-    log = _Log.of(path, robot)
-    for _ in log.batches():
-        pass  # everything is kept
-    samples = {topic: collector.samples() for topic, collector in log.collectors.items()}
-    log.check_joints()
-    imus = {imu.name: log.imu_topics(imu, whole=True) for imu in robot.imus}
-    raw = Streams(robot, time_source).raw_log(log.joint_topic, samples, imus, log.partial())
-    if not any_finite(raw.joints.channels["position"]):
-        raise _no_joints(path, log.names)
-    return raw
-
-
-def read_blocks(
-    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int = BLOCK_ROWS
-) -> Iterator[RawLog]:
-    """Read an MCAP log block by block, in memory that does not grow with its length.
-
-    Parameters
-    ----------
-    path, robot, time_source
-        As for `read`.
-    rows : int
-        Messages in a block, of all topics together; a block holds a little more.
+    rows : int or None
+        Messages in a block, of all topics together; a block holds a little more. None for the whole
+        log as one block.
 
     Yields
     ------
     RawLog
         The next part of every topic, in the order of the file; streams of topics that have nothing
-        in it are empty. A quantity that no sample of a block has is left out of it. `partial` is
-        told by the last block, the delay of logging by none. Whether a topic has header stamps is
-        decided by its first block.
+        in it are empty. A quantity that no sample of a block has is left out of it. The last block
+        says in `partial` what a damaged file lost; the delay of logging is told of a whole log
+        only. Whether a topic has header stamps is decided by its first block.
 
     Raises
     ------
     InputError
-        As for `read`; what only the whole file can tell, after the last block.
+        No joint states, none of the robot's joints in them, or nothing readable: what only the
+        whole file can tell, after the last block.
     """
-    log = _Log.of(path, robot)
-    streams = Streams(robot, time_source)
+    log, streams = _Log.of(path, robot), Streams(robot, time_source)
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
@@ -104,11 +73,18 @@ def read_blocks(
             log.check_joints()
         imus = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
         partial = log.partial() if last else ""
-        raw = streams.raw_log(log.joint_topic, samples, imus, partial, whole=False)
+        raw = streams.raw_log(log.joint_topic, samples, imus, partial, whole=rows is None)
         positions = positions or any_finite(raw.joints.channels["position"])
         if last and not positions:
             raise _no_joints(path, log.names)
         yield raw
+
+
+def count_messages(path: Path) -> int | None:
+    """Count the messages of a file without reading them; None where it does not tell."""
+    with path.open("rb") as file:
+        told = read_summary(file, path.stat().st_size)[0].statistics
+    return None if told is None else int(told.message_count)
 
 
 def list_topics(path: Path) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
@@ -155,16 +131,16 @@ class _Log:
             yield from self._pass()
             self.scan.losses |= first.losses
 
-    def blocks(self, rows: int) -> Iterator[bool]:
+    def blocks(self, rows: int | None) -> Iterator[bool]:
         """Stop whenever `rows` messages are there, and at the end, which is told by True."""
         for _ in self.batches():
-            if sum(collector.waiting for collector in self.collectors.values()) >= rows:
+            if rows is not None and sum(c.waiting for c in self.collectors.values()) >= rows:
                 yield False
         yield True
 
     def _pass(self) -> Iterator[None]:
         for batch in self.scan.batches():
-            self.collectors[_normal(batch.channel.topic)].add_batch(batch)
+            self.collectors[_normal(batch.channel.topic)].add(batch)
             del batch  # the next chunk takes its memory, which the processor's cache still holds
             yield
 
@@ -175,7 +151,7 @@ class _Log:
     def partial(self) -> str:
         """Say in one line what the file lost; empty for a whole one."""
         unread = [note for collector in self.collectors.values() if (note := collector.note())]
-        return _partial(self.scan, unread)
+        return "; ".join([*_losses(self.scan), *unread])
 
     def check_joints(self) -> None:
         """Refuse a file without joint states.
@@ -185,9 +161,8 @@ class _Log:
         InputError
             No message of them could be decoded.
         """
-        collector = self.collectors[self.joint_topic]
-        if collector.received == collector.damaged:
-            raise _no_joint_states(self.scan, collector)
+        if not self.has(self.joint_topic):
+            raise _no_joint_states(self.scan, self.collectors[self.joint_topic])
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU, none where the file does not have it.
@@ -217,19 +192,18 @@ def _normal(topic: str) -> str:
     return "/" + topic.strip("/")
 
 
-def _partial(scan: Scan, unread: list[str]) -> str:
-    """Say in one line what the file lost; empty for a whole one."""
+def _losses(scan: Scan) -> list[str]:
+    """Say what the file lost; nothing for a whole one."""
     losses = [f"{what} ({n} times)" if n > 1 else what for what, n in scan.losses.items()]
-    parts = losses[:3]
-    if len(losses) > 3:
-        parts = [*parts, f"and {len(losses) - 3} more faults"]
+    more = [f"and {len(losses) - 3} more faults"] if len(losses) > 3 else []
     missing, expected = scan.missing(), scan.expected()
+    counted = []
     if missing:
         of = f" of {expected}" if expected else ""
-        parts = [*parts, f"{missing}{of} messages are lost"]
+        counted = [f"{missing}{of} messages are lost"]
     elif losses:
-        parts = [*parts, f"{scan.met()} messages were read"]
-    return "; ".join([*parts, *unread])
+        counted = [f"{scan.met()} messages were read"]
+    return [*losses[:3], *more, *counted]
 
 
 def _topics(scan: Scan) -> tuple[TopicInfo, ...]:
@@ -249,7 +223,7 @@ def _listing(scan: Scan) -> str:
 
 
 def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
-    where, faults = str(scan.path), _partial(scan, [])
+    where, faults = str(scan.path), "; ".join(_losses(scan))
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
         reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"

@@ -9,9 +9,9 @@ from typing import BinaryIO
 
 from mcap.opcode import Opcode
 
-from seqid_cli.logs.mcap_chunks import CHUNK, CHUNK_HEAD, MESSAGE_SIZE, RECORD
-from seqid_cli.logs.mcap_summary import MAGIC
+from seqid_cli.logs.mcap.chunks import CHUNK, CHUNK_HEAD, MESSAGE_SIZE, RECORD
 
+MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 96  # bytes that tell whether a record is sound
 _WINDOW = 1 << 20
 _HOPS = 3  # sound records in a row that make a place to go on

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.logs.bridging import Losses
+from seqid_cli.logs.checks.bridging import Losses
 from seqid_cli.logs.raw import Array, Rows
 from seqid_cli.robust import gaussian_spread
 

@@ -7,18 +7,18 @@ structure and its numbers lie; `layouts` decodes the messages that are alike.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from seqid_cli.logs.decoding import (
-    IMU_FIELDS,
+from seqid_cli.logs.messages.batch import (
     JOINT_QUANTITIES,
     Decode,
+    Kind,
     NameMap,
     check_lengths,
 )
-from seqid_cli.logs.layout_decoder import LayoutDecoder
-from seqid_cli.logs.layouts import Layout, Number, Place, make_layout
+from seqid_cli.logs.messages.layouts import Layout, LayoutDecoder
 
 _ENCAPSULATION = 4
 _STAMP_END = 12
@@ -59,17 +59,16 @@ class _Cursor:
         """Read a list of strings."""
         return [self.text() for _ in range(self.count(4))]
 
-    def doubles(self, count: int) -> list[Place]:
-        """Step over float64 values; returns where they are."""
+    def doubles(self, count: int) -> range:
+        """Step over float64 values; returns where they begin."""
         if count:
             self._align(8)
         first = self._advance(8 * count)[0]
-        return [Place(first + 8 * i, f"{self.order}f8", 8) for i in range(count)]
+        return range(first, first + 8 * count, 8)
 
-    def layout(self, columns: list[tuple[int, Number]]) -> Layout:
-        """Make the layout of the message; the stamp stands at its beginning."""
-        sec, nanosec = Place(4, f"{self.order}i4", 4), Place(8, f"{self.order}u4", 4)
-        return make_layout(self.data, self.mask, columns, (sec, nanosec))
+    def layout(self, columns: Sequence[tuple[int, int]]) -> Layout:
+        """Make the layout of the message."""
+        return Layout(np.frombuffer(self.data, np.uint8), self.mask, columns, self.order)
 
     def _align(self, size: int) -> None:
         size = min(size, self._largest)
@@ -82,19 +81,10 @@ class _Cursor:
         return start, self.at
 
 
-def joint_state_decoder(names: NameMap) -> Decode:
-    """Decode `sensor_msgs/msg/JointState`."""
-    return LayoutDecoder(lambda data: _joint_state(data, names), names.width)
-
-
-def dynamic_joint_state_decoder(names: NameMap) -> Decode:
-    """Decode `control_msgs/msg/DynamicJointState`."""
-    return LayoutDecoder(lambda data: _dynamic_joint_state(data, names), names.width)
-
-
-def imu_decoder() -> Decode:
-    """Decode `sensor_msgs/msg/Imu`."""
-    return LayoutDecoder(_imu, len(IMU_FIELDS))
+def decoder(kind: Kind, names: NameMap) -> Decode:
+    """Decode `sensor_msgs/msg/JointState`, `control_msgs/msg/DynamicJointState` or `Imu`."""
+    parse = _PARSERS[kind]
+    return LayoutDecoder(lambda data: parse(data, names), names.width(kind))
 
 
 def _joint_state(data: bytes, names: NameMap) -> Layout:
@@ -104,7 +94,7 @@ def _joint_state(data: bytes, names: NameMap) -> Layout:
     arrays = [cursor.doubles(cursor.count(8)) for _ in JOINT_QUANTITIES]
     check_lengths(len(entries), [len(places) for places in arrays])
     pairs = names.pairs(entries)
-    columns: list[tuple[int, Number]] = [
+    columns = [
         (quantity * len(names.joints) + joint, places[entry])
         for quantity, places in enumerate(arrays)
         for entry, joint in (pairs if places else ())
@@ -123,7 +113,7 @@ def _dynamic_joint_state(data: bytes, names: NameMap) -> Layout:
         kinds = cursor.texts()
         values = cursor.doubles(cursor.count(8))
         interfaces.append((kinds, values))
-    columns: dict[int, Number] = {}
+    columns: dict[int, int] = {}
     for entry, joint in names.pairs(entries):
         given = dict(zip(*interfaces[entry], strict=True))
         if names.effort in given:
@@ -134,7 +124,8 @@ def _dynamic_joint_state(data: bytes, names: NameMap) -> Layout:
     return cursor.layout(list(columns.items()))
 
 
-def _imu(data: bytes) -> Layout:
+def _imu(data: bytes, names: NameMap) -> Layout:
+    del names
     cursor = _Cursor(data)
     cursor.text(structural=False)
     cursor.doubles(4 + 9)  # orientation and its covariance
@@ -143,3 +134,10 @@ def _imu(data: bytes) -> Layout:
     acceleration = cursor.doubles(3)
     cursor.doubles(9)
     return cursor.layout(list(enumerate([*acceleration, *gyro])))
+
+
+_PARSERS: dict[Kind, Callable[[bytes, NameMap], Layout]] = {
+    "joint_state": _joint_state,
+    "dynamic_joint_state": _dynamic_joint_state,
+    "imu": _imu,
+}

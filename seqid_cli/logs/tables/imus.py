@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.presets import RTDE
+from seqid_cli.logs.tables.naming_schemes import RTDE
 from seqid_cli.robot.types import Imu, Robot
 
 # Forms of names: numbered accelerometers, the axes of a triad, the axes of a gyro.

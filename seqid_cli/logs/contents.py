@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from seqid_cli.logs import bags, csv_file, mcap, parquet
-from seqid_cli.logs.open import check_log, storage_file
-from seqid_cli.logs.presets import survey_names
+from seqid_cli.logs.mcap import reader, rosbags
+from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.tables import csv_file, parquet
+from seqid_cli.logs.tables.naming_schemes import survey_names
 from seqid_cli.robot.types import Channels
 
 
@@ -48,13 +49,13 @@ def survey(path: Path) -> Survey:
     path = storage_file(path)
     if kind == "parquet":
         listed = [Channel(*column) for column in parquet.list_columns(path)]
-        return _table(path, kind, listed, parquet.column_names(path))
+        return _table(path, kind, listed, parquet.open_table(path).names)
     if kind == "csv":
         names, rows = csv_file.list_columns(path)
         return _table(path, kind, [Channel(name, "text", rows) for name in names], names)
     if kind == "mcap":
         return _topics(path, kind, path)
-    with bags.as_mcap(path, kind) as (copy, _):
+    with rosbags.as_mcap(path) as (copy, _):
         return _topics(path, kind, copy)
 
 
@@ -64,7 +65,7 @@ def _table(path: Path, kind: str, channels: Sequence[Channel], names: Sequence[s
 
 
 def _topics(path: Path, kind: str, file: Path) -> Survey:
-    topics, joints = mcap.list_topics(file)
+    topics, joints = reader.list_topics(file)
     channels = tuple(
         Channel(info.topic, f"{info.schema} ({info.encoding})", info.messages) for info in topics
     )

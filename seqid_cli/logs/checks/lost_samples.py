@@ -23,8 +23,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.logs.bridging import Losses, cubic, with_losses
-from seqid_cli.logs.more_losses import below_counts, joined, recurring
+from seqid_cli.logs.checks.bridging import Losses, cubic, with_losses
+from seqid_cli.logs.checks.recurring_losses import below_counts, joined, recurring
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import gaussian_spread
 

@@ -114,7 +114,7 @@ def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool)
         robot=robot,
         modelled=modelled,
         raw=raw,
-        joints=_on_true_time(_without_absurd(tidy(raw.joints).stream)),
+        joints=_on_true_time(_without_absurd(tidy(raw.joints).stream), recording),
         recording=recording,
         step=step,
         moving=moving_mask(recording.q, recording.rate_hz, step),
@@ -176,8 +176,10 @@ def averaged(recording: Recording, rate_hz: float) -> Recording:
     )
 
 
-def _on_true_time(joints: Stream) -> Stream:
-    """With the time that lost samples took, and the holes filled, as the reader does."""
+def _on_true_time(joints: Stream, recording: Recording) -> Stream:
+    """With the time that lost samples took, and the holes filled, where the reader did so."""
+    if not recording.health.mended:
+        return joints
     nothing = np.zeros(len(joints), np.bool_)
     return with_losses(joints, mended(joints).losses, nothing)[0]
 

@@ -19,12 +19,13 @@ A position that is held and then catches up loses no time: there the held sample
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.bridging import Losses, cubic, with_losses
-from seqid_cli.logs.checks.recurring_losses import below_counts, joined, recurring
+from seqid_cli.logs.checks.recurring_losses import LEAST_LOSSES, below_counts, joined, recurring
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import gaussian_spread
 
@@ -80,6 +81,53 @@ class Mended:
         return tuple(parts)
 
 
+@dataclass(frozen=True)
+class _Motion:
+    """Increments of positions q (M, n) and, if they were logged, velocities dq, at t (M,) s."""
+
+    t: Array
+    q: Array
+    dq: Array | None
+
+    @cached_property
+    def dt(self) -> Array:
+        """Intervals (M - 1,) s."""
+        return np.diff(self.t)
+
+    @cached_property
+    def usual(self) -> float:
+        """Usual interval, s."""
+        return float(np.median(self.dt))
+
+    @cached_property
+    def d(self) -> Array:
+        """Increments (M - 1, n) rad."""
+        return np.diff(self.q, axis=0)
+
+    @cached_property
+    def count(self) -> Array:
+        """Smallest increment (n,) rad."""
+        return _count(np.abs(self.d))
+
+    @cached_property
+    def beside(self) -> Array:
+        """Standard deviation (n,) of increments about those beside them."""
+        return _spread(self.d[1:-1] - 0.5 * (self.d[:-2] + self.d[2:]), self.d[1:-1])
+
+    @cached_property
+    def logged(self) -> Array:
+        """Standard deviation (n,) of increments about the logged velocities; infinite without."""
+        if self.dq is None:
+            return np.full(self.q.shape[1], np.inf)
+        mean = 0.5 * (self.dq[1:] + self.dq[:-1])
+        return _spread(self.d - mean * self.dt[:, None], self.d)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Noise (n,) of increments about the velocities, at least half a count."""
+        return np.maximum(np.minimum(self.beside, self.logged), 0.5 * self.count + 1e-15)
+
+
 def mended(joints: Stream) -> Mended:
     """Put right what the motion of the joints says of a stream.
 
@@ -107,7 +155,7 @@ def mended(joints: Stream) -> Mended:
         steps = _sudden(np.diff(q, axis=0))
         made = np.flatnonzero(filled.any(axis=1))
         steps = steps[~(np.isin(steps, made) | np.isin(steps + 1, made))]
-    losses = _all_losses(t, q, dq, steps)
+    losses = _all_losses(_Motion(t, q, dq), steps)
     if not len(losses) and not filled.any():
         return as_it_is
     channels = {**joints.channels, "position": q}
@@ -219,41 +267,41 @@ def _slope(t: Array, values: Array, rows: slice) -> float:
     return float(x @ y / (x @ x)) if len(x) > 1 else 0.0
 
 
-def _all_losses(t: Array, q: Array, dq: Array | None, steps: Rows) -> Losses:
+def _all_losses(motion: _Motion, steps: Rows) -> Losses:
     """Losses that increments show, and those that they do not show by themselves."""
-    losses = _losses(t, q, dq, steps)
-    count = _count(np.abs(np.diff(q, axis=0)))
-    if dq is not None:
-        losses = joined(losses, below_counts(t, q, dq, count, losses))
-        noise = _noise(t, np.diff(q, axis=0), dq)
-        losses = joined(losses, recurring(t, q, 0.5 * (dq[1:] + dq[:-1]), noise, losses))
-    return losses
+    losses = _losses(motion, steps)
+    if motion.dq is None:
+        return losses
+    more = below_counts(motion.t, motion.q, motion.dq, motion.count, losses)
+    losses = joined(losses, more)
+    if len(losses) < LEAST_LOSSES:
+        return losses
+    v = 0.5 * (motion.dq[1:] + motion.dq[:-1])
+    return joined(losses, recurring(motion.t, motion.q, v, motion.noise, losses))
 
 
-def _losses(t: Array, q: Array, dq: Array | None, steps: Rows) -> Losses:
+def _losses(motion: _Motion, steps: Rows) -> Losses:
     """Time that is lost, by all joints together."""
+    t, q, dt, d, usual = motion.t, motion.q, motion.dt, motion.d, motion.usual
     steps = steps[(steps >= 2) & (steps < len(t) - 3)]
     if not len(steps):
         return Losses(np.zeros(0, np.intp), np.zeros(0))
-    dt, d = np.diff(t), np.diff(q, axis=0)
-    usual = float(np.median(dt))
     (before, one), (behind, other) = (_slopes(t, q, steps, side) for side in (-1, 1))
     v = 0.5 * (before + behind)
-    if dq is not None:
-        logged = _logged(dq, steps)
-        v = np.where(_fits(t, d, dq), logged, v)
-    noise = np.maximum(_noise(t, d, dq), np.maximum(one, other) * usual)
+    if motion.dq is not None:
+        v = np.where(motion.logged <= motion.beside, _logged(motion.dq, steps), v)
+    noise = np.maximum(motion.noise, np.maximum(one, other) * usual)
     r = d[steps] - v * dt[steps, None]
     # Between two velocities the motion of the lost time is not certain.
     weight = 1.0 / (noise**2 + (UNEVEN * (behind - before) * dt[steps, None]) ** 2)
     power = np.maximum(np.sum(v**2 * weight, axis=1), 1e-300)
     lost = np.sum(v * r * weight, axis=1) / power
     sure = (lost > SURE / np.sqrt(power)) & _counted(dt, usual, steps)
-    sure &= _goes_on(d, v * usual, steps)
+    sure &= _goes_on(motion, v * usual, steps)
     sure &= (lost > np.maximum(LEAST_INTERVALS * usual, 0.5 * dt[steps])) & (lost < LONGEST_S)
     off = np.abs(r - v * lost[:, None])
     alike = off < SURE * noise + 0.5 * np.abs(v) * lost[:, None] + np.abs(behind - before) * usual
-    sure &= alike.all(axis=1) & (_net(d, t, v, weight, steps, lost) > RETURNED * lost)
+    sure &= alike.all(axis=1) & (_net(motion, v, weight, steps, lost) > RETURNED * lost)
     seconds = lost[sure]
     whole = np.maximum(1.0, np.rint(seconds / usual))
     if len(seconds) and np.median(np.abs(seconds / usual - whole)) < ON_GRID:
@@ -267,9 +315,9 @@ def _counted(dt: Array, usual: float, steps: Rows) -> NDArray[np.bool_]:
     return np.asarray((np.abs(near - usual) < COUNTED * usual).all(axis=1))
 
 
-def _goes_on(d: Array, expected: Array, steps: Rows) -> NDArray[np.bool_]:
+def _goes_on(motion: _Motion, expected: Array, steps: Rows) -> NDArray[np.bool_]:
     """Whether the joint that moves by most counts does so beside a step (K,) too: not held."""
-    counts = np.abs(expected) / np.maximum(_count(np.abs(d)), 1e-15)
+    d, counts = motion.d, np.abs(expected) / np.maximum(motion.count, 1e-15)
     most = np.argmax(counts, axis=1)
     moves = (d[steps - 1, most] != 0) & (d[steps + 1, most] != 0)
     return np.asarray(moves | (counts.max(axis=1) < HELD_LEAST))
@@ -282,47 +330,28 @@ def _logged(dq: Array, at: Rows) -> Array:
     return np.asarray(0.5 * (np.median(dq[rows], axis=1) + np.median(dq[ahead], axis=1)))
 
 
-def _fits(t: Array, d: Array, dq: Array) -> NDArray[np.bool_]:
-    """Whether the velocity channel of each joint (n,) tells increments better than neighbours."""
-    own, other = _spread(t, d, dq), _spread(t, d, None)
-    return np.asarray(own <= other)
-
-
-def _spread(t: Array, d: Array, dq: Array | None) -> Array:
-    """Standard deviation (n,) of increments about what velocities, or their neighbours, say."""
-    if dq is None:
-        apart = d[1:-1] - 0.5 * (d[:-2] + d[2:])
-    else:
-        apart = d - 0.5 * (dq[1:] + dq[:-1]) * np.diff(t)[:, None]
-    size = np.abs(d) if dq is not None else np.abs(d[1:-1])
+def _spread(apart: Array, d: Array) -> Array:
+    """Standard deviation (n,) of what increments (K, n) are apart from where joints move."""
     spread = np.zeros(d.shape[1])
-    for j in range(d.shape[1]):
-        moves = size[:, j] > np.quantile(size[:, j], 0.5)
+    for j, own in enumerate(np.abs(d).T):
+        moves = own > np.median(own)
         spread[j] = gaussian_spread(apart[moves, j]) if moves.any() else 0.0
     return spread
 
 
-def _noise(t: Array, d: Array, dq: Array | None) -> Array:
-    """Noise (n,) of increments about the velocities, at least half a count."""
-    spread = _spread(t, d, None)
-    if dq is not None:
-        spread = np.minimum(spread, _spread(t, d, dq))
-    return np.maximum(spread, 0.5 * _count(np.abs(d)) + 1e-15)
-
-
-def _net(d: Array, t: Array, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
+def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
     """Time (K,) that the increments around a step gain, with the step itself.
 
     What is late and catches up has lost none, nor has a spike, whose way back is beside it.
     """
-    usual = float(np.median(np.diff(t)))
+    d, dt, usual = motion.d, motion.dt, motion.usual
     net = np.zeros(len(steps))
     for k, i in enumerate(steps):
         reach = int(min(lost[k] / usual, LONGEST_S / usual)) + 3 if lost[k] > 0 else 0
         near = np.array([x for x in range(i - reach, i + 4) if 0 <= x < len(d)], dtype=np.intp)
         others = steps[(steps != i) & (np.abs(steps - i) <= reach) & (lost > 0)]
         near = near[~np.isin(near, others)]
-        gained = d[near] - v[k] * np.diff(t)[near, None]
+        gained = d[near] - v[k] * dt[near, None]
         # The velocity changes within the reach: only what is late by most of an interval counts.
         late = np.sum(v[k] * gained * weight[k], axis=1) / max(
             float(np.sum(v[k] ** 2 * weight[k])), 1e-300

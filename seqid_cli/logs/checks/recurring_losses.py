@@ -117,6 +117,7 @@ def recurring(t: Array, q: Array, v: Array, noise: Array, known: Losses) -> Loss
     noise : (n,) array
         Of increments.
     known : Losses
+        At least `LEAST_LOSSES`.
 
     Returns
     -------
@@ -125,8 +126,6 @@ def recurring(t: Array, q: Array, v: Array, noise: Array, known: Losses) -> Loss
     """
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
     distances = np.diff(known.rows)
-    if len(known) < LEAST_LOSSES:
-        return nothing
     period = int(np.bincount(distances).argmax())
     if np.mean(distances == period) < RECURS:
         return nothing

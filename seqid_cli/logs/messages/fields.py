@@ -143,7 +143,7 @@ def _list(value: object) -> Sequence[object]:
 
 def _number(value: object) -> float:
     if value.__class__ is float:
-        return value  # type: ignore[return-value]
+        return value
     if value is None:
         return _NAN
     if isinstance(value, bool) or not isinstance(value, int | float | str):

@@ -28,8 +28,6 @@ SCALES_S = (0.1, 0.3, 1.0)
 TRAVEL_STEPS = 2.5  # noise steps of travel, beyond which a joint moves
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
-HELD = 0.1  # of the farthest joint's travel, below which a joint is held, not driven
-MIDDLE = (0.01, 0.99)  # quantiles of the positions, between which a joint travels
 FLICKER = 1.5  # noise steps, between which an encoder may go to and fro at rest
 VELOCITY_TOLERANCE = 0.1
 SLOWER = 0.1  # of the mean velocity, by which an end may be slower than the middle
@@ -101,28 +99,6 @@ def moving_mask(q: Array, rate_hz: float, step: Array) -> Mask:
         grown[half:-half] = change
         moving |= maximum_filter1d(grown, 2 * (half // 3) + 1, axis=0, mode="constant") > 0
     return moving
-
-
-def driven(q: Array) -> Mask:
-    """Which joints are driven on a way of their own.
-
-    The others are held, and the moves of other joints shake them. In closed loop with a constant
-    reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its
-    friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
-    identification revisited, Automatica 35(7), 1999).
-
-    Parameters
-    ----------
-    q : (N, n) array
-        Positions, rad (m); not finite ones are passed over.
-
-    Returns
-    -------
-    (n,) bool array
-        True where the joint travels at least `HELD` times as far as the one that travels farthest.
-    """
-    low, high = np.nanquantile(q, MIDDLE, axis=0)
-    return np.asarray(high - low >= HELD * np.max(high - low))
 
 
 def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:

@@ -126,4 +126,4 @@ def test_reader_warns(tmp_path: Path) -> None:
 
 
 def test_columns_of_a_joint_on_one_count_are_finite() -> None:
-    assert np.isfinite(_law(np.ones((20, 2)), np.full(20, 0.4))).all()
+    assert np.isfinite(_law(np.ones((20, 2)), np.full(20, 0.4), 5)).all()

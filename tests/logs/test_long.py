@@ -154,7 +154,7 @@ def test_an_even_log_is_surveyed_while_its_base_is_laid(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, even: bool, room: bool
 ) -> None:
     if not room:
-        monkeypatch.setattr(spool, "MOST_BYTES", 0)
+        monkeypatch.setattr(spool.Spool.__init__, "__defaults__", (0, 0.25))
     samples = 6_000  # longer than the longest segment of a spectrum
     jitter = 0.0 if even else np.random.default_rng(4).uniform(-4e-4, 4e-4, samples)
     path = write(tmp_path / "log.parquet", np.arange(samples) / 250.0 + jitter)

@@ -22,27 +22,13 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.motion.segments import driven
+from seqid_cli.logs.checks.criteria import ECHOES, EchoCriteria
 from seqid_cli.robot.base import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-WINDOW_S = 0.02  # over which samples are averaged
-MOST_WINDOWS = 4000
-SMOOTH_TERMS = 5
-SLOW = 0.05  # of the top speed, below which a joint does not certainly slide
-FEWEST = 50  # windows of motion each way
-TRAVEL = 0.1  # rad (m), that a joint must go each way: less is noise, or a flexing brake
-UNEXPLAINED = 0.1  # of the torque's RMS, that an echo's law may leave
-FRICTION = 0.1  # of the torque's RMS, that an echo's friction is certainly below
-NONE = 0.003  # the same, that is no friction however well it is known
-INERTIA = 0.05  # of the torque's RMS, that an echo's accelerations may explain
-OTHERS = 0.15  # of what position leaves (of its square), that the others may explain
-EXACT = 1e-3  # of the torque's RMS: position leaves nothing that others could explain
-CERTAIN, UNCERTAIN = 3.0, 2.0  # standard errors
-MEMORY_S = 0.5  # of the residual, for the errors
 RCOND = 1e-8
 
 WARNING = (
@@ -69,15 +55,14 @@ class Shares:
     error: float
     inertia: float
 
-    @property
-    def echo(self) -> bool:
+    def echo(self, criteria: EchoCriteria) -> bool:
         """Whether position alone makes the torque."""
         return (
-            self.unexplained < UNEXPLAINED
-            and (self.others < OTHERS or self.unexplained < EXACT)
-            and self.friction + CERTAIN * self.error < FRICTION
-            and self.friction < max(UNCERTAIN * self.error, NONE)
-            and self.inertia < INERTIA
+            self.unexplained < criteria.unexplained
+            and (self.others < criteria.others or self.unexplained < criteria.exact)
+            and self.friction + criteria.certain * self.error < criteria.friction
+            and self.friction < max(criteria.uncertain * self.error, criteria.none)
+            and self.inertia < criteria.inertia
         )
 
 
@@ -96,46 +81,84 @@ def echo_warnings(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> 
     return [f"{robot.joint_names[j]}: {WARNING}; {REMEDY}" for j in found]
 
 
-def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
+def echoes(
+    robot: Robot,
+    t: Array,
+    q: Array,
+    tau: Array,
+    valid: Mask,
+    criteria: EchoCriteria = ECHOES,
+) -> list[int]:
     """Return the joints whose torque follows position alone; see `echo_warnings`."""
-    return [j for j, share in shares(robot, t, q, tau, valid).items() if share.echo]
+    found = _shares(robot, t, q, tau, valid, criteria)
+    return [j for j, share in found.items() if share.echo(criteria)]
 
 
-def shares(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> dict[int, Shares]:
-    """Split the torque of every joint that moves both ways; see `echo_warnings`."""
-    width = max(1, round(WINDOW_S / float(t[1] - t[0])))
+def _shares(
+    robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, criteria: EchoCriteria
+) -> dict[int, Shares]:
+    """Split the torque of every joint that moves both ways."""
+    width = max(1, round(criteria.window_s / float(t[1] - t[0])))
     Q, T, whole = (_averaged(x, width) for x in (q, tau, valid[:, None].astype(np.float64)))
-    if len(Q) < 2 * FEWEST:
+    if len(Q) < 2 * criteria.fewest:
         return {}
     step = width * float(t[1] - t[0])
     v = np.gradient(Q, step, axis=0)
     a = np.gradient(v, step, axis=0)
-    memory = MEMORY_S / step
+    memory = criteria.memory_s / step
     H = _gravity(robot, Q)
     result: dict[int, Shares] = {}
     for j in np.flatnonzero(driven(Q)).tolist():
         top = float(np.quantile(np.abs(v[:, j]), 0.99))
-        slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > SLOW * top)
-        if not _both_ways(v[slides, j], step):
+        slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > criteria.slow * top)
+        if not _both_ways(v[slides, j], step, criteria):
             continue
         at = np.flatnonzero(slides)
-        at = at[:: max(1, len(at) // MOST_WINDOWS)]
-        friction = np.stack([np.tanh(v[at, j] / (SLOW * top)), v[at, j]], axis=1)
-        result[j] = _split(T[at, j], _law(H[at, j], Q[at, j]), friction, a[at], memory)
+        at = at[:: max(1, len(at) // criteria.most_windows)]
+        friction = np.stack([np.tanh(v[at, j] / (criteria.slow * top)), v[at, j]], axis=1)
+        result[j] = _split(
+            T[at, j], _law(H[at, j], Q[at, j], criteria.smooth_terms), friction, a[at], memory
+        )
     return result
 
 
-def _law(gravity: Array, q: Array) -> Array:
+def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)) -> Mask:
+    """Which joints are driven on a way of their own.
+
+    The others are held, and the moves of other joints shake them. In closed loop with a constant
+    reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its
+    friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
+    identification revisited, Automatica 35(7), 1999).
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Positions, rad (m); not finite ones are passed over.
+    held : float
+        Share of the farthest joint's travel, below which a joint is held.
+    middle : (float, float)
+        Quantiles of the positions, between which a joint travels.
+
+    Returns
+    -------
+    (n,) bool array
+        True where the joint travels at least `held` times as far as the one that travels farthest.
+    """
+    low, high = np.nanquantile(q, middle, axis=0)
+    return np.asarray(high - low >= held * np.max(high - low))
+
+
+def _law(gravity: Array, q: Array, terms: int) -> Array:
     """Gravity's columns (M, b) and smooth functions of the joint's own position q (M,)."""
     low, span = float(q.min()), float(np.ptp(q)) or 1.0
-    smooth = chebvander(2 * (q - low) / span - 1, SMOOTH_TERMS - 1)
+    smooth = chebvander(2 * (q - low) / span - 1, terms - 1)
     return np.hstack([gravity, smooth])
 
 
-def _both_ways(v: Array, step: float) -> bool:
+def _both_ways(v: Array, step: float, criteria: EchoCriteria) -> bool:
     """Whether speeds (M,) at intervals of `step` seconds go far enough forward and backward."""
     return all(
-        len(part) >= FEWEST and float(np.abs(part).sum()) * step >= TRAVEL
+        len(part) >= criteria.fewest and float(np.abs(part).sum()) * step >= criteria.travel
         for part in (v[v > 0], v[v < 0])
     )
 

@@ -10,31 +10,39 @@ from seqid_cli.shares import percent
 
 STANDARD_GRAVITY = 9.80665
 _DEGREES = 180.0 / np.pi
-_TURN_LIMIT = 20.0  # rad: more than three turns either way
-_CURRENT_LIMIT = 200.0  # A
-_SLOW_HZ = 5.0
-_LEAST_SPEED = 1e-3
 
 
-def position_warnings(robot: Robot, t: Array, q: Array, dq: Array | None) -> list[str]:
-    """Check positions (N, n) against the limits and the logged velocities (N, n)."""
+def position_warnings(
+    robot: Robot,
+    t: Array,
+    q: Array,
+    dq: Array | None,
+    *,
+    most_rad: float = 20.0,
+    least_speed: float = 1e-3,
+) -> list[str]:
+    """Check positions (N, n) against the limits and the logged velocities (N, n).
+
+    Beyond the limits and `most_rad`, three turns either way, they look like degrees; velocities are
+    compared from `least_speed` [rad/s] RMS on.
+    """
     warnings = []
     for i, joint in enumerate(robot.joints):
-        text = _limits(joint, q[:, i])
+        text = _limits(joint, q[:, i], most_rad)
         if not text and dq is not None:
-            text = _velocity(joint, t, q[:, i], dq[:, i])
+            text = _velocity(joint, t, q[:, i], dq[:, i], least_speed)
         if text:
             warnings.append(text)
     return warnings
 
 
-def current_warnings(robot: Robot, current: Array) -> list[str]:
-    """Check motor currents (M, n), NaN where missing, for milliamperes."""
+def current_warnings(robot: Robot, current: Array, *, most_a: float = 200.0) -> list[str]:
+    """Check motor currents (M, n), NaN where missing: beyond `most_a` RMS they look like mA."""
     warnings = []
     for joint, values in zip(robot.joints, current.T, strict=True):
         present = values[np.isfinite(values)]
         rms = float(np.sqrt(np.mean(present**2))) if present.size else 0.0
-        if rms > _CURRENT_LIMIT:
+        if rms > most_a:
             warnings.append(
                 f"{joint.name}: the current is {rms:.3g} A RMS: it looks like mA, A are expected"
             )
@@ -59,10 +67,12 @@ def accelerometer_warnings(robot: Robot, imu: Imu, values: Array, valid: Mask) -
     return []
 
 
-def clock_warnings(rate_hz: float, jitter: float, jitter_limit: float) -> list[str]:
+def clock_warnings(
+    rate_hz: float, jitter: float, jitter_limit: float, *, least_hz: float = 5.0
+) -> list[str]:
     """Check rate and jitter."""
     warnings = []
-    if rate_hz < _SLOW_HZ:
+    if rate_hz < least_hz:
         warnings.append(
             f"only {rate_hz:.3g} samples per second: check that time is in seconds; 100 Hz or "
             "more are needed to see accelerations"
@@ -76,7 +86,7 @@ def clock_warnings(rate_hz: float, jitter: float, jitter_limit: float) -> list[s
     return warnings
 
 
-def _limits(joint: Joint, q: Array) -> str:
+def _limits(joint: Joint, q: Array, most_rad: float) -> str:
     if joint.prismatic or joint.position_limits is None:
         return ""
     low, high = joint.position_limits
@@ -84,7 +94,7 @@ def _limits(joint: Joint, q: Array) -> str:
     margin = 0.1 * (high - low)
     if least >= low - margin and most <= high + margin:
         return ""
-    in_degrees = max(abs(least), abs(most)) > _TURN_LIMIT
+    in_degrees = max(abs(least), abs(most)) > most_rad
     looks = " It looks like degrees: rad are expected" if in_degrees else " Check zero and unit"
     return (
         f"{joint.name}: the position runs from {least:.4g} to {most:.4g} rad, the limits are "
@@ -92,12 +102,12 @@ def _limits(joint: Joint, q: Array) -> str:
     )
 
 
-def _velocity(joint: Joint, t: Array, q: Array, dq: Array) -> str:
+def _velocity(joint: Joint, t: Array, q: Array, dq: Array, least_speed: float) -> str:
     if joint.prismatic or not np.isfinite(dq).all():
         return ""
     slope = float(np.sqrt(np.mean(np.gradient(q, t) ** 2)))
     logged = float(np.sqrt(np.mean(dq**2)))
-    if min(slope, logged) < _LEAST_SPEED:
+    if min(slope, logged) < least_speed:
         return ""
     ratio = slope / logged
     if 0.85 < ratio / _DEGREES < 1.15:

@@ -25,26 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.bridging import Losses, cubic, with_losses
-from seqid_cli.logs.checks.recurring_losses import LEAST_LOSSES, below_counts, joined, recurring
+from seqid_cli.logs.checks.criteria import LOSSES, LossCriteria
+from seqid_cli.logs.checks.recurring_losses import below_counts, joined, recurring
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import gaussian_spread
-
-AROUND = 6  # increments on either side that tell the velocity at a step
-SURE = 8.0  # standard errors of the lost time, beyond which it is believed
-LEAST_INTERVALS = 1.5  # that are lost, at least
-SUDDEN = 1.2  # times the larger increment beside it, by which a step differs from their mean
-SUDDEN_NOISE = 5.0  # times what increments usually differ by from those beside them
-COUNTS = 4.0  # smallest increments, at least, that a step makes
-UNEVEN = 0.15  # of the motion of the lost time, in which joints may differ (they accelerate)
-RETURNED = 0.5  # of a step, that the increments around it may take back
-COUNTED = 0.3  # of an interval, by which stamps that count rows may differ from even ones
-MANY = 0.2  # of the increments: steps as frequent as that are noise or a slower channel
-ON_GRID = 0.12  # of an interval (median), within which losses are whole intervals
-BESIDE = 3  # increments from a step to its way back, if it is a spike
-HELD_LEAST = 2  # increments of nothing before a joint catches up
-SMALLEST = 1e-3  # of the increments, that are below a count or make one
-MOST = 20_000  # increments that tell their smallest
-LONGEST_S = 1.0  # that can be lost at once: behind that, motion before says nothing
 
 
 @dataclass(frozen=True)
@@ -88,6 +72,7 @@ class _Motion:
     t: Array
     q: Array
     dq: Array | None
+    criteria: LossCriteria
 
     @cached_property
     def dt(self) -> Array:
@@ -107,7 +92,7 @@ class _Motion:
     @cached_property
     def count(self) -> Array:
         """Smallest increment (n,) rad."""
-        return _count(np.abs(self.d))
+        return _count(np.abs(self.d), self.criteria)
 
     @cached_property
     def beside(self) -> Array:
@@ -128,13 +113,14 @@ class _Motion:
         return np.maximum(np.minimum(self.beside, self.logged), 0.5 * self.count + 1e-15)
 
 
-def mended(joints: Stream) -> Mended:
+def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
     """Put right what the motion of the joints says of a stream.
 
     Parameters
     ----------
     joints : Stream
         In the order of time, with `position` (M, n), and `velocity` (M, n) where it was logged.
+    criteria : LossCriteria
 
     Returns
     -------
@@ -144,18 +130,18 @@ def mended(joints: Stream) -> Mended:
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
     as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, 0, joints.stamp_ns)
     t, q, dq = _motion(joints)
-    if len(t) < 4 * AROUND or not np.isfinite(q).all():
+    if len(t) < 4 * criteria.around or not np.isfinite(q).all():
         return as_it_is
-    steps = _sudden(np.diff(q, axis=0))
-    if len(steps) > MANY * len(t):
+    steps = _sudden(np.diff(q, axis=0), criteria)
+    if len(steps) > criteria.many * len(t):
         return as_it_is
-    filled = _held(t, q, steps)
+    filled = _held(q, steps, criteria)
     if filled.any():
         q = np.column_stack([_over(t, x, own) for x, own in zip(q.T, filled.T, strict=True)])
-        steps = _sudden(np.diff(q, axis=0))
+        steps = _sudden(np.diff(q, axis=0), criteria)
         made = np.flatnonzero(filled.any(axis=1))
         steps = steps[~(np.isin(steps, made) | np.isin(steps + 1, made))]
-    losses = _all_losses(_Motion(t, q, dq), steps)
+    losses = _all_losses(_Motion(t, q, dq, criteria), steps)
     if not len(losses) and not filled.any():
         return as_it_is
     channels = {**joints.channels, "position": q}
@@ -181,37 +167,39 @@ def _motion(joints: Stream) -> tuple[Array, Array, Array | None]:
     return t, joints.channels["position"], dq
 
 
-def _sudden(d: Array) -> Rows:
+def _sudden(d: Array, criteria: LossCriteria) -> Rows:
     """Increments (of (M, n)) that differ from those on both sides by more than these are large."""
     size = np.abs(d)
     apart = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:]))
     beside = np.maximum(size[:-2], size[2:])
     # One side alone is small where the position was held before it catches up.
-    found = (apart > SUDDEN * np.minimum(size[:-2], size[2:])) & (size[1:-1] > beside)
+    found = (apart > criteria.sudden * np.minimum(size[:-2], size[2:])) & (size[1:-1] > beside)
     if not found.any():
         return np.zeros(0, np.intp)
-    found &= apart > np.maximum(COUNTS * _count(size), SUDDEN_NOISE * _usual(apart))
+    found &= apart > np.maximum(
+        criteria.counts * _count(size, criteria), criteria.sudden_noise * _usual(apart, criteria)
+    )
     rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
     return rows
 
 
-def _usual(apart: Array) -> Array:
+def _usual(apart: Array, criteria: LossCriteria) -> Array:
     """Usual size (n,) of what increments differ by."""
-    some = apart[:: max(1, len(apart) // MOST)]
+    some = apart[:: max(1, len(apart) // criteria.most)]
     return gaussian_spread(some)
 
 
-def _count(size: Array) -> Array:
+def _count(size: Array, criteria: LossCriteria) -> Array:
     """Smallest increment (n,) that joints make, nearly: a count where positions are quantised."""
     counts = np.zeros(size.shape[1])
     for j, own in enumerate(size.T):
-        made = own[:: max(1, len(own) // MOST)]
+        made = own[:: max(1, len(own) // criteria.most)]
         made = made[made > 0]
-        counts[j] = np.quantile(made, SMALLEST) if len(made) else 0.0
+        counts[j] = np.quantile(made, criteria.smallest) if len(made) else 0.0
     return counts
 
 
-def _slopes(t: Array, q: Array, at: Rows, side: int) -> tuple[Array, Array]:
+def _slopes(motion: _Motion, at: Rows, side: int) -> tuple[Array, Array]:
     """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter.
 
     Returns
@@ -219,7 +207,8 @@ def _slopes(t: Array, q: Array, at: Rows, side: int) -> tuple[Array, Array]:
     tuple of two (K, n) arrays
         Median and standard deviation [rad/s].
     """
-    offsets = side * np.arange(1, AROUND + 1)
+    t, q = motion.t, motion.q
+    offsets = side * np.arange(1, motion.criteria.around + 1)
     rows = np.clip(at[:, None] + offsets, 0, len(t) - 2)
     dt = np.maximum(t[rows + 1] - t[rows], 1e-12)
     slopes = (q[rows + 1] - q[rows]) / dt[:, :, None]
@@ -227,7 +216,7 @@ def _slopes(t: Array, q: Array, at: Rows, side: int) -> tuple[Array, Array]:
     return middle, gaussian_spread(np.moveaxis(slopes - middle[:, None], 1, 0))
 
 
-def _held(t: Array, q: Array, steps: Rows) -> Mask:
+def _held(q: Array, steps: Rows, criteria: LossCriteria) -> Mask:
     """Positions (M, n) that repeat the one before although the joint moves, and then catch up."""
     held = np.zeros(q.shape, np.bool_)
     d = np.diff(q, axis=0)
@@ -236,7 +225,7 @@ def _held(t: Array, q: Array, steps: Rows) -> Mask:
             first = i
             while first > 0 and d[first - 1, j] == 0:
                 first -= 1
-            if i - first < HELD_LEAST or first < 2 or i + 2 >= len(d):
+            if i - first < criteria.held_least or first < 2 or i + 2 >= len(d):
                 continue
             before, behind = d[max(0, first - 3) : first, j], d[i + 1 : i + 4, j]
             usual = 0.5 * (float(before.mean()) + float(behind.mean()))
@@ -245,7 +234,7 @@ def _held(t: Array, q: Array, steps: Rows) -> Mask:
             if moves and 0.5 < caught < 2.0:
                 held[first + 1 : i + 1, j] = True
     share = held.mean(axis=0)
-    held[:, share > MANY] = False  # a channel that is slower than the log, not damage
+    held[:, share > criteria.many] = False  # a channel that is slower than the log, not damage
     return held
 
 
@@ -269,50 +258,55 @@ def _slope(t: Array, values: Array, rows: slice) -> float:
 
 def _all_losses(motion: _Motion, steps: Rows) -> Losses:
     """Losses that increments show, and those that they do not show by themselves."""
-    losses = _losses(motion, steps)
+    losses, criteria = _losses(motion, steps), motion.criteria
     if motion.dq is None:
         return losses
-    more = below_counts(motion.t, motion.q, motion.dq, motion.count, losses)
+    more = below_counts(motion.t, motion.q, motion.dq, motion.count, losses, criteria)
     losses = joined(losses, more)
-    if len(losses) < LEAST_LOSSES:
+    if len(losses) < criteria.least_losses:
         return losses
     v = 0.5 * (motion.dq[1:] + motion.dq[:-1])
-    return joined(losses, recurring(motion.t, motion.q, v, motion.noise, losses))
+    return joined(losses, recurring(motion.t, motion.q, v, motion.noise, losses, criteria))
 
 
 def _losses(motion: _Motion, steps: Rows) -> Losses:
     """Time that is lost, by all joints together."""
-    t, q, dt, d, usual = motion.t, motion.q, motion.dt, motion.d, motion.usual
-    steps = steps[(steps >= 2) & (steps < len(t) - 3)]
+    criteria, dt, d, usual = motion.criteria, motion.dt, motion.d, motion.usual
+    steps = steps[(steps >= 2) & (steps < len(motion.t) - 3)]
     if not len(steps):
         return Losses(np.zeros(0, np.intp), np.zeros(0))
-    (before, one), (behind, other) = (_slopes(t, q, steps, side) for side in (-1, 1))
+    (before, one), (behind, other) = (_slopes(motion, steps, side) for side in (-1, 1))
     v = 0.5 * (before + behind)
     if motion.dq is not None:
         v = np.where(motion.logged <= motion.beside, _logged(motion.dq, steps), v)
     noise = np.maximum(motion.noise, np.maximum(one, other) * usual)
     r = d[steps] - v * dt[steps, None]
     # Between two velocities the motion of the lost time is not certain.
-    weight = 1.0 / (noise**2 + (UNEVEN * (behind - before) * dt[steps, None]) ** 2)
+    weight = 1.0 / (noise**2 + (criteria.uneven * (behind - before) * dt[steps, None]) ** 2)
     power = np.maximum(np.sum(v**2 * weight, axis=1), 1e-300)
     lost = np.sum(v * r * weight, axis=1) / power
-    sure = (lost > SURE / np.sqrt(power)) & _counted(dt, usual, steps)
+    sure = (lost > criteria.sure / np.sqrt(power)) & _counted(motion, steps)
     sure &= _goes_on(motion, v * usual, steps)
-    sure &= (lost > np.maximum(LEAST_INTERVALS * usual, 0.5 * dt[steps])) & (lost < LONGEST_S)
+    sure &= (lost > np.maximum(criteria.least_intervals * usual, 0.5 * dt[steps])) & (
+        lost < criteria.longest_s
+    )
     off = np.abs(r - v * lost[:, None])
-    alike = off < SURE * noise + 0.5 * np.abs(v) * lost[:, None] + np.abs(behind - before) * usual
-    sure &= alike.all(axis=1) & (_net(motion, v, weight, steps, lost) > RETURNED * lost)
+    alike = (
+        off
+        < criteria.sure * noise + 0.5 * np.abs(v) * lost[:, None] + np.abs(behind - before) * usual
+    )
+    sure &= alike.all(axis=1) & (_net(motion, v, weight, steps, lost) > criteria.returned * lost)
     seconds = lost[sure]
     whole = np.maximum(1.0, np.rint(seconds / usual))
-    if len(seconds) and np.median(np.abs(seconds / usual - whole)) < ON_GRID:
+    if len(seconds) and np.median(np.abs(seconds / usual - whole)) < criteria.on_grid:
         seconds = whole * usual
     return Losses(steps[sure], seconds)
 
 
-def _counted(dt: Array, usual: float, steps: Rows) -> NDArray[np.bool_]:
+def _counted(motion: _Motion, steps: Rows) -> NDArray[np.bool_]:
     """Whether stamps around a step (K,) are as even as those of a logger that counts its rows."""
-    near = dt[steps[:, None] + np.arange(-2, 3)]
-    return np.asarray((np.abs(near - usual) < COUNTED * usual).all(axis=1))
+    near, usual = motion.dt[steps[:, None] + np.arange(-2, 3)], motion.usual
+    return np.asarray((np.abs(near - usual) < motion.criteria.counted * usual).all(axis=1))
 
 
 def _goes_on(motion: _Motion, expected: Array, steps: Rows) -> NDArray[np.bool_]:
@@ -320,7 +314,7 @@ def _goes_on(motion: _Motion, expected: Array, steps: Rows) -> NDArray[np.bool_]
     d, counts = motion.d, np.abs(expected) / np.maximum(motion.count, 1e-15)
     most = np.argmax(counts, axis=1)
     moves = (d[steps - 1, most] != 0) & (d[steps + 1, most] != 0)
-    return np.asarray(moves | (counts.max(axis=1) < HELD_LEAST))
+    return np.asarray(moves | (counts.max(axis=1) < motion.criteria.held_least))
 
 
 def _logged(dq: Array, at: Rows) -> Array:
@@ -344,10 +338,10 @@ def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> 
 
     What is late and catches up has lost none, nor has a spike, whose way back is beside it.
     """
-    d, dt, usual = motion.d, motion.dt, motion.usual
+    d, dt, usual, criteria = motion.d, motion.dt, motion.usual, motion.criteria
     net = np.zeros(len(steps))
     for k, i in enumerate(steps):
-        reach = int(min(lost[k] / usual, LONGEST_S / usual)) + 3 if lost[k] > 0 else 0
+        reach = int(min(lost[k] / usual, criteria.longest_s / usual)) + 3 if lost[k] > 0 else 0
         near = np.array([x for x in range(i - reach, i + 4) if 0 <= x < len(d)], dtype=np.intp)
         others = steps[(steps != i) & (np.abs(steps - i) <= reach) & (lost > 0)]
         near = near[~np.isin(near, others)]
@@ -357,5 +351,5 @@ def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> 
             float(np.sum(v[k] ** 2 * weight[k])), 1e-300
         )
         late = np.where((np.abs(late) > 0.6 * usual) | (near == i), late, 0.0)
-        net[k] = min(late.sum(), late[np.abs(near - i) <= BESIDE].sum())
+        net[k] = min(late.sum(), late[np.abs(near - i) <= criteria.beside].sum())
     return net

@@ -5,7 +5,7 @@ Beside a velocity channel the counts average out: of
 
     e = q - integral of v dt
 
-the means over `EDGE_S` before and behind a loss differ by v L. The noise of such differences is
+the means over `edge_s` before and behind a loss differ by v L. The noise of such differences is
 taken from the log itself, so that what velocities lack elsewhere counts as noise; it is at least
 what a mean over k counts leaves of them, half a count over k.
 
@@ -21,15 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.bridging import Losses
+from seqid_cli.logs.checks.criteria import LossCriteria
 from seqid_cli.logs.raw import Array, Rows
 from seqid_cli.robust import gaussian_spread
-
-EDGE_S = 0.1  # of the means before and behind a loss
-SURE = 8.0  # standard errors of the lost time, beyond which it is believed
-LEAST_INTERVALS = 1.5  # that are lost, at least
-UNEVEN = 0.5  # of the motion of the lost time, in which joints may differ
-RECURS = 0.5  # of the distances between losses, that are one and the same
-LEAST_LOSSES = 4  # that tell a distance
 
 
 def joined(first: Losses, second: Losses) -> Losses:
@@ -39,7 +33,9 @@ def joined(first: Losses, second: Losses) -> Losses:
     return Losses(rows[order], np.concatenate([first.seconds, second.seconds])[order])
 
 
-def below_counts(t: Array, q: Array, dq: Array, count: Array, known: Losses) -> Losses:
+def below_counts(
+    t: Array, q: Array, dq: Array, count: Array, known: Losses, criteria: LossCriteria
+) -> Losses:
     """Losses that only means over many counts show.
 
     Parameters
@@ -52,6 +48,7 @@ def below_counts(t: Array, q: Array, dq: Array, count: Array, known: Losses) -> 
         Step of the encoders.
     known : Losses
         What single increments show.
+    criteria : LossCriteria
 
     Returns
     -------
@@ -59,12 +56,12 @@ def below_counts(t: Array, q: Array, dq: Array, count: Array, known: Losses) -> 
         Others; none where a joint that moves passes a count in an interval.
     """
     step = float(np.median(np.diff(t)))
-    width = max(3, round(EDGE_S / step))
+    width = max(3, round(criteria.edge_s / step))
     coarse = np.abs(dq) * step < count
-    if len(t) <= 4 * width or not coarse.all(axis=1).mean() > RECURS or not count.any():
+    if len(t) <= 4 * width or not coarse.all(axis=1).mean() > criteria.recurs or not count.any():
         return Losses(np.zeros(0, np.intp), np.zeros(0))
     edges, v = _edges(t, q, dq, known, width)
-    passed = np.abs(v) * EDGE_S / np.maximum(count, 1e-15)  # counts in a mean
+    passed = np.abs(v) * criteria.edge_s / np.maximum(count, 1e-15)  # counts in a mean
     moves = passed > 1.0
     spread = np.array([_usual(x[own]) for x, own in zip(edges.T, moves.T, strict=True)])
     noise = np.maximum(spread, 0.5 * count / np.maximum(passed, 1.0)) + 1e-15
@@ -72,8 +69,10 @@ def below_counts(t: Array, q: Array, dq: Array, count: Array, known: Losses) -> 
     lost = np.sum(v * edges / noise**2, axis=1) / power
     score = lost * np.sqrt(power)
     off = np.abs(edges - v * lost[:, None])
-    alike = (off < SURE * noise + UNEVEN * np.abs(v) * lost[:, None]).all(axis=1)
-    sure = alike & (score > SURE) & (lost > LEAST_INTERVALS * step)
+    alike = (off < criteria.sure * noise + criteria.uneven_means * np.abs(v) * lost[:, None]).all(
+        axis=1
+    )
+    sure = alike & (score > criteria.sure) & (lost > criteria.least_intervals * step)
     rows = np.array(_peaks(np.where(sure, score, 0.0), width), dtype=np.intp)
     return Losses(rows + width - 1, lost[rows])
 
@@ -104,7 +103,9 @@ def _peaks(score: Array, width: int) -> list[int]:
     return sorted(found)
 
 
-def recurring(t: Array, q: Array, v: Array, noise: Array, known: Losses) -> Losses:
+def recurring(
+    t: Array, q: Array, v: Array, noise: Array, known: Losses, criteria: LossCriteria
+) -> Losses:
     """Losses at slow motion, where those at faster motion say that there must be one.
 
     Parameters
@@ -117,7 +118,8 @@ def recurring(t: Array, q: Array, v: Array, noise: Array, known: Losses) -> Loss
     noise : (n,) array
         Of increments.
     known : Losses
-        At least `LEAST_LOSSES`.
+        At least `criteria.least_losses`.
+    criteria : LossCriteria
 
     Returns
     -------
@@ -127,14 +129,16 @@ def recurring(t: Array, q: Array, v: Array, noise: Array, known: Losses) -> Loss
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
     distances = np.diff(known.rows)
     period = int(np.bincount(distances).argmax())
-    if np.mean(distances == period) < RECURS:
+    if np.mean(distances == period) < criteria.recurs:
         return nothing
     usual = float(np.median(known.seconds))
     step = np.diff(q, axis=0) - v * np.diff(t)[:, None]
     motion = v * usual
     without, left = (np.sum((x / noise) ** 2, axis=1) for x in (step, step - motion))
-    uneven = np.sum(((step - motion) / (noise + UNEVEN * np.abs(motion))) ** 2, axis=1)
-    likely = (left < without) & (without > SURE**2) & (uneven < SURE**2)
+    uneven = np.sum(
+        ((step - motion) / (noise + criteria.uneven_means * np.abs(motion))) ** 2, axis=1
+    )
+    likely = (left < without) & (without > criteria.sure**2) & (uneven < criteria.sure**2)
     rows = [row for row in _places(known.rows, period, len(v)) if likely[row]]
     return Losses(np.array(rows, dtype=np.intp), np.full(len(rows), usual))
 

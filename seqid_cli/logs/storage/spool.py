@@ -12,57 +12,61 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.raw import Array, Stamps
 
-MOST_BYTES = 1 << 31
-SHARE = 4  # of the free space, that at most is taken
-
 
 class Spool:
-    """Takes rows in parts, and gives them back as often as wanted; `complete` if all are there."""
+    """Takes rows in parts, and gives them back as often as wanted; `complete` if all are there.
 
-    def __init__(self, most_bytes: int | None = None) -> None:
+    Parameters
+    ----------
+    most_bytes : int
+        Largest file.
+    share : float
+        Of the free space, that at most is taken.
+    """
+
+    def __init__(self, most_bytes: int = 1 << 31, share: float = 0.25) -> None:
         self._file: IO[bytes] | None = None
         self._shapes: list[tuple[int, int]] = []
         self._size = 0
-        self.complete = True
         try:
             free = shutil.disk_usage(tempfile.gettempdir()).free
-            self._most = min(MOST_BYTES if most_bytes is None else most_bytes, free // SHARE)
+            self._most = min(most_bytes, share * free)
             self._file = tempfile.TemporaryFile(prefix="seqid-", buffering=0)  # noqa: SIM115
             weakref.finalize(self, self._file.close)
         except OSError:
             self._give_up()
 
+    @property
+    def complete(self) -> bool:
+        """Whether all rows that were pushed are there."""
+        return self._file is not None
+
     def push(self, stamps: Stamps, values: Array) -> None:
         """Take the next rows: stamps (M,) ns, values (M, c)."""
         if self._file is None:
             return
-        self._size += stamps.nbytes + values.nbytes
-        if self._size > self._most:
-            self._give_up()
-            return
+        size = stamps.nbytes + values.nbytes
         try:
+            if self._size + size > self._most:
+                raise OSError("too many rows")
             # Room that is asked for at once costs a third of what it costs page by page.
             if hasattr(os, "posix_fallocate"):
-                before = self._size - stamps.nbytes - values.nbytes
-                os.posix_fallocate(self._file.fileno(), before, self._size - before)
-            for array in (stamps, values.T):
-                left = _bytes_of(np.ascontiguousarray(array))
-                while left:  # the system may take less than it is given
-                    left = left[self._file.write(left) :]
+                os.posix_fallocate(self._file.fileno(), self._size, size)
+            stamps.tofile(self._file)
+            np.ascontiguousarray(values.T).tofile(self._file)
         except OSError:
             self._give_up()
             return
+        self._size += size
         self._shapes.append(values.shape)
 
     def _give_up(self) -> None:
-        self.complete = False
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -72,21 +76,10 @@ class Spool:
         assert self._file is not None
         place = 0
         for rows, columns in self._shapes:
-            stamps, values = np.empty(rows, np.int64), np.empty((columns, rows))
-            for array in (stamps, values):
-                place = self._filled(_bytes_of(array), place)
-            yield stamps, values.T
-
-    def _filled(self, room: memoryview, place: int) -> int:
-        """Fill memory from a place in the file; returns where it goes on."""
-        assert self._file is not None
-        while room:
-            got = os.preadv(self._file.fileno(), [room], place)
-            if not got:
+            self._file.seek(place)
+            stamps = np.fromfile(self._file, np.int64, rows)
+            values = np.fromfile(self._file, np.float64, rows * columns)
+            if len(values) < rows * columns:
                 raise OSError("the temporary file of the decoded rows was cut short")
-            room, place = room[got:], place + got
-        return place
-
-
-def _bytes_of(array: NDArray[Any]) -> memoryview:
-    return array.reshape(-1).view(np.uint8).data
+            place += stamps.nbytes + values.nbytes
+            yield stamps, values.reshape(columns, rows).T

@@ -13,12 +13,15 @@ import numpy as np
 
 from seqid_cli.logs.raw import Array, Rows, Stamps
 
-HOLE_NS = 1_000_000_000
-HOLE_INTERVALS = 50
-
 
 def separate(
-    stamps: Stamps, keep: Rows, episode: Array, name: str
+    stamps: Stamps,
+    keep: Rows,
+    episode: Array,
+    name: str,
+    *,
+    hole_s: float = 1.0,
+    hole_intervals: int = 50,
 ) -> tuple[Stamps, Rows, list[str]]:
     """Lay episodes one behind the other.
 
@@ -32,6 +35,8 @@ def separate(
         Number of the episode of each row; NaN where it is missing.
     name : str
         Its column, for messages.
+    hole_s, hole_intervals : float, int
+        Length of the hole between episodes, at least: seconds, and intervals between samples.
 
     Returns
     -------
@@ -50,7 +55,7 @@ def separate(
     if len(runs) == 1:
         return stamps, keep, notes
     interval = _interval(stamps, runs)
-    hole = round(interval * max(HOLE_INTERVALS, np.ceil(HOLE_NS / interval)))
+    hole = round(interval * max(hole_intervals, np.ceil(hole_s * 1e9 / interval)))
     moved = stamps.copy()
     latest = int(stamps[runs[0]].max())
     for run in runs[1:]:
@@ -69,5 +74,5 @@ def _interval(stamps: Stamps, runs: list[Rows]) -> float:
     steps = np.concatenate([np.diff(stamps[run]) for run in runs])
     forward = steps[steps > 0]
     if not len(forward):
-        return float(HOLE_NS)
+        return 1e9
     return float(np.mean(forward[forward < 1.5 * np.median(forward)]))

@@ -14,7 +14,7 @@ from seqid_cli.robot.types import Robot
 def usable_logs(
     recordings: Iterable[Recording], robot: Robot
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Leave out logs whose torque is an echo of the command (see `logs.echo`).
+    """Leave out logs whose torque is an echo of the command (see `logs.checks.echo`).
 
     A log that comes in pieces is one if half of these are.
 

@@ -21,7 +21,7 @@ from seqid_cli.logs.storage.remote import StoredLog, is_url, local_copy
 
 fsspec = pytest.importorskip("fsspec")
 
-RIG = Path(__file__).parents[2] / "sample_logs" / "two_joint"
+RIG = Path(__file__).parents[3] / "sample_logs" / "two_joint"
 GIVEN = ("-r", str(RIG / "robot.toml"), "-p", str(RIG / "golden.json"), "--motion", "encoder")
 ONE = ("--jobs", "1")  # a store in memory is of one process
 

@@ -23,7 +23,7 @@ from seqid_cli.logs.long_health import LongHealth
 from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import Array, BlockReader, Mask, Stream, TimeSource
-from seqid_cli.logs.read import _with_torque
+from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
@@ -31,7 +31,6 @@ from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.timebase import Base, resample
 from seqid_cli.robot.types import Robot
 
-ABSURD = 1e9  # no position or torque in SI units is that large
 BYTES_PER_ROW = 100  # of an MCAP file that does not tell how many messages it holds
 
 
@@ -277,7 +276,7 @@ def _rows(
             raise UnevenError
         first_sources = sources
         if sources:
-            joints = _logged_torque(joints) or _with_torque(
+            joints = _logged_torque(joints) or with_torque(
                 joints, robot, raw.prefer_current, str(path), noticed
             )
         if "tau" not in joints.channels:

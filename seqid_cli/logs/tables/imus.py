@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.tables.naming_schemes import RTDE
 from seqid_cli.robot.types import Imu, Robot
 
 # Forms of names: numbered accelerometers, the axes of a triad, the axes of a gyro.
@@ -73,8 +72,7 @@ def _tool_accelerometer(
     robot: Robot, imu: Imu, known: Collection[str], warnings: list[str]
 ) -> tuple[list[str], list[str]] | None:
     """UR's own accelerometer, for a triad of the robot file that rides on the last link."""
-    pattern = RTDE.tool_accelerometer or ""
-    names = [pattern.replace("{axis}", str(axis)) for axis in range(3)]
+    names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
     last = imu.after_joint == robot.n - 1 and len(imu.positions) == 3 and not imu.gyro
     if not last or any(name not in known for name in names):
         return None

@@ -40,10 +40,8 @@ class Scheme:
     where the name does not say.
     """
 
-    title: str
     patterns: Mapping[str, tuple[str, ...]]
     time_unit: str | None = None
-    tool_accelerometer: str | None = None
 
 
 @dataclass(frozen=True)
@@ -73,35 +71,23 @@ _NUMBERED = {
 }
 
 
-def _by_name(form: str) -> Scheme:
-    patterns = {
-        quantity: tuple(form.replace("*", word) for word in words)
-        for quantity, words in _NAMED.items()
-    }
-    return Scheme(form.replace("{name}", "<joint>").replace("*", "position"), patterns)
+def _scheme(form: str, words: Mapping[str, tuple[str, ...]]) -> Scheme:
+    """Make a scheme of a form of names, in which `*` stands for the words of a quantity."""
+    return Scheme(
+        {name: tuple(form.replace("*", word) for word in own) for name, own in words.items()}
+    )
 
 
-def _by_number(form: str) -> Scheme:
-    patterns = {
-        quantity: tuple(form.replace("*", word) for word in words)
-        for quantity, words in _NUMBERED.items()
-    }
-    return Scheme(form.replace("*", "q"), patterns)
-
-
-DEFAULT = Scheme("<joint>.position", {quantity: (f"{{name}}.{quantity}",) for quantity in _ALL})
+DEFAULT = Scheme({quantity: (f"{{name}}.{quantity}",) for quantity in _ALL})
 RTDE = Scheme(
-    "UR RTDE",
     {
         "position": ("actual_q_{index0}",),
         "velocity": ("actual_qd_{index0}",),
         "current": ("actual_current_{index0}",),
         "temperature": ("joint_temperatures_{index0}",),
     },
-    tool_accelerometer="actual_tool_accelerometer_{axis}",
 )
 FRANKA = Scheme(
-    "libfranka",
     {
         "position": ("state.q[{index0}]",),
         "velocity": ("state.dq[{index0}]",),
@@ -111,7 +97,6 @@ FRANKA = Scheme(
 )
 LEROBOT_STATE = "observation.state"
 LEROBOT = Scheme(
-    "LeRobot",
     {
         "position": ("observation.state[{index0}]",),
         "velocity": ("observation.velocity[{index0}]", "observation.state.velocity[{index0}]"),
@@ -124,12 +109,12 @@ LEROBOT = Scheme(
 LISTS = "*[{index0}]"
 SCHEMES = (
     DEFAULT,
-    *(_by_name(f) for f in ("{name}.*", "{name}/*", "*.{name}", "*/{name}")),
-    *(_by_name(f) for f in ("/joint_states/{name}/*", "{name}_*", "*_{name}")),
+    *(_scheme(f, _NAMED) for f in ("{name}.*", "{name}/*", "*.{name}", "*/{name}")),
+    *(_scheme(f, _NAMED) for f in ("/joint_states/{name}/*", "{name}_*", "*_{name}")),
     RTDE,
     FRANKA,
     LEROBOT,
-    *(_by_number(f) for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}", LISTS)),
+    *(_scheme(f, _NUMBERED) for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}", LISTS)),
 )
 
 

@@ -138,7 +138,7 @@ class LongLog:
     def _between(self, rows: Rows, start: int, stop: int) -> Iterator[Block]:
         for low in range(start, stop, parquet.BLOCK_ROWS):
             count = min(parquet.BLOCK_ROWS, stop - low)
-            window = _Window(
+            window = Base(
                 self.start_ns, self.step_s, count, self.jitter, False, _NONE, (), first=low
             )
             # Only the rows around the window: a hole may be much longer than a block.
@@ -149,18 +149,6 @@ class LongLog:
             found = resample(Stream("joints", part.stamps, {"all": part.values}), "all", window)
             n = self.robot.n
             yield Block(low, found.values[:, :n], found.values[:, n:], found.valid)
-
-
-@dataclass(frozen=True)
-class _Window(Base):
-    """Samples `first`, `first` + 1, ... of a base."""
-
-    first: int = 0
-
-    @property
-    def t(self) -> Array:
-        """Seconds since the first sample of the base."""
-        return (self.first + np.arange(self.count, dtype=np.float64)) * self.step_s
 
 
 _NONE: NDArray[np.intp] = np.zeros(0, np.intp)

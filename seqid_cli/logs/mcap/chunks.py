@@ -200,12 +200,13 @@ def walk(data: Bytes, start: int, end: int, only: frozenset[int] | None = None) 
         after = at + size + length
         if after > end or (only is not None and opcode not in only):
             break
-        if opcode == Opcode.MESSAGE:
+        if opcode == Opcode.MESSAGE and length >= MESSAGE_SIZE:
             messages.append(at)
-        else:
+        else:  # also a message without room for its head
             others.append(Record(opcode, at + size, after))
         at = after
-    return _walked(data, np.array(messages, np.int64), others, at)
+    offsets = np.array(messages, np.int64)
+    return _contents(offsets, others, at, _heads(data, offsets))
 
 
 def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
@@ -214,7 +215,8 @@ def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
         return None
     heads = _heads(data, offsets)
     lengths = heads[0]
-    if (data[offsets] != Opcode.MESSAGE).any() or lengths.max() > len(data):
+    sound = (data[offsets] == Opcode.MESSAGE) & (lengths >= MESSAGE_SIZE) & (lengths <= len(data))
+    if not sound.all():
         return None
     ends = offsets + lengths.astype(np.int64)
     ends += RECORD.size
@@ -234,22 +236,10 @@ def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
     return _contents(offsets, others, len(data), heads)
 
 
-def _walked(data: Bytes, offsets: Integers, others: list[Record], end: int) -> Contents:
-    fits = offsets <= len(data) - _HEAD  # else the message record is shorter than its head
-    others += [Record(Opcode.MESSAGE, at + RECORD.size, at) for at in offsets[~fits].tolist()]
-    offsets = offsets[fits]
-    return _contents(offsets, others, end, _heads(data, offsets))
-
-
 def _contents(
     offsets: Integers, others: list[Record], end: int, heads: NDArray[np.uint64]
 ) -> Contents:
     lengths = heads[0].astype(np.int64) - MESSAGE_SIZE
-    if len(lengths) and lengths.min() < 0:
-        short = lengths < 0
-        bad = offsets[short].tolist()
-        others += [Record(Opcode.MESSAGE, at + RECORD.size, at + RECORD.size) for at in bad]
-        heads, offsets, lengths = heads[:, ~short], offsets[~short], lengths[~short]
     log_ns = (heads[1] >> np.uint64(48)) | (heads[2] << np.uint64(16))
     channels = heads[1].astype(np.uint16)  # its lowest 16 bits
     return Contents(channels, log_ns.view(np.int64), offsets + _HEAD, lengths, others, end)

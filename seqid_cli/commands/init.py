@@ -12,7 +12,7 @@ import typer
 from seqid_cli.commands.options import Logs
 from seqid_cli.commands.render import screen_of
 from seqid_cli.errors import UsageError
-from seqid_cli.logs.open import check_log, expand
+from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.robot.urdf_text import read_urdf_text
 

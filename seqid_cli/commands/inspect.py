@@ -15,7 +15,7 @@ from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import Screen, screen_of
 from seqid_cli.commands.show_inspection import show_inspection
 from seqid_cli.commands.visible import visible
-from seqid_cli.logs.open import expand
+from seqid_cli.logs.storage.files import expand
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.files import check_output
 from seqid_cli.params.inspection_schema import (

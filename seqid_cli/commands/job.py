@@ -12,8 +12,8 @@ from seqid_cli.commands.options import TimeSource
 from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import Screen
 from seqid_cli.errors import ConfigError, InputError
-from seqid_cli.logs.open import check_log, expand
-from seqid_cli.logs.stored import StoredLog
+from seqid_cli.logs.storage.files import check_log, expand
+from seqid_cli.logs.storage.remote import StoredLog
 from seqid_cli.params.document import join, present
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import check_robot, read_parameters

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from seqid_cli.errors import InputError, SeqidError, UsageError
-from seqid_cli.logs.open import check_log, expand
+from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.schema import InputLog
 
 # Stages whose logs determine the model; "effects" are those of an earlier refinement.

@@ -13,7 +13,7 @@ from seqid_cli.commands.job import exit_code
 from seqid_cli.commands.options import Output, RobotPath, Strict
 from seqid_cli.commands.render import Screen, number, percent, screen_of
 from seqid_cli.errors import UsageError
-from seqid_cli.logs.open import expand
+from seqid_cli.logs.storage.files import expand
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import check_robot, file_sha256, read_joined, write_json_atomic
 from seqid_cli.params.plan_schema import PlanFile

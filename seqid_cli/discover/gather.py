@@ -27,7 +27,7 @@ from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
-from seqid_cli.logs.stored import StoredLog, local_copy
+from seqid_cli.logs.storage.remote import StoredLog, local_copy
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

@@ -31,7 +31,7 @@ from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
-from seqid_cli.logs.stored import local_copy
+from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog

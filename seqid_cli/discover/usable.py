@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.echo import REMEDY, WARNING, echoes
+from seqid_cli.logs.checks.echo import REMEDY, WARNING, echoes
 from seqid_cli.logs.pieces import by_log
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.types import Robot
@@ -14,7 +14,7 @@ from seqid_cli.robot.types import Robot
 def usable_logs(
     recordings: Iterable[Recording], robot: Robot
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Leave out logs whose torque is an echo of the command (see `logs.echo`).
+    """Leave out logs whose torque is an echo of the command (see `logs.checks.echo`).
 
     A log that comes in pieces is one if half of these are.
 

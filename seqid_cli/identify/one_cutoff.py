@@ -25,7 +25,7 @@ from seqid_cli.identify.streaming import open_if_long
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.logs.stored import local_copy
+from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import (
     HIGHEST_HZ,

@@ -21,7 +21,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction import LogPrediction, notes_on, slides_from
 from seqid_cli.identify.streaming import chosen_cutoff, overlapping, too_short
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.logs.stored import local_copy
+from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted
 from seqid_cli.model.torque import Added, TorqueModel, sliding

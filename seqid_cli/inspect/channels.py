@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 
 from seqid_cli.inspect.report import Finding, found
-from seqid_cli.logs.survey import Survey
+from seqid_cli.logs.contents import Survey
 from seqid_cli.robot.types import Robot
 
 

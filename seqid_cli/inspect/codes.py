@@ -281,7 +281,8 @@ CODES: Mapping[str, Code] = {
     "torque_echo": Code(
         "error",
         "The torque follows the position alone: an echo of a command.",
-        "Position explains 90 % of it, friction and acceleration have no part (logs/echo.py).",
+        "Position explains 90 % of it, friction and acceleration have no part "
+        "(logs/checks/echo.py).",
         "Record the measured current while the controller drives the joints on a trajectory.",
     ),
     "torque_quantised": Code(

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.inspect.report import Finding, found
+from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import Motion, decimated
-from seqid_cli.motion.segmentation import driven
 from seqid_cli.robot.base import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.logs.survey import Survey
+from seqid_cli.logs.contents import Survey
 from seqid_cli.robot.dh import DhRow, chain_from_dh
 from seqid_cli.robot.types import Channels, Imu, Joint, Robot
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import clipped, equal_runs, missing_share
-from seqid_cli.logs.health import STANDARD_GRAVITY
+from seqid_cli.logs.checks.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu.array import layout

@@ -21,8 +21,8 @@ from seqid_cli.inspect.moves import (
     together,
 )
 from seqid_cli.inspect.report import Finding, InspectReport, LogReport, found
+from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.survey import Survey, survey
 from seqid_cli.robot.types import Robot
 
 _STAGES = ("friction", "gravity", "imu-calib", "inertia")

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
-from seqid_cli.logs.bridging import with_losses
+from seqid_cli.logs.checks.bridging import with_losses
+from seqid_cli.logs.checks.lost_samples import mended
 from seqid_cli.logs.clocks import tidy
-from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
-from seqid_cli.logs.read import read_both
+from seqid_cli.logs.read import read_both, without_absurd
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -27,7 +27,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 V = TypeVar("V")
 
-ABSURD = 1e9  # the reader takes such values as missing
 LOWEST_HZ, LOWEST_SHARE = 3.0, 0.1  # cut-off, and as a share of the rate
 ENOUGH_HZ = 100.0  # samples per second of motion that is compared with torque
 
@@ -114,7 +113,7 @@ def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool)
         robot=robot,
         modelled=modelled,
         raw=raw,
-        joints=_on_true_time(_without_absurd(tidy(raw.joints).stream)),
+        joints=_on_true_time(without_absurd(tidy(raw.joints).stream, []), recording),
         recording=recording,
         step=step,
         moving=moving_mask(recording.q, recording.rate_hz, step),
@@ -176,12 +175,9 @@ def averaged(recording: Recording, rate_hz: float) -> Recording:
     )
 
 
-def _on_true_time(joints: Stream) -> Stream:
-    """With the time that lost samples took, and the holes filled, as the reader does."""
+def _on_true_time(joints: Stream, recording: Recording) -> Stream:
+    """With the time that lost samples took, and the holes filled, where the reader did so."""
+    if not recording.health.mended:
+        return joints
     nothing = np.zeros(len(joints), np.bool_)
     return with_losses(joints, mended(joints).losses, nothing)[0]
-
-
-def _without_absurd(stream: Stream) -> Stream:
-    channels = {n: np.where(np.abs(v) > ABSURD, np.nan, v) for n, v in stream.channels.items()}
-    return replace(stream, channels=channels)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.report import Finding, found
@@ -230,14 +231,14 @@ def _breaks(joint: Joint, t: Array, q: Array, step: float) -> Iterator[tuple[Fin
 def _least_jump(q: Array, step: float, usual: float) -> float:
     """Return the change between two samples that neither motion nor the log's own noise makes."""
     d = np.diff(q)
-    padded = np.stack([np.roll(d, k) for k in (-2, -1, 0, 1, 2)])
-    uneven = np.sort(np.abs(d - np.median(padded, axis=0)))
-    usual_ones = uneven[: max(len(uneven) - JUMPS, 1)]
+    uneven = np.abs(d - median_filter(d, 5, mode="wrap"))
+    count = max(len(uneven) - JUMPS, 1)
+    usual_ones = np.partition(uneven, count - 1)[:count]
     return max(
         JUMP_STEPS * step,
         min(JUMP_ACCELERATION * usual**2, JUMP_MOST),
         JUMP_NOISE * float(np.quantile(usual_ones, 0.99)),
-        JUMP_RANGE * float(np.quantile(q, 0.99) - np.quantile(q, 0.01)),
+        JUMP_RANGE * float(np.ptp(np.quantile(q, (0.01, 0.99)))),
     )
 
 

@@ -12,8 +12,8 @@ from seqid_cli.errors import InputError
 from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspect import inspect_log
 from seqid_cli.inspect.report import JointSummary
-from seqid_cli.logs.presets import find_scheme, time_names
-from seqid_cli.logs.survey import Survey, survey
+from seqid_cli.logs.contents import Survey, survey
+from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
 from seqid_cli.robot.template import ImuTemplate, JointTemplate, RobotTemplate
 from seqid_cli.robot.urdf_joints import UrdfJoint, best_chain, check_urdf
 from seqid_cli.robot.urdf_text import UrdfText

@@ -95,7 +95,8 @@ def lattice(values: Array) -> float:
     scale = float(np.abs(values).max(initial=0.0))
     if not scale:
         return 0.0
-    return _refined(values, float(encoder_step((values / scale)[:, None])[0]) * scale)
+    step = float(encoder_step((values / scale)[:, None])[0]) * scale
+    return _refined(values, step) if step else 0.0
 
 
 def _refined(values: Array, step: float) -> float:
@@ -104,8 +105,8 @@ def _refined(values: Array, step: float) -> float:
     span = levels - levels[0]
     for reach in np.geomspace(20.0, 1e7, 18) * step:
         near = span[span <= reach]
-        count = np.rint(near / max(step, 1e-300))
-        if step and len(near) > 2:
+        count = np.rint(near / step)
+        if len(near) > 2:
             step = float(count @ near / max(float(count @ count), 1.0))
         if reach > span[-1]:
             break

@@ -13,38 +13,28 @@ import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs import mcap, parquet, parquet_blocks
-from seqid_cli.logs.columns import ARROW_ERRORS, opened_table
+from seqid_cli.logs.checks.lost_samples import suspicious
 from seqid_cli.logs.long_health import LongHealth
 from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
-from seqid_cli.logs.lost_samples import suspicious
-from seqid_cli.logs.mcap_summary import read_summary
-from seqid_cli.logs.open import check_log, storage_file
-from seqid_cli.logs.raw import Array, Mask, RawLog, Stream, TimeSource
-from seqid_cli.logs.read import _with_torque
-from seqid_cli.logs.spool import Spool
+from seqid_cli.logs.mcap import reader
+from seqid_cli.logs.raw import Array, BlockReader, Mask, Stream, TimeSource
+from seqid_cli.logs.read import ABSURD, with_torque
+from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.storage.spool import Spool
+from seqid_cli.logs.tables import parquet
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.timebase import Base, resample
 from seqid_cli.robot.types import Robot
 
-ABSURD = 1e9  # no position or torque in SI units is that large
 BYTES_PER_ROW = 100  # of an MCAP file that does not tell how many messages it holds
 
 
-class BlockReader(Protocol):
-    """Reads one file format block by block."""
-
-    def __call__(self, path: Path, robot: Robot, time_source: TimeSource) -> Iterator[RawLog]:
-        """Yield the next rows."""
-        ...
-
-
-READERS: dict[str, BlockReader] = {"parquet": parquet_blocks.read_blocks, "mcap": mcap.read_blocks}
+READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
 
 
 @dataclass(frozen=True)
@@ -146,9 +136,9 @@ class LongLog:
         yield from self._between(pending, start, self.samples)
 
     def _between(self, rows: Rows, start: int, stop: int) -> Iterator[Block]:
-        for low in range(start, stop, parquet_blocks.BLOCK_ROWS):
-            count = min(parquet_blocks.BLOCK_ROWS, stop - low)
-            window = _Window(
+        for low in range(start, stop, parquet.BLOCK_ROWS):
+            count = min(parquet.BLOCK_ROWS, stop - low)
+            window = Base(
                 self.start_ns, self.step_s, count, self.jitter, False, _NONE, (), first=low
             )
             # Only the rows around the window: a hole may be much longer than a block.
@@ -159,18 +149,6 @@ class LongLog:
             found = resample(Stream("joints", part.stamps, {"all": part.values}), "all", window)
             n = self.robot.n
             yield Block(low, found.values[:, :n], found.values[:, n:], found.valid)
-
-
-@dataclass(frozen=True)
-class _Window(Base):
-    """Samples `first`, `first` + 1, ... of a base."""
-
-    first: int = 0
-
-    @property
-    def t(self) -> Array:
-        """Seconds since the first sample of the base."""
-        return (self.first + np.arange(self.count, dtype=np.float64)) * self.step_s
 
 
 _NONE: NDArray[np.intp] = np.zeros(0, np.intp)
@@ -202,10 +180,8 @@ def likely_rows(path: Path) -> int:
             with opened_table(path) as file:
                 return int(file.metadata.num_rows)
         if kind == "mcap":
-            size = path.stat().st_size
-            with path.open("rb") as opened:
-                messages = read_summary(opened, size).messages
-            return size // BYTES_PER_ROW if messages is None else messages
+            messages = reader.count_messages(path)
+            return path.stat().st_size // BYTES_PER_ROW if messages is None else messages
     except ARROW_ERRORS as error:
         raise parquet.damaged(path, error) from error
     except OSError as error:
@@ -288,7 +264,7 @@ def _rows(
             raise UnevenError
         first_sources = sources
         if sources:
-            joints = _logged_torque(joints) or _with_torque(
+            joints = _logged_torque(joints) or with_torque(
                 joints, robot, raw.prefer_current, str(path), noticed
             )
         if "tau" not in joints.channels:

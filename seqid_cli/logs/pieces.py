@@ -16,7 +16,7 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.logs.long import READERS, LongLog
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
-from seqid_cli.logs.read import _assemble, read_both
+from seqid_cli.logs.read import assemble, read_both
 from seqid_cli.logs.recording import Array, Recording, Whole
 from seqid_cli.robot.types import Robot
 
@@ -212,7 +212,7 @@ def _assembled(
         seconds = gathered.first * 1e-9 - whole.start
         raise InputError(f"no longer holds the rows {seconds:.3g} s on", where=str(path))
     raw = gathered.raw()
-    found = _assemble(path, kind, whole.sha256, raw, robot, None)
+    found = assemble(path, kind, whole.sha256, raw, robot, None)
     found = sound(found, raw) if sound else found
     return replace(
         found,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, Protocol
@@ -61,11 +62,24 @@ class RawLog:
     prefer_current: bool = False
 
 
-class Reader(Protocol):
+class BlockReader(Protocol):
     """Reads one file format."""
 
-    def __call__(self, path: Path, robot: Robot, time_source: TimeSource) -> RawLog:
-        """Read the channels that the robot file knows.
+    def __call__(
+        self, path: Path, robot: Robot, time_source: TimeSource, *, rows: int | None = ...
+    ) -> Iterator[RawLog]:
+        """Read the channels that the robot file knows, block by block.
+
+        Parameters
+        ----------
+        path : Path
+            The file, damaged or not.
+        robot : Robot
+            Its joints, IMUs and `[channels]`.
+        time_source : {"header", "log"}
+            Stamps in the messages, or the times of logging; without meaning for tables.
+        rows : int or None
+            Rows in a block, where the format allows it; None for the whole log as one block.
 
         Raises
         ------

@@ -10,26 +10,37 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs import bags, csv_file, echo, health, mcap, parquet
-from seqid_cli.logs.bridging import with_losses
+from seqid_cli.logs.checks import echo, health
+from seqid_cli.logs.checks.bridging import with_losses
+from seqid_cli.logs.checks.lost_samples import Mended, mended
 from seqid_cli.logs.clocks import Tidy, tidy
-from seqid_cli.logs.lost_samples import Mended, mended
-from seqid_cli.logs.open import check_log, storage_file
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Reader, Stream, TimeSource
+from seqid_cli.logs.mcap import reader, rosbags
+from seqid_cli.logs.raw import (
+    ACCELEROMETERS,
+    GYRO,
+    Array,
+    BlockReader,
+    Mask,
+    RawLog,
+    Stream,
+    TimeSource,
+)
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.logs.stored import local_copy
+from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
-READERS: dict[str, Reader] = {
-    "parquet": parquet.read,
-    "mcap": mcap.read,
-    "csv": csv_file.read,
-    "rosbag2": bags.read_rosbag2,
-    "rosbag1": bags.read_rosbag1,
+READERS: dict[str, BlockReader] = {
+    "parquet": parquet.read_blocks,
+    "mcap": reader.read_blocks,
+    "csv": csv_file.read_blocks,
+    "rosbag2": rosbags.read_blocks,
+    "rosbag1": rosbags.read_blocks,
 }
-_ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
+ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
 def read_recordings(
@@ -113,7 +124,7 @@ def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stre
     """
     cleared, before = replace(raw, joints=joints), recording.health
     where = recording.path
-    again = _assemble(where, recording.format, recording.sha256, cleared, robot, None)
+    again = assemble(where, recording.format, recording.sha256, cleared, robot, None)
     health = replace(
         before,
         gaps=tuple(sorted({*before.gaps, *again.health.gaps})),
@@ -130,12 +141,18 @@ def _read(
     if time_source not in ("header", "log"):
         raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
     try:
-        raw = READERS[kind](path, robot, time_source)
+        raw = read_whole(path, kind, robot, time_source)
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return _assemble(path, kind, digest, raw, robot, rate_hz), raw
+    return assemble(path, kind, digest, raw, robot, rate_hz), raw
+
+
+def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
+    """Read a file of a format as one block; see `BlockReader`."""
+    (raw,) = READERS[kind](path, robot, time_source, rows=None)
+    return raw
 
 
 @dataclass(frozen=True)
@@ -146,16 +163,17 @@ class _Imus:
     warnings: list[str]
 
 
-def _assemble(
+def assemble(
     path: Path, kind: str, digest: str, raw: RawLog, robot: Robot, rate_hz: float | None
 ) -> Recording:
+    """Lay what was logged on one time base, mended and checked; see `read_recording`."""
     where = str(path)
     warnings = list(raw.warnings)
-    joints = _without_absurd(raw.joints, warnings)
+    joints = without_absurd(raw.joints, warnings)
     _require_positions(joints, robot, where)
     if "current" in joints.channels:
         warnings += health.current_warnings(robot, joints.channels["current"])
-    joints = _with_torque(joints, robot, raw.prefer_current, where, warnings)
+    joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
     clock = tidy(joints)
     repair = mended(clock.stream)
     clock = replace(clock, stream=repair.stream)
@@ -213,17 +231,17 @@ def _bridged(repair: Mended, base: Base) -> Mask | None:
     return np.asarray(repair.bridged[np.searchsorted(edges, base.t)])
 
 
-def _without_absurd(stream: Stream, warnings: list[str]) -> Stream:
-    """Treat infinite and absurdly large values as missing."""
+def without_absurd(stream: Stream, warnings: list[str], *, most: float = ABSURD) -> Stream:
+    """Treat values that are infinite or larger than `most` as missing, and say so."""
     channels, count = {}, 0
     for name, values in stream.channels.items():
-        wrong = np.abs(values) > _ABSURD
+        wrong = np.abs(values) > most
         count += int(np.count_nonzero(wrong))
         channels[name] = np.where(wrong, np.nan, values) if wrong.any() else values
     if not count:
         return stream
     warnings.append(
-        f"{stream.name}: {count} values are infinite or beyond {_ABSURD:g}; taken as missing"
+        f"{stream.name}: {count} values are infinite or beyond {most:g}; taken as missing"
     )
     return replace(stream, channels=channels)
 
@@ -239,7 +257,7 @@ def _require_positions(joints: Stream, robot: Robot, where: str) -> None:
         )
 
 
-def _with_torque(
+def with_torque(
     joints: Stream, robot: Robot, prefer_current: bool, where: str, warnings: list[str]
 ) -> Stream:
     """Add `tau`: the logged torque, else current times torque constant and gear ratio."""
@@ -303,7 +321,7 @@ def _read_imus(raw: RawLog, robot: Robot, base: Base, repair: Mended) -> _Imus:
     valid = result.valid
     for imu in robot.imus:
         cleaned = [
-            _alike_mended(tidy(_without_absurd(stream, result.warnings)), repair)
+            _alike_mended(tidy(without_absurd(stream, result.warnings)), repair)
             for stream in raw.imus.get(imu.name, ())
         ]
         if not cleaned or not _usable(imu.name, cleaned, base, result.warnings):

@@ -35,9 +35,10 @@ _LEAST_KNOTS = 4
 
 @dataclass(frozen=True)
 class Base:
-    """The uniform time base: sample i lies at `start_ns` + i `step_s`.
+    """The uniform time base, or a window of it: sample i lies at `start_ns` + i `step_s`.
 
-    `rows` are the joint samples that it is made of; `exact` where these lie on it.
+    `first` is the number of its first sample; `rows` are the joint samples that it is made of,
+    `exact` where these lie on it.
     """
 
     start_ns: int
@@ -47,11 +48,12 @@ class Base:
     exact: bool
     rows: NDArray[np.intp]
     gaps: tuple[tuple[float, float], ...]
+    first: int = 0
 
     @property
     def t(self) -> Array:
-        """Seconds since the first sample, (N,)."""
-        return np.arange(self.count, dtype=np.float64) * self.step_s
+        """Seconds since sample 0, (N,)."""
+        return (self.first + np.arange(self.count, dtype=np.float64)) * self.step_s
 
 
 @dataclass(frozen=True)

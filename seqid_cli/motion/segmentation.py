@@ -113,32 +113,6 @@ def _seen_moving(rows: Array, step: Array, at: Index, half: int, every: int) -> 
     return np.asarray(changes[:, high] > changes[:, low])
 
 
-def driven(q: Array, *, min_travel_share: float = 0.1, tail: float = 0.01) -> Mask:
-    """Which joints are driven on a way of their own.
-
-    The others are held, and the moves of other joints shake them. In closed loop with a constant
-    reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its
-    friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
-    identification revisited, Automatica 35(7), 1999).
-
-    Parameters
-    ----------
-    q : (N, n) array
-        Positions, rad (m); not finite ones are passed over.
-    min_travel_share : float
-        Share of the farthest joint's travel, below which a joint is held.
-    tail : float
-        Share of the positions at either end that is not counted as travel.
-
-    Returns
-    -------
-    (n,) bool array
-        True where the joint travels at least that share as far as the one that travels farthest.
-    """
-    low, high = np.nanquantile(q, (tail, 1 - tail), axis=0)
-    return np.asarray(high - low >= min_travel_share * np.max(high - low))
-
-
 def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
     """Velocity (N,) rad/s of one joint: difference of two half-window means over their distance."""
     means = uniform_filter1d(q, 2 * half + 1, mode="nearest")

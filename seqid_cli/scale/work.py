@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, cast, runtime_checkable
 
-from seqid_cli.logs.stored import local_copy
+from seqid_cli.logs.storage.remote import local_copy
 
 if TYPE_CHECKING:
     from seqid_cli.inspect.report import Finding

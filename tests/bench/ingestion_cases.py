@@ -63,10 +63,10 @@ def decompress() -> Callable[[Path], int]:
 
 def seqid() -> Callable[[Path], int]:
     """Read everything into arrays."""
-    from seqid_cli.logs import mcap
+    from seqid_cli.logs.mcap import reader
 
     def run(path: Path) -> int:
-        raw = mcap.read(path, make_robot(JOINTS, imus=(GYRO,)))
+        (raw,) = reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,)), rows=None)
         return len(raw.joints) + sum(len(s) for streams in raw.imus.values() for s in streams)
 
     return run
@@ -74,11 +74,11 @@ def seqid() -> Callable[[Path], int]:
 
 def seqid_blocks() -> Callable[[Path], int]:
     """Read everything into arrays, a block at a time."""
-    from seqid_cli.logs import mcap
+    from seqid_cli.logs.mcap import reader
 
     def run(path: Path) -> int:
         count = 0
-        for raw in mcap.read_blocks(path, make_robot(JOINTS, imus=(GYRO,))):
+        for raw in reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,))):
             count += len(raw.joints)
             count += sum(len(s) for streams in raw.imus.values() for s in streams)
         return count
@@ -185,7 +185,7 @@ def iter_batches() -> Callable[[Path], int]:
 
 def parquet_blocks() -> Callable[[Path], int]:
     """Blocks of 14 of 29 columns."""
-    from seqid_cli.logs.parquet_blocks import read_tables
+    from seqid_cli.logs.tables.parquet import read_tables
 
     return lambda path: _arrays(read_tables(path, TABLE_COLUMNS))
 

@@ -14,9 +14,9 @@ from seqid_cli.discover.results import Diagnosis, Finding
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.simultaneous import identify_simultaneous
-from seqid_cli.logs.echo import WARNING
-from seqid_cli.logs.open import expand
+from seqid_cli.logs.checks.echo import WARNING
 from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.storage.files import expand
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot

@@ -11,8 +11,8 @@ import pytest
 
 from seqid_cli.identify import streaming, trials_long
 from seqid_cli.identify.trials import Trial, TrialsOf
-from seqid_cli.logs import parquet_blocks
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
@@ -77,7 +77,7 @@ def test_the_trials_are_those_of_the_held_log(
 ) -> None:
     monkeypatch.setattr(streaming, "LONG", 1_000)
     monkeypatch.setattr(trials_long, "ROWS", rows)
-    monkeypatch.setattr(parquet_blocks, "BLOCK_ROWS", 3_000)
+    monkeypatch.setattr(parquet, "BLOCK_ROWS", 3_000)
     found, expected = parts_of(write(tmp_path / "log.parquet", waving=waving), robot)
     assert len(found) == len(expected) > 10
     for own, other in zip(found, expected, strict=True):

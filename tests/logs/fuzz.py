@@ -18,10 +18,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs import mcap
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.types import Robot
-from tests.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
+from tests.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, read_raw
 from tests.logs.writers import rewrite, write_mcap, write_parquet
 
 ROBOT = make_robot(imus=(ARRAY, GYRO), constants=0.1)
@@ -102,7 +101,7 @@ def problem(path: Path, robot: Robot, sound: np.ndarray | None) -> str:
     try:
         read_recording(path, robot)
         if sound is not None:
-            rows = mcap.read(path, robot).joints.channels["position"]
+            rows = read_raw(path, robot).joints.channels["position"]
             known = {row.tobytes() for row in sound}
             strange = sum(row.tobytes() not in known for row in np.ascontiguousarray(rows))
             return f"{strange} of {len(rows)} rows are made up" if strange else ""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.robot.types import Chain, Channels, Imu, Joint, Robot
 
 Array = NDArray[np.float64]
@@ -80,3 +81,11 @@ def make_motion(t: Array, n: int = 3) -> Motion:
 def grid(count: int = 200, rate_hz: float = 100.0) -> Array:
     """Give uniform times from 0."""
     return np.arange(count) / rate_hz
+
+
+def read_raw(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog:
+    """Read a log as it was logged, as one block."""
+    from seqid_cli.logs.read import read_whole
+    from seqid_cli.logs.storage.files import check_log
+
+    return read_whole(path, check_log(path), robot, time_source)

@@ -13,8 +13,8 @@ import zstandard
 
 from seqid_cli.__main__ import main
 from seqid_cli.errors import ConfigError, InputError
-from seqid_cli.logs.columns import ROOM, opened_table
-from seqid_cli.logs.mcap_chunks import CHUNK, SMALL, DamageError, Unpacker
+from seqid_cli.logs.mcap.chunks import CHUNK, SMALL, DamageError, Unpacker
+from seqid_cli.logs.tables.columns import ROOM, opened_table
 from seqid_cli.robot.file import load_robot
 
 EMPTY = struct.pack("<BQ", 0x80, 0)  # a record of a kind of somebody's own

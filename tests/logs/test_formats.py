@@ -11,9 +11,9 @@ import pytest
 
 from seqid_cli.identify.friction import identify_friction
 from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.logs.open import check_log, expand
 from seqid_cli.logs.read import read_recording, read_recordings
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.robot.file import load_robot

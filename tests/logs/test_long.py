@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs import long as module
-from seqid_cli.logs import parquet_blocks, spool
 from seqid_cli.logs.long import Block, LongLog, open_long, rows_at_least
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.storage import spool
+from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.robot.types import Robot
 from tests.logs.samples import JOINTS, curve, make_robot
@@ -58,9 +59,9 @@ def check(path: Path, robot: Robot, *, tolerance: float = 0.0) -> LongLog:
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parquet_blocks, "BLOCK_ROWS", 700)
-    monkeypatch.setattr(parquet_blocks.read_tables, "__kwdefaults__", {"rows": 700})
-    monkeypatch.setattr(parquet_blocks.read_blocks, "__kwdefaults__", {"rows": 700})
+    monkeypatch.setattr(parquet, "BLOCK_ROWS", 700)
+    monkeypatch.setattr(parquet.read_tables, "__kwdefaults__", {"rows": 700})
+    monkeypatch.setattr(parquet.read_blocks, "__kwdefaults__", {"rows": 700})
 
 
 def write(path: Path, t: Array, *, torque: Array | None = None) -> Path:
@@ -153,7 +154,7 @@ def test_an_even_log_is_surveyed_while_its_base_is_laid(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, even: bool, room: bool
 ) -> None:
     if not room:
-        monkeypatch.setattr(spool, "MOST_BYTES", 0)
+        monkeypatch.setattr(spool.Spool.__init__, "__defaults__", (0, 0.25))
     samples = 6_000  # longer than the longest segment of a spectrum
     jitter = 0.0 if even else np.random.default_rng(4).uniform(-4e-4, 4e-4, samples)
     path = write(tmp_path / "log.parquet", np.arange(samples) / 250.0 + jitter)

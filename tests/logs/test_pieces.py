@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs import mcap, parquet_blocks
 from seqid_cli.logs.long import open_long
+from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.pieces import by_log, cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.tables import parquet
 from tests.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
 from tests.logs.writers import write_mcap, write_parquet
 
@@ -24,10 +25,10 @@ SAMPLES, START = 2000, 40.0
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    defaults = parquet_blocks.read_blocks.__kwdefaults__
+    defaults = parquet.read_blocks.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "rows", 300)
-    other = mcap.read_blocks.__kwdefaults__
+    other = reader.read_blocks.__kwdefaults__
     assert other is not None
     monkeypatch.setitem(other, "rows", 700)
 

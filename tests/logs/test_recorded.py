@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.logs.open import expand
 from seqid_cli.logs.read import read_recording, read_recordings
+from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.types import Channels, Robot
 from tests.logs.samples import make_robot
 

@@ -1,0 +1,1 @@
+"""What is wrong with the samples of a log, and how it is put right."""

@@ -1,0 +1,215 @@
+"""Whether a log's torque is measured, or an echo of the command while something else moves the arm.
+
+Under gravity compensation, or with a constant command, an arm that a hand or its own weight moves
+shows a torque that follows position alone. A drive's current that moves a joint also overcomes its
+friction and accelerates it. Where a joint moves both ways, the torque of a log is therefore
+compared with
+
+    tau = G(q) phi + sum_k c_k T_k(q_j) + F_c tanh(v / v_s) + F_v v + sum_i J_i dv_i/dt,
+
+gravity of the whole arm, a smooth function of the joint's own position, its friction, and the
+accelerations of all joints. It is an echo if the first two explain it and the others have no part,
+neither in the torque nor in what the first two leave of it, but for a damping F_v < 0, which no
+friction has but a controller may. A joint that is only held is passed over: while others shake it,
+its torque follows its position by its controller's law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+from seqid_cli.logs.checks.criteria import ECHOES, EchoCriteria
+from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RCOND = 1e-8
+
+WARNING = (
+    "the torque follows the position alone, though the joint moves both ways: it has no friction "
+    "and no inertia in it and looks like an echo of the command while a hand, or gravity, moves "
+    "the joint"
+)
+REMEDY = (
+    "record the measured motor current while the controller drives the joints along a trajectory, "
+    "not gravity compensation and not a constant command"
+)
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What one joint's torque consists of, as shares of its RMS; `error` is the friction's.
+
+    `others` is the share that friction and accelerations have in the square of `unexplained`.
+    """
+
+    unexplained: float
+    others: float
+    friction: float
+    error: float
+    inertia: float
+
+    def echo(self, criteria: EchoCriteria) -> bool:
+        """Whether position alone makes the torque."""
+        return (
+            self.unexplained < criteria.unexplained
+            and (self.others < criteria.others or self.unexplained < criteria.exact)
+            and self.friction + criteria.certain * self.error < criteria.friction
+            and self.friction < max(criteria.uncertain * self.error, criteria.none)
+            and self.inertia < criteria.inertia
+        )
+
+
+def echo_warnings(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[str]:
+    """Return a warning for every joint whose torque follows position alone.
+
+    Parameters
+    ----------
+    robot : Robot
+    t, q, tau : (N,), (N, n), (N, n) arrays
+        s, rad (m), N m (N).
+    valid : (N,) mask
+        Samples to look at.
+    """
+    found = echoes(robot, t, q, tau, valid)
+    return [f"{robot.joint_names[j]}: {WARNING}; {REMEDY}" for j in found]
+
+
+def echoes(
+    robot: Robot,
+    t: Array,
+    q: Array,
+    tau: Array,
+    valid: Mask,
+    criteria: EchoCriteria = ECHOES,
+) -> list[int]:
+    """Return the joints whose torque follows position alone; see `echo_warnings`."""
+    found = _shares(robot, t, q, tau, valid, criteria)
+    return [j for j, share in found.items() if share.echo(criteria)]
+
+
+def _shares(
+    robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, criteria: EchoCriteria
+) -> dict[int, Shares]:
+    """Split the torque of every joint that moves both ways."""
+    width = max(1, round(criteria.window_s / float(t[1] - t[0])))
+    Q, T, whole = (_averaged(x, width) for x in (q, tau, valid[:, None].astype(np.float64)))
+    if len(Q) < 2 * criteria.fewest:
+        return {}
+    step = width * float(t[1] - t[0])
+    v = np.gradient(Q, step, axis=0)
+    a = np.gradient(v, step, axis=0)
+    memory = criteria.memory_s / step
+    H = _gravity(robot, Q)
+    result: dict[int, Shares] = {}
+    for j in np.flatnonzero(driven(Q)).tolist():
+        top = float(np.quantile(np.abs(v[:, j]), 0.99))
+        slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > criteria.slow * top)
+        if not _both_ways(v[slides, j], step, criteria):
+            continue
+        at = np.flatnonzero(slides)
+        at = at[:: max(1, len(at) // criteria.most_windows)]
+        friction = np.stack([np.tanh(v[at, j] / (criteria.slow * top)), v[at, j]], axis=1)
+        result[j] = _split(
+            T[at, j], _law(H[at, j], Q[at, j], criteria.smooth_terms), friction, a[at], memory
+        )
+    return result
+
+
+def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)) -> Mask:
+    """Which joints are driven on a way of their own.
+
+    The others are held, and the moves of other joints shake them. In closed loop with a constant
+    reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its
+    friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
+    identification revisited, Automatica 35(7), 1999).
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Positions, rad (m); not finite ones are passed over.
+    held : float
+        Share of the farthest joint's travel, below which a joint is held.
+    middle : (float, float)
+        Quantiles of the positions, between which a joint travels.
+
+    Returns
+    -------
+    (n,) bool array
+        True where the joint travels at least `held` times as far as the one that travels farthest.
+    """
+    low, high = np.nanquantile(q, middle, axis=0)
+    return np.asarray(high - low >= held * np.max(high - low))
+
+
+def _law(gravity: Array, q: Array, terms: int) -> Array:
+    """Gravity's columns (M, b) and smooth functions of the joint's own position q (M,)."""
+    low, span = float(q.min()), float(np.ptp(q)) or 1.0
+    smooth = chebvander(2 * (q - low) / span - 1, terms - 1)
+    return np.hstack([gravity, smooth])
+
+
+def _both_ways(v: Array, step: float, criteria: EchoCriteria) -> bool:
+    """Whether speeds (M,) at intervals of `step` seconds go far enough forward and backward."""
+    return all(
+        len(part) >= criteria.fewest and float(np.abs(part).sum()) * step >= criteria.travel
+        for part in (v[v > 0], v[v < 0])
+    )
+
+
+def _split(y: Array, law: Array, friction: Array, accelerations: Array, memory: float) -> Shares:
+    """Fit a joint's torque y (M,); `memory` is the number of samples that count as one."""
+    scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
+    X = np.hstack([law, friction, accelerations])
+    X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
+    own = law.shape[1]  # where the direction stands
+    theta = np.linalg.lstsq(X, y, rcond=RCOND)[0]
+    direction = _beside(np.delete(X, own, axis=1), X[:, own])
+    held_back = [own + 1] if theta[own + 1] < 0 else []  # damping by a controller, not friction
+    left = float(np.mean((y - X @ theta) ** 2))
+    variance = memory * left
+    unexplained = _rms(_beside(X[:, [*range(own), *held_back]], y))
+    return Shares(
+        unexplained=unexplained / scale,
+        others=1.0 - left / max(unexplained**2, 1e-300),
+        friction=abs(float(theta[own])) / scale,
+        error=float(np.sqrt(variance / max(float(direction @ direction), 1e-300))) / scale,
+        inertia=_rms(X[:, own + 2 :] @ theta[own + 2 :]) / scale,
+    )
+
+
+def _beside(X: Array, y: Array) -> Array:
+    """What the columns X leave of y."""
+    left: Array = y - X @ np.linalg.lstsq(X, y, rcond=RCOND)[0]
+    return left
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _averaged(values: Array, width: int) -> Array:
+    count = len(values) // width
+    mean: Array = values[: count * width].reshape(count, width, -1).mean(axis=1)
+    return mean
+
+
+def _gravity(robot: Robot, q: Array) -> Array:
+    """Gravity's regressor (N, n, b)."""
+    basis = base_parameters(robot, rotor=[])
+    first = tuple(name for name, own in zip(basis.names, basis.gravity, strict=True) if own)
+    own = replace(
+        basis,
+        names=first,
+        expression=basis.expression[basis.gravity],
+        representative=basis.representative[:, basis.gravity],
+        gravity=basis.gravity[basis.gravity],
+    )
+    still = np.zeros_like(q)
+    return base_regressor(robot, own, q, still, still)

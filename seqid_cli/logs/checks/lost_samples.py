@@ -1,0 +1,355 @@
+"""Lost samples that the stamps do not show: found by the motion of the joints, and put right.
+
+A logger that counts its rows instead of reading a clock gives rows behind a loss stamps that are
+too early: the position then steps by the motion of the lost time, while the velocity before and
+behind the step is that of the motion. With the increments d_j of the positions over one interval
+dt, and the velocities v_j there (of the velocity channel, or of the positions around it, whichever
+fits the increments better), the time L that is lost at a step is the least-squares solution of
+
+    d_j - v_j dt = v_j L,    for all joints j, each weighted by its noise.
+
+It counts where it is certain, longer than one and a half intervals, and the same for all joints
+that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by
+L; the hole is filled by the cubic through positions and velocities of both sides (which follows an
+arm over tens of milliseconds) and by straight lines through what else was logged around it.
+
+A position that is held and then catches up loses no time: there the held samples alone are filled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.checks.bridging import Losses, cubic, with_losses
+from seqid_cli.logs.checks.criteria import LOSSES, LossCriteria
+from seqid_cli.logs.checks.recurring_losses import below_counts, joined, recurring
+from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
+from seqid_cli.robust import gaussian_spread
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A stream put right; `bridged` (M,) says which of its samples were not measured.
+
+    `losses` are those of the stream as it came, with its `stamps`; `held` counts positions that
+    stood for missing ones.
+    """
+
+    stream: Stream
+    bridged: Mask
+    losses: Losses
+    held: int
+    stamps: Stamps
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What there is to say; nothing where nothing was mended."""
+        parts = []
+        if len(self.losses):
+            seconds = self.losses.seconds
+            parts.append(
+                f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
+                f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "
+                "of that time and the stamps go on as if nothing was missing. The time base is "
+                "repaired and the holes are bridged; log with the controller's own clock"
+            )
+        if self.held:
+            parts.append(
+                f"{self.held} positions repeat the one before while the joint moves, and then "
+                "catch up: they are bridged; look for lost packets between drive and logger"
+            )
+        return tuple(parts)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Increments of positions q (M, n) and, if they were logged, velocities dq, at t (M,) s."""
+
+    t: Array
+    q: Array
+    dq: Array | None
+    criteria: LossCriteria
+
+    @cached_property
+    def dt(self) -> Array:
+        """Intervals (M - 1,) s."""
+        return np.diff(self.t)
+
+    @cached_property
+    def usual(self) -> float:
+        """Usual interval, s."""
+        return float(np.median(self.dt))
+
+    @cached_property
+    def d(self) -> Array:
+        """Increments (M - 1, n) rad."""
+        return np.diff(self.q, axis=0)
+
+    @cached_property
+    def count(self) -> Array:
+        """Smallest increment (n,) rad."""
+        return _count(np.abs(self.d), self.criteria)
+
+    @cached_property
+    def beside(self) -> Array:
+        """Standard deviation (n,) of increments about those beside them."""
+        return _spread(self.d[1:-1] - 0.5 * (self.d[:-2] + self.d[2:]), self.d[1:-1])
+
+    @cached_property
+    def logged(self) -> Array:
+        """Standard deviation (n,) of increments about the logged velocities; infinite without."""
+        if self.dq is None:
+            return np.full(self.q.shape[1], np.inf)
+        mean = 0.5 * (self.dq[1:] + self.dq[:-1])
+        return _spread(self.d - mean * self.dt[:, None], self.d)
+
+    @cached_property
+    def noise(self) -> Array:
+        """Noise (n,) of increments about the velocities, at least half a count."""
+        return np.maximum(np.minimum(self.beside, self.logged), 0.5 * self.count + 1e-15)
+
+
+def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
+    """Put right what the motion of the joints says of a stream.
+
+    Parameters
+    ----------
+    joints : Stream
+        In the order of time, with `position` (M, n), and `velocity` (M, n) where it was logged.
+    criteria : LossCriteria
+
+    Returns
+    -------
+    Mended
+        With the stream itself where nothing is wrong.
+    """
+    nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
+    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, 0, joints.stamp_ns)
+    t, q, dq = _motion(joints)
+    if len(t) < 4 * criteria.around or not np.isfinite(q).all():
+        return as_it_is
+    steps = _sudden(np.diff(q, axis=0), criteria)
+    if len(steps) > criteria.many * len(t):
+        return as_it_is
+    filled = _held(q, steps, criteria)
+    if filled.any():
+        q = np.column_stack([_over(t, x, own) for x, own in zip(q.T, filled.T, strict=True)])
+        steps = _sudden(np.diff(q, axis=0), criteria)
+        made = np.flatnonzero(filled.any(axis=1))
+        steps = steps[~(np.isin(steps, made) | np.isin(steps + 1, made))]
+    losses = _all_losses(_Motion(t, q, dq, criteria), steps)
+    if not len(losses) and not filled.any():
+        return as_it_is
+    channels = {**joints.channels, "position": q}
+    missing: Mask = np.asarray(filled.any(axis=1))
+    stream, bridged = with_losses(replace(joints, channels=channels), losses, missing)
+    count = int(missing.sum())
+    return Mended(stream, bridged, losses, count, joints.stamp_ns)
+
+
+def suspicious(joints: Stream) -> bool:
+    """Whether part of a stream shows what `mended` would put right."""
+    found = mended(joints)
+    return bool(len(found.losses) or found.held)
+
+
+def _motion(joints: Stream) -> tuple[Array, Array, Array | None]:
+    """Seconds (M,), positions (M, n) and velocities (M, n) where all joints have them."""
+    stamps = joints.stamp_ns
+    t: Array = (stamps - stamps[:1]).astype(np.float64) * 1e-9
+    dq = joints.channels.get("velocity")
+    if dq is not None and not np.isfinite(dq).all():
+        dq = None
+    return t, joints.channels["position"], dq
+
+
+def _sudden(d: Array, criteria: LossCriteria) -> Rows:
+    """Increments (of (M, n)) that differ from those on both sides by more than these are large."""
+    size = np.abs(d)
+    apart = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:]))
+    beside = np.maximum(size[:-2], size[2:])
+    # One side alone is small where the position was held before it catches up.
+    found = (apart > criteria.sudden * np.minimum(size[:-2], size[2:])) & (size[1:-1] > beside)
+    if not found.any():
+        return np.zeros(0, np.intp)
+    found &= apart > np.maximum(
+        criteria.counts * _count(size, criteria), criteria.sudden_noise * _usual(apart, criteria)
+    )
+    rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
+    return rows
+
+
+def _usual(apart: Array, criteria: LossCriteria) -> Array:
+    """Usual size (n,) of what increments differ by."""
+    some = apart[:: max(1, len(apart) // criteria.most)]
+    return gaussian_spread(some)
+
+
+def _count(size: Array, criteria: LossCriteria) -> Array:
+    """Smallest increment (n,) that joints make, nearly: a count where positions are quantised."""
+    counts = np.zeros(size.shape[1])
+    for j, own in enumerate(size.T):
+        made = own[:: max(1, len(own) // criteria.most)]
+        made = made[made > 0]
+        counts[j] = np.quantile(made, criteria.smallest) if len(made) else 0.0
+    return counts
+
+
+def _slopes(motion: _Motion, at: Rows, side: int) -> tuple[Array, Array]:
+    """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter.
+
+    Returns
+    -------
+    tuple of two (K, n) arrays
+        Median and standard deviation [rad/s].
+    """
+    t, q = motion.t, motion.q
+    offsets = side * np.arange(1, motion.criteria.around + 1)
+    rows = np.clip(at[:, None] + offsets, 0, len(t) - 2)
+    dt = np.maximum(t[rows + 1] - t[rows], 1e-12)
+    slopes = (q[rows + 1] - q[rows]) / dt[:, :, None]
+    middle = np.median(slopes, axis=1)
+    return middle, gaussian_spread(np.moveaxis(slopes - middle[:, None], 1, 0))
+
+
+def _held(q: Array, steps: Rows, criteria: LossCriteria) -> Mask:
+    """Positions (M, n) that repeat the one before although the joint moves, and then catch up."""
+    held = np.zeros(q.shape, np.bool_)
+    d = np.diff(q, axis=0)
+    for i in steps:
+        for j in np.flatnonzero((d[i] != 0) & (d[i - 1] == 0)):
+            first = i
+            while first > 0 and d[first - 1, j] == 0:
+                first -= 1
+            if i - first < criteria.held_least or first < 2 or i + 2 >= len(d):
+                continue
+            before, behind = d[max(0, first - 3) : first, j], d[i + 1 : i + 4, j]
+            usual = 0.5 * (float(before.mean()) + float(behind.mean()))
+            caught = d[i, j] / usual / (i - first + 1) if usual else 0.0
+            moves = np.all(before * usual > 0) and np.all(behind * usual > 0)
+            if moves and 0.5 < caught < 2.0:
+                held[first + 1 : i + 1, j] = True
+    share = held.mean(axis=0)
+    held[:, share > criteria.many] = False  # a channel that is slower than the log, not damage
+    return held
+
+
+def _over(t: Array, values: Array, missing: Mask) -> Array:
+    """Values (M,) with a cubic over each stretch of missing ones."""
+    if not missing.any():
+        return values
+    result = values.copy()
+    edges = np.flatnonzero(np.diff(missing.astype(np.int8)))
+    for a, b in zip(edges[::2], edges[1::2] + 1, strict=True):  # the last before, the first behind
+        slope = [_slope(t, values, slice(max(0, a - 3), a + 1)), _slope(t, values, slice(b, b + 4))]
+        result[a + 1 : b] = cubic(t[a + 1 : b], t[[a, b]], values[[a, b]], np.array(slope))
+    return result
+
+
+def _slope(t: Array, values: Array, rows: slice) -> float:
+    x, y = t[rows], values[rows]
+    x = x - x.mean()
+    return float(x @ y / (x @ x)) if len(x) > 1 else 0.0
+
+
+def _all_losses(motion: _Motion, steps: Rows) -> Losses:
+    """Losses that increments show, and those that they do not show by themselves."""
+    losses, criteria = _losses(motion, steps), motion.criteria
+    if motion.dq is None:
+        return losses
+    more = below_counts(motion.t, motion.q, motion.dq, motion.count, losses, criteria)
+    losses = joined(losses, more)
+    if len(losses) < criteria.least_losses:
+        return losses
+    v = 0.5 * (motion.dq[1:] + motion.dq[:-1])
+    return joined(losses, recurring(motion.t, motion.q, v, motion.noise, losses, criteria))
+
+
+def _losses(motion: _Motion, steps: Rows) -> Losses:
+    """Time that is lost, by all joints together."""
+    criteria, dt, d, usual = motion.criteria, motion.dt, motion.d, motion.usual
+    steps = steps[(steps >= 2) & (steps < len(motion.t) - 3)]
+    if not len(steps):
+        return Losses(np.zeros(0, np.intp), np.zeros(0))
+    (before, one), (behind, other) = (_slopes(motion, steps, side) for side in (-1, 1))
+    v = 0.5 * (before + behind)
+    if motion.dq is not None:
+        v = np.where(motion.logged <= motion.beside, _logged(motion.dq, steps), v)
+    noise = np.maximum(motion.noise, np.maximum(one, other) * usual)
+    r = d[steps] - v * dt[steps, None]
+    # Between two velocities the motion of the lost time is not certain.
+    weight = 1.0 / (noise**2 + (criteria.uneven * (behind - before) * dt[steps, None]) ** 2)
+    power = np.maximum(np.sum(v**2 * weight, axis=1), 1e-300)
+    lost = np.sum(v * r * weight, axis=1) / power
+    sure = (lost > criteria.sure / np.sqrt(power)) & _counted(motion, steps)
+    sure &= _goes_on(motion, v * usual, steps)
+    sure &= (lost > np.maximum(criteria.least_intervals * usual, 0.5 * dt[steps])) & (
+        lost < criteria.longest_s
+    )
+    off = np.abs(r - v * lost[:, None])
+    alike = (
+        off
+        < criteria.sure * noise + 0.5 * np.abs(v) * lost[:, None] + np.abs(behind - before) * usual
+    )
+    sure &= alike.all(axis=1) & (_net(motion, v, weight, steps, lost) > criteria.returned * lost)
+    seconds = lost[sure]
+    whole = np.maximum(1.0, np.rint(seconds / usual))
+    if len(seconds) and np.median(np.abs(seconds / usual - whole)) < criteria.on_grid:
+        seconds = whole * usual
+    return Losses(steps[sure], seconds)
+
+
+def _counted(motion: _Motion, steps: Rows) -> NDArray[np.bool_]:
+    """Whether stamps around a step (K,) are as even as those of a logger that counts its rows."""
+    near, usual = motion.dt[steps[:, None] + np.arange(-2, 3)], motion.usual
+    return np.asarray((np.abs(near - usual) < motion.criteria.counted * usual).all(axis=1))
+
+
+def _goes_on(motion: _Motion, expected: Array, steps: Rows) -> NDArray[np.bool_]:
+    """Whether the joint that moves by most counts does so beside a step (K,) too: not held."""
+    d, counts = motion.d, np.abs(expected) / np.maximum(motion.count, 1e-15)
+    most = np.argmax(counts, axis=1)
+    moves = (d[steps - 1, most] != 0) & (d[steps + 1, most] != 0)
+    return np.asarray(moves | (counts.max(axis=1) < motion.criteria.held_least))
+
+
+def _logged(dq: Array, at: Rows) -> Array:
+    """Velocity (K, n) of the channel at increments; a median keeps single wrong values out."""
+    rows = np.clip(at[:, None] + np.arange(-3, 1), 0, len(dq) - 1)
+    ahead = np.clip(at[:, None] + np.arange(1, 5), 0, len(dq) - 1)
+    return np.asarray(0.5 * (np.median(dq[rows], axis=1) + np.median(dq[ahead], axis=1)))
+
+
+def _spread(apart: Array, d: Array) -> Array:
+    """Standard deviation (n,) of what increments (K, n) are apart from where joints move."""
+    spread = np.zeros(d.shape[1])
+    for j, own in enumerate(np.abs(d).T):
+        moves = own > np.median(own)
+        spread[j] = gaussian_spread(apart[moves, j]) if moves.any() else 0.0
+    return spread
+
+
+def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
+    """Time (K,) that the increments around a step gain, with the step itself.
+
+    What is late and catches up has lost none, nor has a spike, whose way back is beside it.
+    """
+    d, dt, usual, criteria = motion.d, motion.dt, motion.usual, motion.criteria
+    net = np.zeros(len(steps))
+    for k, i in enumerate(steps):
+        reach = int(min(lost[k] / usual, criteria.longest_s / usual)) + 3 if lost[k] > 0 else 0
+        near = np.array([x for x in range(i - reach, i + 4) if 0 <= x < len(d)], dtype=np.intp)
+        others = steps[(steps != i) & (np.abs(steps - i) <= reach) & (lost > 0)]
+        near = near[~np.isin(near, others)]
+        gained = d[near] - v[k] * dt[near, None]
+        # The velocity changes within the reach: only what is late by most of an interval counts.
+        late = np.sum(v[k] * gained * weight[k], axis=1) / max(
+            float(np.sum(v[k] ** 2 * weight[k])), 1e-300
+        )
+        late = np.where((np.abs(late) > 0.6 * usual) | (near == i), late, 0.0)
+        net[k] = min(late.sum(), late[np.abs(near - i) <= criteria.beside].sum())
+    return net

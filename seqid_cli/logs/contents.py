@@ -1,0 +1,72 @@
+"""What a log holds, told without a robot file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from seqid_cli.logs.mcap import reader, rosbags
+from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.tables import csv_file, parquet
+from seqid_cli.logs.tables.naming_schemes import survey_names
+from seqid_cli.robot.types import Channels
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One column of a table or one topic of an MCAP file or a bag, with its type and samples."""
+
+    name: str
+    kind: str
+    samples: int
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The content of one log.
+
+    `joints` are the joints that it seems to hold, in its order, and `names` the `[channels]` that
+    a robot file with these joints needs to read it.
+    """
+
+    path: Path
+    format: str
+    channels: tuple[Channel, ...]
+    joints: tuple[str, ...]
+    names: Channels
+
+
+def survey(path: Path) -> Survey:
+    """Look through a log.
+
+    Raises
+    ------
+    InputError
+        It is no log or cannot be read at all.
+    """
+    kind = check_log(path)
+    path = storage_file(path)
+    if kind == "parquet":
+        listed = [Channel(*column) for column in parquet.list_columns(path)]
+        return _table(path, kind, listed, parquet.open_table(path).names)
+    if kind == "csv":
+        names, rows = csv_file.list_columns(path)
+        return _table(path, kind, [Channel(name, "text", rows) for name in names], names)
+    if kind == "mcap":
+        return _topics(path, kind, path)
+    with rosbags.as_mcap(path) as (copy, _):
+        return _topics(path, kind, copy)
+
+
+def _table(path: Path, kind: str, channels: Sequence[Channel], names: Sequence[str]) -> Survey:
+    joints, position = survey_names(names)
+    return Survey(path, kind, tuple(channels), joints, Channels(position=position))
+
+
+def _topics(path: Path, kind: str, file: Path) -> Survey:
+    topics, joints = reader.list_topics(file)
+    channels = tuple(
+        Channel(info.topic, f"{info.schema} ({info.encoding})", info.messages) for info in topics
+    )
+    return Survey(path, kind, channels, joints, Channels())

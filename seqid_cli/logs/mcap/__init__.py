@@ -1,0 +1,1 @@
+"""MCAP files, and ROS bags by way of them."""

@@ -1,0 +1,255 @@
+"""What is inside a chunk: unpacking, and where its messages lie.
+
+The index that follows a chunk says where its messages begin. It is used as a guess only: the
+records that it names must follow each other without a hole and fill the chunk, otherwise the chunk
+is walked record by record. Both ways find the same messages.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import lz4.frame
+import numpy as np
+import zstandard
+from isal.isal_zlib import crc32
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from seqid_cli.logs.messages.batch import Bytes
+
+RECORD = struct.Struct("<BQ")
+CHUNK = struct.Struct("<QQQII")  # first and last time, size, CRC, length of compression's name
+CHUNK_HEAD = CHUNK.size + 8  # with the size of the packed data, without the compression's name
+MESSAGE_SIZE = 22  # channel, sequence, log time, publish time
+_WORDS = 3  # of a message's record behind the opcode: length; channel, sequence; rest of log time
+_INDEX = struct.Struct("<HI")
+_ENTRY = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
+_STEP = 1 << 20
+_LIMIT = 1 << 30  # bytes in one unpacked chunk; recorders write about 1 MB
+SMALL, MOST_TIMES = 16 << 20, 200  # bytes that any log may have; of one packed byte beyond them
+_HEAD = RECORD.size + MESSAGE_SIZE
+
+Integers = NDArray[np.int64]
+
+
+def allowed(packed: int) -> int:
+    """Bytes that so many packed ones of a log may become: no sensor repeats itself like that."""
+    return SMALL + MOST_TIMES * packed
+
+
+class DamageError(Exception):
+    """A chunk cannot be used."""
+
+
+class Record(NamedTuple):
+    """A record's kind and where its content lies."""
+
+    opcode: int
+    start: int
+    end: int
+
+
+class Contents(NamedTuple):
+    """Records in a piece of a file.
+
+    Messages by their channel, log time and payload; the other records; and where the last whole
+    record ends.
+    """
+
+    channels: NDArray[np.uint16]
+    log_ns: Integers
+    starts: Integers
+    lengths: Integers
+    others: list[Record]
+    end: int
+
+
+class Unpacker:
+    """Unpacks the chunks of one file; keeps the decompressor, which is costly to make."""
+
+    def __init__(self) -> None:
+        self._zstd = zstandard.ZstdDecompressor()
+        self._packed = self._unpacked = 0
+
+    def unpack(self, content: bytes, complete: bool) -> tuple[bytes, bool]:
+        """Return the records in a chunk, and whether they are all of them.
+
+        Parameters
+        ----------
+        content : bytes
+            Of the chunk record.
+        complete : bool
+            Whether the file holds the whole record; what is there is unpacked anyway.
+
+        Raises
+        ------
+        DamageError
+            A whole chunk is damaged.
+        """
+        if len(content) < CHUNK_HEAD:
+            raise DamageError("its head is incomplete")
+        _, _, size, crc, length = CHUNK.unpack_from(content)
+        start = CHUNK_HEAD + length
+        if len(content) < start:
+            raise DamageError("its head is incomplete")
+        name = content[CHUNK.size : CHUNK.size + length].decode("ascii", "replace")
+        (packed,) = struct.unpack_from("<Q", content, start - 8)
+        payload = memoryview(content)[start : start + packed]
+        self._packed += len(payload)
+        if self._unpacked + size > allowed(self._packed):
+            raise DamageError(f"it unpacks to {size} bytes, {size // max(len(payload), 1)} times")
+        self._unpacked += size
+        whole = complete and packed <= len(content) - start
+        data, fault = self._decompress(name, payload, min(size, _LIMIT))
+        if not whole:
+            return data, False
+        if fault:
+            raise DamageError(fault)
+        if len(data) != size:
+            raise DamageError(f"it unpacks to {len(data)} bytes instead of {size}")
+        if crc and crc32(data) != crc:
+            raise DamageError("its checksum does not match")
+        return data, True
+
+    def _decompress(self, name: str, payload: memoryview, limit: int) -> tuple[bytes, str]:
+        """Unpack up to a fault; returns the bytes before it and what it was."""
+        if name == "":
+            return bytes(payload), ""
+        if name not in ("zstd", "lz4"):
+            raise DamageError(f"its compression {name[:20]!r} is unknown")
+        if name == "zstd" and (data := self._zstd_frame(payload, limit)) is not None:
+            return data, ""
+        out: list[bytes] = []
+        total = 0
+        pieces = _zstd(payload) if name == "zstd" else _lz4(payload, limit)
+        try:
+            for piece in pieces:
+                out.append(piece)
+                total += len(piece)
+                if total > limit:
+                    return b"".join(out), "it unpacks to more than it declares"
+        except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError) as error:
+            return b"".join(out), f"{name} data are damaged ({error})"
+        return out[0] if len(out) == 1 else b"".join(out), ""
+
+    def _zstd_frame(self, payload: memoryview, size: int) -> bytes | None:
+        """Unpack the usual form, one frame of known size; None where it is another or damaged."""
+        try:
+            if zstandard.frame_content_size(payload) != size:
+                return None
+            data = self._zstd.decompress(payload, allow_extra_data=False)
+        except (zstandard.ZstdError, MemoryError):
+            return None
+        return data if len(data) == size else None
+
+
+def _zstd(payload: memoryview) -> Iterator[bytes]:
+    with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
+        while piece := reader.read(_STEP):
+            yield piece
+
+
+def _lz4(payload: memoryview, limit: int) -> Iterator[bytes]:
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    step = min(limit + 1, 16 * _STEP)
+    piece = decompressor.decompress(payload, max_length=step)
+    while piece:
+        yield piece
+        if decompressor.eof or decompressor.needs_input:
+            return
+        piece = decompressor.decompress(b"", max_length=step)
+
+
+def index_offsets(content: bytes) -> Integers | None:
+    """Read the offsets in a MessageIndex record; None where it is damaged."""
+    if len(content) < _INDEX.size:
+        return None
+    _, size = _INDEX.unpack_from(content)
+    if size != len(content) - _INDEX.size or size % _ENTRY.itemsize:
+        return None
+    offsets = np.frombuffer(content, _ENTRY, offset=_INDEX.size)["offset"]
+    return offsets.astype(np.int64)
+
+
+def find_messages(data: Bytes, index: Sequence[Integers]) -> Contents:
+    """Find the records in a chunk.
+
+    Parameters
+    ----------
+    data : (B,) array
+        The unpacked chunk.
+    index : sequence of (M,) arrays
+        Offsets of the messages, per channel, as far as the file gives them.
+    """
+    offsets = np.concatenate(index) if index else np.zeros(0, np.int64)
+    found = _by_index(data, np.sort(offsets, kind="stable")) if len(offsets) else None
+    return found or walk(data, 0, len(data))
+
+
+def walk(data: Bytes, start: int, end: int, only: frozenset[int] | None = None) -> Contents:
+    """Find the records from `start` on, one after the other, as long as they are of a kind."""
+    view, unpack, size = data.data, RECORD.unpack_from, RECORD.size
+    messages: list[int] = []
+    others: list[Record] = []
+    at = start
+    while at + size <= end:
+        opcode, length = unpack(view, at)
+        after = at + size + length
+        if after > end or (only is not None and opcode not in only):
+            break
+        if opcode == Opcode.MESSAGE and length >= MESSAGE_SIZE:
+            messages.append(at)
+        else:  # also a message without room for its head
+            others.append(Record(opcode, at + size, after))
+        at = after
+    offsets = np.array(messages, np.int64)
+    return _contents(offsets, others, at, _heads(data, offsets))
+
+
+def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
+    """Find the records by sorted offsets; None where these are not true."""
+    if offsets[0] < 0 or offsets[-1] > len(data) - _HEAD:
+        return None
+    heads = _heads(data, offsets)
+    lengths = heads[0]
+    sound = (data[offsets] == Opcode.MESSAGE) & (lengths >= MESSAGE_SIZE) & (lengths <= len(data))
+    if not sound.all():
+        return None
+    ends = offsets + lengths.astype(np.int64)
+    ends += RECORD.size
+    ahead = offsets[1:] - ends[:-1]
+    if ends[-1] > len(data) or (len(ahead) and ahead.min() < 0):
+        return None
+    others: list[Record] = []
+    gaps = [(0, int(offsets[0]))]
+    gaps += [(int(ends[i]), int(offsets[i + 1])) for i in np.flatnonzero(ahead)]
+    gaps += [(int(ends[-1]), len(data))]
+    for start, end in gaps:
+        between = walk(data, start, end) if start < end else None
+        if between is not None:
+            if len(between.starts) or between.end != end:
+                return None  # an index that leaves messages out
+            others += between.others
+    return _contents(offsets, others, len(data), heads)
+
+
+def _contents(
+    offsets: Integers, others: list[Record], end: int, heads: NDArray[np.uint64]
+) -> Contents:
+    lengths = heads[0].astype(np.int64) - MESSAGE_SIZE
+    log_ns = (heads[1] >> np.uint64(48)) | (heads[2] << np.uint64(16))
+    channels = heads[1].astype(np.uint16)  # its lowest 16 bits
+    return Contents(channels, log_ns.view(np.int64), offsets + _HEAD, lengths, others, end)
+
+
+def _heads(data: Bytes, offsets: Integers) -> NDArray[np.uint64]:
+    """Copy the heads of message records without their opcodes, (3, M) words."""
+    size = 8 * _WORDS
+    if not len(offsets):
+        return np.zeros((_WORDS, 0), np.uint64)
+    every = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+    words = every[offsets + 1].view("<u8").reshape(len(offsets), _WORDS)
+    return words.T.astype(np.uint64, order="C")

@@ -1,0 +1,260 @@
+"""MCAP logs: which topics carry what, and their messages as streams of numbers."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.mcap.collector import Collector
+from seqid_cli.logs.mcap.records import Scan, read_summary
+from seqid_cli.logs.mcap.topics import (
+    JOINT_STATES,
+    Streams,
+    any_finite,
+    find_joint_topic,
+    imu_topics,
+    needed_topics,
+)
+from seqid_cli.logs.messages.batch import Kind, NameMap
+from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.robot.types import Imu, Robot
+
+_SHOWN = 12  # topics or names listed in a message
+
+
+class TopicInfo(NamedTuple):
+    """One topic of a file."""
+
+    topic: str
+    schema: str
+    encoding: str
+    messages: int
+
+
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = 32_768
+) -> Iterator[RawLog]:
+    """Read an MCAP log block by block, in memory that does not grow with its length.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it may be damaged or cut off.
+    robot : Robot
+        Joints are matched by name; its IMUs say which topics are read.
+    time_source : {"header", "log"}
+        Stamps of the message headers, or the times at which the messages were logged.
+    rows : int or None
+        Messages in a block, of all topics together; a block holds a little more. None for the whole
+        log as one block.
+
+    Yields
+    ------
+    RawLog
+        The next part of every topic, in the order of the file; streams of topics that have nothing
+        in it are empty. A quantity that no sample of a block has is left out of it. The last block
+        says in `partial` what a damaged file lost; the delay of logging is told of a whole log
+        only. Whether a topic has header stamps is decided by its first block.
+
+    Raises
+    ------
+    InputError
+        No joint states, none of the robot's joints in them, or nothing readable: what only the
+        whole file can tell, after the last block.
+    """
+    log, streams = _Log.of(path, robot), Streams(robot, time_source)
+    positions = False
+    for last in log.blocks(rows):
+        samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
+        if last:
+            log.check_joints()
+        imus = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
+        partial = log.partial() if last else ""
+        raw = streams.raw_log(log.joint_topic, samples, imus, partial, whole=rows is None)
+        positions = positions or any_finite(raw.joints.channels["position"])
+        if last and not positions:
+            raise _no_joints(path, log.names)
+        yield raw
+
+
+def count_messages(path: Path) -> int | None:
+    """Count the messages of a file without reading them; None where it does not tell."""
+    with path.open("rb") as file:
+        told = read_summary(file, path.stat().st_size)[0].statistics
+    return None if told is None else int(told.message_count)
+
+
+def list_topics(path: Path) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
+    """List the topics of an MCAP file, damaged or not, and the names in its joint states."""
+    names = NameMap(())
+    log = _Log(path, names, {JOINT_STATES: Collector(JOINT_STATES, "joint_state", names)})
+    for _ in log.batches():
+        log.collectors[JOINT_STATES].drain()
+    log.collectors[JOINT_STATES].drain()
+    return _topics(log.scan), tuple(names.seen)
+
+
+class _Log:
+    """A pass over a file that gathers the messages of some topics."""
+
+    def __init__(self, path: Path, names: NameMap, collectors: dict[str, Collector]) -> None:
+        self.names = names
+        self.collectors = collectors
+        self.joint_topic = JOINT_STATES
+        self._chosen = frozenset(collectors)
+        self.scan = Scan(path, self._wanted)
+
+    @classmethod
+    def of(cls, path: Path, robot: Robot) -> _Log:
+        """Gather what a robot needs."""
+        names = NameMap(robot.joint_names, robot.channels.effort or "torque")
+        kinds: dict[str, Kind] = {JOINT_STATES: "joint_state", **imu_topics(robot)}
+        return cls(path, names, {t: Collector(t, kind, names) for t, kind in kinds.items()})
+
+    def _wanted(self, topic: str) -> bool:
+        return _normal(topic) in self._chosen
+
+    def batches(self) -> Iterator[None]:
+        """Pass over the file; a second time where the joint states are of the other kind."""
+        yield from self._pass()
+        if self.has(JOINT_STATES) or JOINT_STATES not in self.collectors:
+            return
+        found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
+        if found is not None:
+            other, kind = found
+            self.joint_topic, self._chosen = other, frozenset((other,))
+            self.collectors[other] = Collector(other, kind, self.names)
+            first, self.scan = self.scan, Scan(self.scan.path, self._wanted)
+            yield from self._pass()
+            self.scan.losses |= first.losses
+
+    def blocks(self, rows: int | None) -> Iterator[bool]:
+        """Stop whenever `rows` messages are there, and at the end, which is told by True."""
+        for _ in self.batches():
+            if rows is not None and sum(c.waiting for c in self.collectors.values()) >= rows:
+                yield False
+        yield True
+
+    def _pass(self) -> Iterator[None]:
+        for batch in self.scan.batches():
+            self.collectors[_normal(batch.channel.topic)].add(batch)
+            del batch  # the next chunk takes its memory, which the processor's cache still holds
+            yield
+
+    def has(self, topic: str) -> bool:
+        """Tell whether readable messages of a topic have come so far."""
+        return self.collectors[topic].received > self.collectors[topic].damaged
+
+    def partial(self) -> str:
+        """Say in one line what the file lost; empty for a whole one."""
+        unread = [note for collector in self.collectors.values() if (note := collector.note())]
+        return "; ".join([*_losses(self.scan), *unread])
+
+    def check_joints(self) -> None:
+        """Refuse a file without joint states.
+
+        Raises
+        ------
+        InputError
+            No message of them could be decoded.
+        """
+        if not self.has(self.joint_topic):
+            raise _no_joint_states(self.scan, self.collectors[self.joint_topic])
+
+    def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
+        """Name the topics of an IMU, none where the file does not have it.
+
+        Raises
+        ------
+        InputError
+            The whole file lacks one that others of the IMU need.
+        """
+        needed = needed_topics(imu, self.has)
+        missing = [topic for topic in needed if not self.has(topic)]
+        if len(missing) == len(needed):
+            return []
+        if missing and whole:
+            raise InputError(
+                f"IMU {imu.name!r} is only partly in the log; no readable messages on "
+                f"{', '.join(missing)}",
+                hint=f"The robot file gives it {len(imu.positions)} accelerometers"
+                f"{' and a gyro' if imu.gyro else ''}: log all its topics, or correct the robot "
+                f"file. In the file: {_listing(self.scan)}",
+                where=str(self.scan.path),
+            )
+        return needed
+
+
+def _normal(topic: str) -> str:
+    return "/" + topic.strip("/")
+
+
+def _losses(scan: Scan) -> list[str]:
+    """Say what the file lost; nothing for a whole one."""
+    losses = [f"{what} ({n} times)" if n > 1 else what for what, n in scan.losses.items()]
+    more = [f"and {len(losses) - 3} more faults"] if len(losses) > 3 else []
+    missing, expected = scan.missing(), scan.expected()
+    counted = []
+    if missing:
+        of = f" of {expected}" if expected else ""
+        counted = [f"{missing}{of} messages are lost"]
+    elif losses:
+        counted = [f"{scan.met()} messages were read"]
+    return [*losses[:3], *more, *counted]
+
+
+def _topics(scan: Scan) -> tuple[TopicInfo, ...]:
+    found: dict[tuple[str, str, str], int] = {}
+    for number, channel in scan.channels.items():
+        schema = scan.schemas.get(channel.schema_id)
+        key = (channel.topic, schema.name if schema else "no schema", channel.message_encoding)
+        found[key] = found.get(key, 0) + scan.total(number)
+    return tuple(TopicInfo(*key, count) for key, count in found.items())
+
+
+def _listing(scan: Scan) -> str:
+    topics = _topics(scan)
+    shown = [f"{info.topic} ({info.schema}, {info.messages})" for info in topics[:_SHOWN]]
+    more = [f"and {len(topics) - _SHOWN} more"] if len(topics) > _SHOWN else []
+    return ", ".join(shown + more) or "no topics"
+
+
+def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
+    where, faults = str(scan.path), "; ".join(_losses(scan))
+    if collector.received:
+        kinds = ", ".join(sorted(collector.refused))
+        reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
+        return InputError(
+            f"none of the {collector.received} messages on {collector.topic} can be decoded: "
+            f"{reason}",
+            hint="Record sensor_msgs/msg/JointState as CDR, JSON or protobuf.",
+            where=where,
+        )
+    if faults:
+        return InputError(
+            f"the file is damaged and nothing can be salvaged ({faults})",
+            hint="Copy it again from the source; `mcap doctor FILE` shows the damage.",
+            where=where,
+        )
+    topics = [info.topic for info in _topics(scan)]
+    typed = [info.topic for info in _topics(scan) if info.schema.endswith("JointState")]
+    near = typed or difflib.get_close_matches(JOINT_STATES, topics, n=1)
+    hint = f"Is it {near[0]}? Record or remap it as {JOINT_STATES}." if near else ""
+    return InputError(
+        f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}",
+        hint=hint or f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well.",
+        where=where,
+    )
+
+
+def _no_joints(path: Path, names: NameMap) -> InputError:
+    seen = ", ".join(list(names.seen)[:_SHOWN]) or "no names at all"
+    return InputError(
+        f"the joint states hold no position of any joint of the robot "
+        f"({', '.join(names.joints[:_SHOWN])}); names in the log: {seen}",
+        hint="Give the joints of the robot file the names that the log uses.",
+        where=str(path),
+    )

@@ -1,0 +1,344 @@
+"""MCAP files, read once from the first record to the last, as far as a damaged one allows.
+
+Chunks are taken one at a time, so memory does not grow with the file. A cut-off recording has no
+summary: with one, chunks that hold nothing wanted are stepped over; without one, all are read.
+What is lost is counted, and the rest is used. The records themselves are read by the library mcap,
+but for messages and their indexes, of which there are too many.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+from isal.isal_zlib import crc32
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Footer, Schema
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
+
+from seqid_cli.logs.mcap import recovery
+from seqid_cli.logs.mcap.chunks import (
+    RECORD,
+    Contents,
+    DamageError,
+    Unpacker,
+    find_messages,
+    index_offsets,
+    walk,
+)
+from seqid_cli.logs.messages.batch import Bytes, Payloads
+from seqid_cli.logs.raw import Stamps
+
+MAGIC = recovery.MAGIC
+_ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError, StopIteration)
+_STEP = 1 << 20
+_WINDOW = 1 << 22  # bytes of loose messages taken together
+_KEPT = frozenset((Opcode.CHUNK, Opcode.MESSAGE_INDEX))
+_LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
+_TAIL = RECORD.size + 20 + len(MAGIC)  # the footer
+_DATA_END = RECORD.size + 4
+
+
+class Batch(NamedTuple):
+    """Messages of one channel, not yet decoded, in the order of the file."""
+
+    channel: Channel
+    schema: Schema | None
+    log_ns: Stamps
+    payloads: Payloads
+
+
+class _Record(NamedTuple):
+    opcode: int
+    content: bytes
+    complete: bool = True
+    loose: Contents | None = None  # records that stand in no chunk, with their heads
+
+
+def _every(topic: str) -> bool:
+    del topic
+    return True
+
+
+@dataclass
+class Scan:
+    """One pass over a file: what was met on the way, and what could not be read.
+
+    `wanted` tells which topics are asked for; messages of others are neither handed out nor, where
+    the file allows it, read.
+    """
+
+    path: Path
+    wanted: Callable[[str], bool] = _every
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)  # messages per channel
+    losses: Counter[str] = field(default_factory=Counter)
+    summary: Summary = field(default_factory=Summary)
+    dropped: int = 0  # messages that the indexes of lost chunks name
+    _unpacker: Unpacker = field(default_factory=Unpacker)
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield the messages, those of one channel in one chunk together.
+
+        Within a channel they come in the order of the file. Never raises on damaged content: it is
+        noted in `losses`, and reading goes on behind it where that is possible.
+        """
+        with self.path.open("rb") as file:
+            size = file.seek(0, 2)
+            self.summary, checksum = read_summary(file, size)
+            self.channels.update(self.summary.channels)
+            self.schemas.update(self.summary.schemas)
+            walked = _Walk(file, size, self.losses, self.channels, self._unneeded(), checksum)
+            chunk: _Record | None = None
+            index: list[bytes] = []
+            for record in walked.records():
+                if record.opcode == Opcode.MESSAGE_INDEX:
+                    index.append(record.content)
+                    continue
+                if chunk is not None:
+                    yield from self._chunk(chunk, index)
+                chunk, index = None, []
+                if record.loose is not None:
+                    data = np.frombuffer(record.content, np.uint8)
+                    yield from self._contents(data, record.loose)
+                elif record.opcode == Opcode.CHUNK:
+                    chunk = record
+            if chunk is not None:
+                yield from self._chunk(chunk, index)
+            if not walked.finished and not self.losses:
+                self.losses["the recording was not closed properly: the file has no end"] += 1
+
+    def _unneeded(self) -> frozenset[tuple[int, int]]:
+        """Find chunks without messages of wanted topics: (position, length of the record)."""
+        known = {number for number, each in self.channels.items() if not self.wanted(each.topic)}
+        return frozenset(
+            (chunk.chunk_start_offset, chunk.chunk_length - RECORD.size)
+            for chunk in self.summary.chunk_indexes
+            if chunk.message_index_offsets and chunk.message_index_offsets.keys() <= known
+        )
+
+    def _promised(self) -> dict[int, int] | None:
+        """Messages per channel by the file's own statistics; None where it does not tell."""
+        told = self.summary.statistics
+        return (told.channel_message_counts or None) if told else None
+
+    def expected(self) -> int | None:
+        """Count the messages of wanted topics by the file's own statistics."""
+        promised = self._promised()
+        if promised is None:
+            told = self.summary.statistics
+            return told.message_count if told and self.wanted is _every else None
+        return sum(
+            count
+            for number, count in promised.items()
+            if number not in self.channels or self.wanted(self.channels[number].topic)
+        )
+
+    def missing(self) -> int:
+        """Count the messages of wanted topics that the file promises and that were not met."""
+        expected = self.expected()
+        return self.dropped if expected is None else max(0, expected - self.met())
+
+    def met(self) -> int:
+        """Count the messages of wanted topics that were read."""
+        return sum(self.counts[i] for i, each in self.channels.items() if self.wanted(each.topic))
+
+    def total(self, channel: int) -> int:
+        """Count the messages of a channel: those met, or of a topic not wanted those promised."""
+        promised = self._promised()
+        if promised is None or self.wanted(self.channels[channel].topic):
+            return self.counts[channel]
+        return promised.get(channel, 0)
+
+    def _chunk(self, record: _Record, index: list[bytes]) -> Iterator[Batch]:
+        offsets = [found for each in index if (found := index_offsets(each)) is not None]
+        try:
+            unpacked, whole = self._unpacker.unpack(record.content, record.complete)
+        except DamageError as damage:
+            self.dropped += sum(len(found) for found in offsets)
+            self.losses[f"a chunk of {len(record.content)} bytes was left out: {damage}"] += 1
+            return
+        data = np.frombuffer(unpacked, np.uint8)
+        contents = find_messages(data, offsets)
+        yield from self._contents(data, contents)
+        if contents.end < len(data) and whole:
+            left = len(data) - contents.end
+            self.losses[f"a chunk breaks off {left} bytes before its end"] += 1
+
+    def _contents(self, data: Bytes, contents: Contents) -> Iterator[Batch]:
+        for opcode, start, end in contents.others:
+            self._definition(opcode, data[start:end].tobytes())
+        left = contents.channels
+        while len(left):  # a file has few channels
+            number = int(left[0])
+            rows = np.flatnonzero(contents.channels == number)
+            left = left[left != number]
+            channel = self.channels.get(number)
+            if channel is None:
+                what = f"a message belongs to channel {number}, which the file lacks"
+                self.losses[what] += len(rows)
+                continue
+            self.counts[number] += len(rows)
+            if self.wanted(channel.topic):
+                payloads = Payloads(data, contents.starts[rows], contents.lengths[rows])
+                schema = self.schemas.get(channel.schema_id)
+                yield Batch(channel, schema, contents.log_ns[rows], payloads)
+
+    def _definition(self, opcode: int, content: bytes) -> None:
+        stream = ReadDataStream(BytesIO(content))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas.setdefault(schema.id, schema)
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                self.channels.setdefault(channel.id, channel)
+            elif opcode == Opcode.MESSAGE:
+                self.losses["a message record is too short"] += 1
+        except _ERRORS:
+            self.losses[f"a {Opcode(opcode).name.lower()} record is damaged"] += 1
+
+
+def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> tuple[Summary, int]:
+    """Read what a file says of itself at its end.
+
+    Nothing is read because the summary says that it is there; it only tells what can be left out.
+
+    Parameters
+    ----------
+    file, size
+        The file and its bytes.
+    most : int
+        Bytes that a summary may have.
+
+    Returns
+    -------
+    tuple of Summary and int
+        The summary, an empty one where there is none or where it is damaged; the checksum of the
+        data section, 0 where none was written.
+    """
+    end = size - _TAIL
+    try:
+        file.seek(end)
+        footer = next(StreamReader(file, skip_magic=True).records)
+        file.seek(size - len(MAGIC))
+        if not isinstance(footer, Footer) or file.read() != MAGIC:
+            return Summary(), 0
+        start = footer.summary_start or end
+        if not len(MAGIC) + _DATA_END <= start <= end or end - start > most:
+            return Summary(), 0
+        file.seek(start - _DATA_END)
+        content = file.read(_DATA_END + end - start + RECORD.size + 16)
+        if footer.summary_crc not in (0, crc32(memoryview(content)[_DATA_END:])):
+            return Summary(), 0
+        opcode, length, checksum = struct.unpack_from("<BQI", content)
+        if opcode != Opcode.DATA_END or length != 4:
+            return Summary(), 0
+        file.seek(0)
+        return SeekingReader(file, record_size_limit=most).get_summary() or Summary(), checksum
+    except _ERRORS:
+        return Summary(), 0
+
+
+@dataclass
+class _Walk:
+    """Goes over the records of a file; `channels` are the ones known so far.
+
+    `skip` are the chunks that are not needed, `checksum` that of the data section.
+    """
+
+    file: BinaryIO
+    size: int
+    losses: Counter[str]
+    channels: Collection[int]
+    skip: frozenset[tuple[int, int]]
+    checksum: int
+    finished: bool = False
+
+    def __post_init__(self) -> None:
+        # A checksum over everything is only worth its time where everything is read.
+        self._checked = bool(self.checksum) and not self.skip
+        self._sum = crc32(MAGIC)
+
+    def records(self) -> Iterator[_Record]:
+        """Yield what is needed of the data section; loose messages come many in one record."""
+        at = len(MAGIC)
+        while not self.finished and at + RECORD.size <= self.size:
+            self.file.seek(at)
+            head = self.file.read(RECORD.size)
+            if len(head) < RECORD.size:
+                return
+            opcode, length = RECORD.unpack(head)
+            after = at + RECORD.size + length
+            if opcode == Opcode.FOOTER and after <= self.size:
+                return
+            if not recovery.plausible(self.file, at, self.size):
+                if opcode == Opcode.CHUNK and recovery.cut_chunk(self.file, at, self.size):
+                    self.losses[f"the file breaks off in a record at byte {at} of {self.size}"] += 1
+                    self.file.seek(at + RECORD.size)
+                    yield _Record(opcode, self.file.read(), False)
+                    return
+                found = recovery.next_record(self.file, at + 1, self.size, self.channels)
+                if found is None:
+                    self.losses[f"the file breaks off in a record at byte {at} of {self.size}"] += 1
+                    return
+                what = f"{found - at} damaged bytes at byte {at} of {self.size} were left out"
+                self.losses[what] += 1
+                self._checked = False
+                at = found
+            elif opcode in _LOOSE:
+                record = self._window(at, after - at)
+                yield record
+                at += len(record.content)
+            elif (at, length) in self.skip:
+                at = after
+            elif opcode == Opcode.DATA_END:
+                self.finished = True
+                if self._checked and self.checksum != self._sum:
+                    what = "the checksum of the data does not match: values may be damaged"
+                    self.losses[what] += 1
+            else:
+                self.file.seek(at + RECORD.size)
+                yield from self._one(opcode, head, length)
+                at = after
+
+    def _one(self, opcode: int, head: bytes, length: int) -> Iterator[_Record]:
+        """Take a record that is no message; what is not needed only for the checksum."""
+        if opcode in _KEPT:
+            content = self.file.read(length)
+            self._add(head)
+            self._add(content)
+            yield _Record(opcode, content)
+            return
+        self._add(head)
+        while self._checked and length:
+            piece = self.file.read(min(length, _STEP))
+            if not piece:
+                return
+            self._add(piece)
+            length -= len(piece)
+
+    def _add(self, content: bytes) -> None:
+        if self._checked:
+            self._sum = crc32(content, self._sum)
+
+    def _window(self, at: int, length: int) -> _Record:
+        """Read the messages and definitions from `at` on, as many whole ones as fit."""
+        self.file.seek(at)
+        content = self.file.read(max(_WINDOW, length))
+        data = np.frombuffer(content, np.uint8)
+        loose = walk(data, 0, len(data), _LOOSE)
+        content = content[: loose.end]
+        self._add(content)
+        return _Record(Opcode.MESSAGE, content, loose=loose)

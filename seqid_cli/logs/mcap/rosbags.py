@@ -1,0 +1,241 @@
+"""ROS bags, version 1 and the SQLite files of version 2, by the optional library rosbags.
+
+Their messages are the same as those of an MCAP file, so a bag is read in two steps: the joint
+states and IMU messages in it are copied to a temporary MCAP file, and that is read.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import zstandard
+from mcap.writer import CompressionType, Writer
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.mcap import reader
+from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.robot.types import Robot
+
+_KEPT = (
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "control_msgs/msg/DynamicJointState",
+)
+_ROSBAG1 = b"#ROSBAG V2.0"
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
+_SHOWN = 12
+_REMEDY = {
+    "rosbag1": "Run `rosbag reindex FILE`, or copy it again from the source.",
+    "rosbag2": "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the "
+    "source.",
+}
+_LINE = "=" * 80
+_DYNAMIC = (
+    "std_msgs/Header header\nstring[] joint_names\n"
+    "control_msgs/InterfaceValue[] interface_values\n"
+    f"{_LINE}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+    f"{_LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{_LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of a bag; `definition` is its message definition, empty where the bag has none."""
+
+    number: int
+    name: str
+    kind: str
+    messages: int
+    definition: str = ""
+
+
+@dataclass(frozen=True)
+class _Bag:
+    """An opened bag: its topics, and its messages as (topic's number, time [ns], CDR)."""
+
+    topics: tuple[Topic, ...]
+    messages: Callable[[], Iterator[tuple[int, int, bytes]]]
+
+
+_Open = Callable[[Path], AbstractContextManager[_Bag]]
+
+
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = None
+) -> Iterator[RawLog]:
+    """Read a ROS 1 bag, or the SQLite file of a ROS 2 bag; see `reader.read_blocks`.
+
+    The first block tells as well what of the bag could not be copied.
+    """
+    with as_mcap(path) as (copy, lost):
+        try:
+            for raw in reader.read_blocks(copy, robot, time_source, rows=rows):
+                yield replace(raw, partial="; ".join(filter(None, (lost, raw.partial))))
+                lost = ""
+        except InputError as error:
+            raise InputError(error.message, hint=error.hint, where=str(path)) from error
+
+
+@contextmanager
+def as_mcap(path: Path) -> Iterator[tuple[Path, str]]:
+    """Copy what a bag holds of joint states and IMU messages to a temporary MCAP file.
+
+    Yields
+    ------
+    tuple of Path and str
+        The file, and what was lost.
+
+    Raises
+    ------
+    InputError
+        rosbags is not installed, the bag is damaged, or it has no such messages.
+    """
+    with TemporaryDirectory(prefix="seqid-") as folder:
+        target = Path(folder) / "bag.mcap"
+        with path.open("rb") as file:
+            first = file.read(len(_ROSBAG1)) == _ROSBAG1
+        yield target, _copy(path, target, _rosbag1 if first else _rosbag2)
+
+
+def _copy(path: Path, target: Path, open_bag: _Open) -> str:
+    """Copy messages up to a fault; returns what was lost."""
+    copied, expected, lost = 0, 0, _unmerged(path)
+    with target.open("wb") as file, _opened(path, open_bag) as bag:
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start(profile="ros2", library="")
+        channels = {}
+        for topic in _wanted(path, bag.topics):
+            definition = topic.definition or (_DYNAMIC if "Dynamic" in topic.kind else "")
+            schema = writer.register_schema(topic.kind, "ros2msg", definition.encode())
+            channels[topic.number] = writer.register_channel(topic.name, "cdr", schema)
+            expected += topic.messages
+        try:
+            for number, time_ns, data in bag.messages():
+                if number in channels:
+                    writer.add_message(channels[number], max(0, time_ns), data, max(0, time_ns))
+                    copied += 1
+        except Exception as error:  # whatever the library raises on a damaged page or chunk
+            reason = " ".join(str(error).split())[:120] or type(error).__name__
+            lost.append(f"the bag is damaged ({reason})")
+        writer.finish()  # type: ignore[no-untyped-call]
+    if copied < expected:
+        lost.append(f"{expected - copied} of {expected} messages are lost")
+    return "; ".join(lost)
+
+
+def _wanted(path: Path, topics: tuple[Topic, ...]) -> list[Topic]:
+    wanted = [topic for topic in topics if topic.kind in _KEPT]
+    if wanted:
+        return wanted
+    listed = [f"{topic.name} ({topic.kind}, {topic.messages})" for topic in topics[:_SHOWN]]
+    more = [f"and {len(topics) - _SHOWN} more"] if len(topics) > _SHOWN else []
+    raise InputError(
+        f"the bag holds no joint states; in it: {', '.join(listed + more) or 'no topics'}",
+        hint="Record /joint_states (sensor_msgs/msg/JointState) as well.",
+        where=str(path),
+    )
+
+
+@contextmanager
+def _opened(path: Path, open_bag: _Open) -> Iterator[_Bag]:
+    """Open a bag; what the library says of a damaged one becomes an InputError."""
+    try:
+        bag = open_bag(path)
+        opened = bag.__enter__()
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(
+            f"the bag cannot be read ({reason})",
+            hint=_REMEDY["rosbag1" if open_bag is _rosbag1 else "rosbag2"],
+            where=str(path),
+        ) from error
+    try:
+        yield opened
+    finally:
+        bag.__exit__(None, None, None)
+
+
+@contextmanager
+def _rosbag2(path: Path) -> Iterator[_Bag]:
+    storage = _module("rosbags.rosbag2.storage_sqlite3", path)
+    reader = storage.Sqlite3Reader(path.absolute())
+    reader.open()
+    try:
+        topics = tuple(
+            Topic(c.id, c.topic, c.msgtype, c.msgcount, _definition(c)) for c in reader.connections
+        )
+        others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
+        if others:
+            raise ValueError(f"its serialization is {', '.join(sorted(others))}, not cdr")
+        kept = [c for c in reader.connections if c.msgtype in _KEPT]
+        yield _Bag(topics, lambda: _unpacked(reader.messages(kept)))
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _rosbag1(path: Path) -> Iterator[_Bag]:
+    typesys = _module("rosbags.typesys", path)
+    with _module("rosbags.rosbag1", path).Reader(path.absolute()) as reader:
+        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+        topics = tuple(Topic(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections)
+        kept = [c for c in reader.connections if c.msgtype in _KEPT[:2]]
+
+        def messages() -> Iterator[tuple[int, int, bytes]]:
+            for connection, time_ns, data in reader.messages(kept):
+                kind = connection.msgtype
+                yield connection.id, time_ns, bytes(store.ros1_to_cdr(data, kind))
+
+        yield _Bag(topics, messages)
+
+
+def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[tuple[int, int, bytes]]:
+    """Unpack messages that were compressed one by one."""
+    unpacker = zstandard.ZstdDecompressor()
+    for connection, time_ns, data in messages:
+        if data[:4] == _ZSTD:
+            data = unpacker.decompress(data, max_output_size=_MESSAGE_LIMIT)
+        yield connection.id, time_ns, data
+
+
+def _definition(connection: Any) -> str:
+    """Return a message definition in the form of MCAP, empty where it is not in that form."""
+    text = str(connection.msgdef.data)
+    return text if connection.msgdef.format.name == "MSG" else ""
+
+
+def _unmerged(path: Path) -> list[str]:
+    """Tell of a journal beside an SQLite file: the recorder was killed before it was merged."""
+    journal = path.with_name(path.name + "-wal")
+    try:
+        size = journal.stat().st_size
+    except OSError:
+        return []
+    if not size:
+        return []
+    return [
+        f"the bag was not closed: {size} bytes in {journal.name} are not read (merge them: "
+        f"`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"
+    ]
+
+
+def _module(name: str, path: Path) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise InputError(
+            f"is a ROS bag; reading it needs the package rosbags, which is not installed ({error})",
+            hint='Install it: pip install "seqid[bags]"; or convert the bag to MCAP with '
+            "`ros2 bag convert`.",
+            where=str(path),
+        ) from error

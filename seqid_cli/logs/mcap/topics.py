@@ -1,0 +1,164 @@
+"""Topics of a robot: which ones it needs, and their samples as streams of channels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from seqid_cli.logs.mcap.collector import Samples
+from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Kind
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Stamps, Stream, TimeSource
+from seqid_cli.robot.types import Imu, Robot
+
+JOINT_STATES = "/joint_states"
+DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
+# Types that only measured states have; a JointState on another topic may as well be a command.
+_STATES = ("foxglove.JointStates",)
+_DYNAMIC = "DynamicJointState"
+
+
+def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | None:
+    """Choose the topic of the joint states: `/dynamic_joint_states`, or the one that has the type.
+
+    Two candidates are none: which robot is meant is not known then.
+
+    Parameters
+    ----------
+    topics : iterable of (str, str)
+        Topics, with a leading slash, and the names of their schemas.
+
+    Returns
+    -------
+    (str, Kind) or None
+        The topic and how its messages are to be read.
+    """
+    known = dict(topics)
+    if DYNAMIC_JOINT_STATES in known:
+        return DYNAMIC_JOINT_STATES, "dynamic_joint_state"
+    states = [topic for topic, schema in known.items() if schema in _STATES]
+    dynamic = [topic for topic, schema in known.items() if schema.endswith(_DYNAMIC)]
+    if len(states) == 1:
+        return states[0], "joint_state"
+    return (dynamic[0], "dynamic_joint_state") if len(dynamic) == 1 else None
+
+
+def imu_topics(robot: Robot) -> dict[str, Kind]:
+    """Name all topics on which the IMUs of a robot may be logged."""
+    topics: dict[str, Kind] = {}
+    for imu in robot.imus:
+        for topic in (data_topic(imu), *triad_topics(imu)):
+            topics[topic] = "imu"
+    return topics
+
+
+def data_topic(imu: Imu) -> str:
+    """Name the topic of a whole IMU."""
+    return f"/{imu.name}/data"
+
+
+def triad_topics(imu: Imu) -> list[str]:
+    """Name the topics of an array of accelerometers, one per three of them."""
+    return [f"/{imu.name}/accel_{k + 1}" for k in range(-(-len(imu.positions) // 3))]
+
+
+def needed_topics(imu: Imu, has: Callable[[str], bool]) -> list[str]:
+    """Choose the topics that an IMU is read from, given which topics there are."""
+    data = data_topic(imu)
+    use_data = len(imu.positions) == 3 and has(data)
+    triads = [] if use_data else triad_topics(imu)
+    return triads + ([data] if use_data or imu.gyro else [])
+
+
+@dataclass
+class Streams:
+    """Turns samples of topics into streams, a whole log or a block of it at a time.
+
+    What kind of stamps a topic has is decided when its first samples come, and kept.
+    """
+
+    robot: Robot
+    time_source: TimeSource
+    warnings: list[str] = field(default_factory=list)
+    _logged: dict[str, bool] = field(default_factory=dict)  # topics without header stamps
+
+    def raw_log(
+        self,
+        joint_topic: str,
+        samples: Mapping[str, Samples],
+        imus: Mapping[str, list[str]],
+        partial: str = "",
+        *,
+        whole: bool = True,
+    ) -> RawLog:
+        """Make a log of samples by topic; `imus` are the topics of the IMUs that are there.
+
+        Only a whole log tells the delay from header stamps to log times.
+        """
+        joints = samples[joint_topic]
+        stream = self._joints(joint_topic, joints)
+        found = {
+            imu.name: tuple(self._imu(imu, topic, samples[topic]) for topic in imus[imu.name])
+            for imu in self.robot.imus
+            if imus.get(imu.name)
+        }
+        warnings, self.warnings = tuple(self.warnings), []
+        delay = joints.log_minus_header_s() if whole else None
+        return RawLog(stream, found, partial, warnings, log_minus_header_s=delay)
+
+    def _joints(self, topic: str, samples: Samples) -> Stream:
+        parts = np.split(samples.decoded.values, len(JOINT_QUANTITIES), axis=1)
+        channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
+        effort = channels.pop("effort")
+        channels["current" if self.robot.channels.effort == "current" else "torque"] = effort
+        recorded = {
+            name: values
+            for name, values in channels.items()
+            if name == "position" or any_finite(values)
+        }
+        stamps, keep = self._clock(topic, samples)
+        return _taken(Stream(topic, stamps, recorded), keep)
+
+    def _imu(self, imu: Imu, topic: str, samples: Samples) -> Stream:
+        count, triads = len(imu.positions), triad_topics(imu)
+        stamps, keep = self._clock(topic, samples)
+        channels = {}
+        if topic in triads:
+            first = 3 * triads.index(topic)
+            channels[ACCELEROMETERS] = samples.decoded.values[:, : min(3, count - first)]
+        elif count == 3:
+            channels[ACCELEROMETERS] = samples.decoded.values[:, :3]
+        if topic == data_topic(imu) and imu.gyro:
+            channels[GYRO] = samples.decoded.values[:, 3:]
+        return _taken(Stream(topic, stamps, channels), keep)
+
+    def _clock(self, topic: str, samples: Samples) -> tuple[Stamps, Mask | None]:
+        """Choose the stamps of a topic, and the samples that have one (None: all)."""
+        count = len(samples.log_ns)
+        if self.time_source == "log" or not count:
+            return samples.log_ns, None
+        missing = count - int(np.count_nonzero(samples.decoded.stamp_ns))
+        if topic not in self._logged:
+            self._logged[topic] = missing == count
+            if missing == count:
+                self.warnings.append(
+                    f"the header stamps of {topic} are all zero: the times of logging are used "
+                    "instead; make the driver fill in header.stamp"
+                )
+        if self._logged[topic]:
+            return samples.log_ns, None
+        if missing:
+            self.warnings.append(
+                f"{missing} messages of {topic} have no header stamp and were left out"
+            )
+        return samples.decoded.stamp_ns, samples.decoded.stamp_ns != 0 if missing else None
+
+
+def any_finite(values: Array) -> bool:
+    """Tell whether any value is a number; the first row mostly knows."""
+    return bool(np.isfinite(values[:1]).any() or np.isfinite(values).any())
+
+
+def _taken(stream: Stream, keep: Mask | None) -> Stream:
+    return stream if keep is None else stream.take(keep)

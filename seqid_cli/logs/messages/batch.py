@@ -1,0 +1,150 @@
+"""Batches of messages: payloads that lie in one buffer, and the rows of numbers made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.raw import Array, Mask, Rows, Stamps
+
+Bytes = NDArray[np.uint8]
+Kind = Literal["joint_state", "dynamic_joint_state", "imu"]
+Decode = Callable[["Payloads"], "Decoded"]
+
+JOINT_QUANTITIES = ("position", "velocity", "effort")
+IMU_FIELDS = tuple(
+    (name, axis) for name in ("linear_acceleration", "angular_velocity") for axis in "xyz"
+)
+FRONT = 8  # bytes that a buffer made here has before its first payload; see `Payloads.cut`
+
+
+@dataclass(frozen=True)
+class Payloads:
+    """M payloads that lie in one buffer."""
+
+    buffer: Bytes
+    starts: NDArray[np.int64]  # (M,)
+    lengths: NDArray[np.int64]  # (M,)
+
+    @classmethod
+    def of(cls, batch: Sequence[bytes]) -> Payloads:
+        """Lay payloads one behind the other."""
+        lengths = np.fromiter(map(len, batch), np.int64, len(batch))
+        buffer = np.frombuffer(b"".join([bytes(FRONT), *batch]), np.uint8)
+        return cls(buffer, FRONT + np.cumsum(lengths) - lengths, lengths)
+
+    def __len__(self) -> int:
+        """Count the payloads."""
+        return len(self.starts)
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Copy the payloads out, one after the other."""
+        view, ends = self.buffer.data, self.starts + self.lengths
+        spans = zip(self.starts.tolist(), ends.tolist(), strict=True)
+        return (bytes(view[start:end]) for start, end in spans)
+
+    def take(self, rows: Rows | Mask | slice) -> Payloads:
+        """Select payloads (indices, mask or slice) without a copy."""
+        return Payloads(self.buffer, self.starts[rows], self.lengths[rows])
+
+    def cut(self, low: int, high: int) -> Bytes:
+        """Copy bytes [low, high) of every payload side by side, (M, high - low).
+
+        `low` may be negative by up to 7: what stands there is left as it is.
+        """
+        width = high - low
+        buffer, starts = self.buffer, self.starts + low
+        if not width or not len(starts):
+            return np.zeros((len(starts), width), np.uint8)
+        if low < 0 and int(starts.min()) < 0:
+            buffer, starts = np.concatenate([np.zeros(FRONT, np.uint8), buffer]), starts + FRONT
+        every = np.ndarray((len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,))
+        return every[starts].view(np.uint8).reshape(len(starts), width)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """M messages: header stamps [ns], values (NaN where missing), and which could be decoded.
+
+    Rows of joint states are position, velocity and effort of the wanted joints side by side
+    (M, 3 n); rows of IMUs are linear acceleration and angular velocity (M, 6).
+    """
+
+    stamp_ns: Stamps
+    values: Array
+    good: Mask
+
+    @classmethod
+    def empty(cls, count: int, width: int) -> Decoded:
+        """Make a batch in which nothing is decoded yet."""
+        return cls(
+            np.zeros(count, np.int64), np.full((count, width), np.nan), np.zeros(count, np.bool_)
+        )
+
+    def put(self, rows: Rows, part: Decoded) -> None:
+        """Put messages decoded by themselves into their rows of the batch."""
+        self.stamp_ns[rows] = part.stamp_ns
+        self.values[rows] = part.values
+        self.good[rows] = part.good
+
+    def take(self, rows: Mask) -> Decoded:
+        """Select messages."""
+        return Decoded(self.stamp_ns[rows], self.values[rows], self.good[rows])
+
+
+class NameMap:
+    """Which entry of a JointState belongs to which joint of the robot.
+
+    Parameters
+    ----------
+    joints : iterable of str
+        Joints of the robot.
+    effort : {"torque", "current"}
+        What effort is: an interface of that name stands in for it.
+    most : int
+        Names of messages that are remembered, for the message that none of them fits.
+    """
+
+    def __init__(self, joints: Iterable[str], effort: str = "torque", *, most: int = 200) -> None:
+        self.joints = tuple(joints)
+        self.effort = effort
+        self._most = most
+        self._index = {name: i for i, name in enumerate(self.joints)}
+        self._pairs: dict[tuple[str, ...], list[tuple[int, int]]] = {}
+        self.seen: dict[str, None] = {}
+
+    def width(self, kind: Kind) -> int:
+        """Values per row."""
+        return len(IMU_FIELDS) if kind == "imu" else len(JOINT_QUANTITIES) * len(self.joints)
+
+    def pairs(self, names: Sequence[str]) -> list[tuple[int, int]]:
+        """Pair (entry in the message, joint of the robot); of equal names the first counts."""
+        key = tuple(names)
+        if key not in self._pairs:
+            found: dict[int, int] = {}
+            for entry, name in enumerate(names):
+                if len(self.seen) < self._most:
+                    self.seen.setdefault(name)
+                if name in self._index:
+                    found.setdefault(self._index[name], entry)
+            if len(self._pairs) >= self._most:
+                self._pairs.clear()
+            self._pairs[key] = [(entry, joint) for joint, entry in found.items()]
+        return self._pairs[key]
+
+
+def check_lengths(names: int, arrays: Sequence[int]) -> None:
+    """Refuse a JointState whose arrays are neither empty nor as long as its names.
+
+    Raises
+    ------
+    ValueError
+        An array has another length.
+    """
+    for quantity, length in zip(JOINT_QUANTITIES, arrays, strict=True):
+        if length not in (0, names):
+            raise ValueError(f"{length} values of {quantity} for {names} names")

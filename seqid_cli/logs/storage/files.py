@@ -1,0 +1,281 @@
+"""Which files are meant, and whether they can be logs at all.
+
+Runs before any heavy import, so that a wrong path fails at once: standard library only.
+"""
+
+from __future__ import annotations
+
+import difflib
+import glob
+import os
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.storage.remote import is_url, stored_logs
+from seqid_cli.logs.tables.csv_form import is_text, read_form
+from seqid_cli.logs.tables.naming_schemes import looks_like_log
+
+SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
+CSV_SUFFIXES = (".csv", ".tsv")
+MAGIC = {
+    "mcap": b"\x89MCAP0\r\n",
+    "parquet": b"PAR1",
+    "rosbag1": b"#ROSBAG V2.0",
+    "rosbag2": b"SQLite format 3\0",
+}
+METADATA = "metadata.yaml"  # what makes a folder a ROS 2 bag
+
+_OTHER_MAGIC = {
+    b"#ROSBAG": (
+        "a ROS bag of an old version",
+        "Convert it: `rosbag fix OLD.bag NEW.bag`.",
+    ),
+    b"PARE": ("an encrypted Parquet file", "Write it without encryption."),
+    b"\x89HDF": ("an HDF5 file", "Save the channels as Parquet."),
+    b"PK\x03\x04": ("a ZIP or NumPy archive", "Unpack it, or save the channels as Parquet."),
+    b"\x28\xb5\x2f\xfd": ("compressed with zstd", "Unpack it: `zstd -d FILE`."),
+    b"\x1f\x8b": ("compressed with gzip", "Unpack it: `gunzip FILE`."),
+    b"version https://git-lfs": ("a Git LFS pointer, not the file", "Run `git lfs pull`."),
+}
+_HEAD = 4096
+_OTHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
+_TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
+
+Note = Callable[[str], None]
+
+
+def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = False) -> list[Path]:
+    """Turn files, folders and globs into log files.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        Files (taken whatever their suffix), folders (searched at any depth for the suffixes of
+        logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth).
+        CSV files met in a folder that are no logs are left out.
+    note : callable, optional
+        Told what was left out, and why.
+    stored : bool
+        Whether URLs of object storage are welcome as well.
+
+    Returns
+    -------
+    list of Path
+        In the order of the arguments, within each in natural order (`run2` before `run10`);
+        a file that is meant twice comes once.
+
+    Raises
+    ------
+    InputError
+        An argument stands for no file at all.
+    """
+    found: dict[Path, Path] = {}
+    for argument in paths:
+        try:
+            matches = (
+                _stored(str(argument), welcome=stored)
+                if is_url(str(argument))
+                else _matches(str(argument), note or _silent)
+            )
+        except OSError as error:
+            raise InputError(f"cannot be looked up ({error})", where=str(argument)) from error
+        for path in matches:
+            found.setdefault(path.resolve(), path)
+    return list(found.values())
+
+
+def _stored(url: str, *, welcome: bool) -> list[Path]:
+    if not welcome:
+        message = "is on object storage, which this command does not read"
+        raise InputError(message, hint="Copy it here first.", where=url)
+    return natural_order(stored_logs(url, SUFFIXES))
+
+
+def _silent(text: str) -> None:
+    del text
+
+
+def storage_file(path: Path) -> Path:
+    """Return the one file of a ROS 2 bag folder that holds its messages; a file as it is.
+
+    Raises
+    ------
+    InputError
+        The folder is no bag, or a bag of several files.
+    """
+    if not path.is_dir():
+        return path
+    if not (path / METADATA).is_file():
+        raise InputError(
+            "is a folder, not a log", hint="Name the files in it or use a glob.", where=str(path)
+        )
+    files = _logs_in(path, _silent)
+    if len(files) == 1:
+        return files[0]
+    what = f"of {len(files)} files" if files else "without *.mcap and *.db3"
+    raise InputError(
+        f"is a ROS 2 bag {what}",
+        hint="Name its files." if files else "Unpack what is compressed: `zstd -d FILE`.",
+        where=str(path),
+    )
+
+
+def check_log(path: Path) -> str:
+    """Tell the format of a log by its first bytes.
+
+    Returns
+    -------
+    str
+        "parquet", "mcap", "csv", "rosbag2" (an SQLite file) or "rosbag1".
+
+    Raises
+    ------
+    InputError
+        The file is missing, unreadable, empty, cut short or of another kind.
+    """
+    where = str(path)
+    try:
+        path = storage_file(path)
+        if path.exists() and not path.is_file():  # a pipe would be waited for without end
+            raise InputError("is no regular file", hint="Copy it into one first.", where=where)
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - 4))
+            tail = file.read(4)
+    except FileNotFoundError as error:
+        raise InputError("does not exist", hint=_nearby(path), where=where) from error
+    except PermissionError as error:
+        raise InputError("may not be read", hint="Check its permissions.", where=where) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be opened ({error})", where=where) from error
+    if not size:
+        raise InputError("is empty (0 bytes)", hint="Record or copy it again.", where=where)
+    kind = _format(head, tail, size, where)
+    if kind == "csv":
+        _check_csv(path)
+    return kind
+
+
+def _check_csv(path: Path) -> None:
+    try:
+        read_form(path)
+    except InputError as error:
+        if path.suffix.lower() in _TEXTS:
+            raise
+        raise InputError(
+            f"{_OTHER}: {error.message}", hint=error.hint, where=error.where
+        ) from error
+
+
+def _format(head: bytes, tail: bytes, size: int, where: str) -> str:
+    for name, magic in MAGIC.items():
+        if head.startswith(magic):
+            if name == "parquet" and (tail != magic or size < 12):
+                raise InputError(
+                    f"the Parquet file is cut short or damaged: its footer is missing ({size} "
+                    "bytes)",
+                    hint="Parquet keeps its index at the end, so nothing can be salvaged: "
+                    "copy it again from the source or record again.",
+                    where=where,
+                )
+            return name
+    for magic, (kind, remedy) in _OTHER_MAGIC.items():
+        if head.startswith(magic):
+            raise InputError(f"is {kind}, not a log that can be read", hint=remedy, where=where)
+    if is_text(head) or head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "csv"
+    raise InputError(
+        f"{_OTHER} (it starts with {head[:8]!r})",
+        hint="Logs are told by their content, not by their suffix: convert it to one of these.",
+        where=where,
+    )
+
+
+def _matches(argument: str, note: Note) -> list[Path]:
+    path = Path(argument)
+    if path.is_dir():
+        found = _logs_in(path, note)
+        if not found:
+            raise InputError(
+                f"there is no log in this folder ({', '.join('*' + s for s in SUFFIXES)})",
+                hint="Name the folder that holds the logs.",
+                where=argument,
+            )
+        return found
+    if path.exists() or not glob.has_magic(argument):
+        if not path.exists():
+            raise InputError("does not exist", hint=_nearby(path), where=argument)
+        return [path]
+    found = _globbed(argument, note)
+    if not found:
+        raise InputError(
+            "this pattern matches no file", hint="Check the folder and the suffix.", where=argument
+        )
+    return found
+
+
+def _globbed(pattern: str, note: Note) -> list[Path]:
+    found: list[Path] = []
+    names = glob.glob(pattern, recursive=True)  # noqa: PTH207 (patterns may be absolute)
+    for path in natural_order(Path(name) for name in names):
+        # A pattern such as logs/** also matches folders and files that are no logs.
+        found += _logs_in(path, note) if path.is_dir() and "**" not in pattern else []
+        found += [path] if path.is_file() else []
+    logs = [path for path in found if path.suffix.lower() in SUFFIXES]
+    if pattern.lower().endswith(CSV_SUFFIXES):  # then they are named explicitly
+        return logs or found
+    return [path for path in logs if _is_meant(path, note)] or ([] if logs else found)
+
+
+def _logs_in(folder: Path, note: Note) -> list[Path]:
+    candidates = natural_order(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in SUFFIXES
+        and not path.name.startswith(".")
+        and path.is_file()
+        and not _describes_data_set(path)
+    )
+    return [path for path in candidates if _is_meant(path, note)]
+
+
+def _describes_data_set(path: Path) -> bool:
+    """Tell whether a file belongs to the description of a LeRobot data set, not to its data."""
+    return any(p.name == "meta" and (p / "info.json").is_file() for p in path.parents)
+
+
+def _is_meant(path: Path, note: Note) -> bool:
+    """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
+    if path.suffix.lower() not in CSV_SUFFIXES:
+        return True
+    try:
+        kind = check_log(path)
+        if kind != "csv" or looks_like_log(read_form(path).names):
+            return True
+        reason = "it has no column of time"
+    except InputError as error:
+        reason = error.message
+    note(f"{path} is left out, it is no log: {reason}; name the file itself if it is one")
+    return False
+
+
+def natural_order(paths: Iterable[Path]) -> list[Path]:
+    """Sort paths so that numbers in names count as numbers."""
+    return sorted(paths, key=lambda path: (_natural_key(str(path)), str(path)))
+
+
+def _natural_key(text: str) -> list[tuple[int, int, str]]:
+    parts = re.split(r"([0-9]+)", text)
+    return [(0, int(part), "") if i % 2 else (1, 0, part) for i, part in enumerate(parts)]
+
+
+def _nearby(path: Path) -> str:
+    try:
+        names = os.listdir(path.parent)  # noqa: PTH208 (a missing folder must raise here)
+    except (OSError, ValueError):
+        return f"The folder {path.parent} does not exist either."
+    close = difflib.get_close_matches(path.name, names, n=3)
+    return f"Did you mean {', '.join(close)}?" if close else "Check the path."

@@ -1,0 +1,201 @@
+"""CSV logs: one line per sample, converted by Arrow; only the needed columns are kept."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv as pc
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.logs.tables.columns import ARROW_ERRORS
+from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
+from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
+from seqid_cli.logs.tables.table import read_table
+from seqid_cli.robot.types import Robot
+
+_BLOCK = 8 << 20  # bytes; no line can be longer
+_RAGGED_SHARE = 0.01  # of the lines, that may be left out
+_RAGGED_KEPT = 1000
+_MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize())})
+_FAULT = re.compile(
+    r"In CSV column #(?P<column>\d+):(?: Row #(?P<row>\d+):)?.*?invalid value '(?P<value>.*)'",
+    re.DOTALL,
+)
+
+
+@dataclass
+class _Ragged:
+    """Collects lines that have another number of fields than the names."""
+
+    lines: list[tuple[int | None, int, int]] = field(default_factory=list)
+    count: int = 0
+
+    def __call__(self, row: pc.InvalidRow) -> str:
+        self.count += 1
+        if self.count <= _RAGGED_KEPT:
+            self.lines.append((row.number, row.actual_columns, row.expected_columns))
+        return "skip"
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """An opened CSV file; see `table.TableFile`."""
+
+    path: Path
+    form: CsvForm
+    entries: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def where(self) -> str:
+        """The file, for messages."""
+        return str(self.path)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All columns."""
+        return self.form.names
+
+    def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
+        """Read columns as one table; lines with another number of fields are left out and counted.
+
+        Raises
+        ------
+        InputError
+            Text where a number belongs, a line without end, or too many damaged lines.
+        """
+        places = {name: self.names.index(name) for name in columns}
+        parsed = self._parse(places, threads=True)
+        if isinstance(parsed, pa.Table) and not _texts(parsed):
+            yield parsed, ""
+            return
+        ragged = _Ragged()
+        parsed = self._parse(places, threads=False, ragged=ragged)
+        if isinstance(parsed, pa.Table) and _texts(parsed):
+            again = self._parse(places, threads=False, ragged=_Ragged(), numeric=True)
+            parsed = again if isinstance(again, BaseException) else parsed
+        if not isinstance(parsed, pa.Table):
+            raise self._fault(parsed)
+        yield parsed, self._partial(ragged, parsed.num_rows)
+
+    def _parse(
+        self,
+        places: Mapping[str, int],
+        *,
+        threads: bool,
+        ragged: _Ragged | None = None,
+        numeric: bool = False,
+    ) -> pa.Table | BaseException:
+        """Parse the file, time as numbers if `numeric`; returns what Arrow raised otherwise."""
+        count = len(self.names) + self.form.filler
+        numbered = [f"c{k}" for k in range(count)]
+        chosen = list(dict.fromkeys(places.values()))
+        timed = {self.names.index(name) for name in places if not numeric and self._is_time(name)}
+        try:
+            table = pc.read_csv(
+                self.path,
+                pc.ReadOptions(
+                    use_threads=threads,
+                    block_size=_BLOCK,
+                    skip_rows=self.form.skip,
+                    column_names=numbered,
+                    # Arrow hands damaged lines over as text: any byte must be some character.
+                    encoding=self.form.encoding if ragged is None else "latin-1",
+                ),
+                pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged),
+                pc.ConvertOptions(
+                    column_types={f"c{k}": pa.float64() for k in chosen if k not in timed},
+                    include_columns=[f"c{k}" for k in chosen],
+                    null_values=_MISSING,
+                    quoted_strings_can_be_null=True,
+                    decimal_point=self.form.decimal,
+                    check_utf8=False,
+                ),
+            )
+        except ARROW_ERRORS as error:
+            return error
+        arrays = {name: table.column(f"c{place}") for name, place in places.items()}
+        return pa.table(arrays)
+
+    def _is_time(self, name: str) -> bool:
+        """Tell whether Arrow may find out the type itself: seconds, counts or a calendar time."""
+        return name in time_names([name]) or name in (stamp_parts(self.names) or ())
+
+    def _partial(self, ragged: _Ragged, rows: int) -> str:
+        if not ragged.count:
+            return ""
+        number, actual, expected = ragged.lines[0]
+        line = "a line" if number is None else f"line {number}"
+        what = f"{line} has {actual} fields, the header {expected}"
+        if ragged.count > max(1.0, _RAGGED_SHARE * (rows + ragged.count)):
+            raise InputError(
+                f"{what}; so do {ragged.count} of {rows + ragged.count} lines",
+                hint="Give every line as many fields as there are names.",
+                where=self.where,
+            )
+        return f"{what}; {ragged.count} of {rows + ragged.count} lines were left out"
+
+    def _fault(self, error: BaseException) -> InputError:
+        text = " ".join(str(error).split())
+        if "straddling" in text:
+            return InputError(
+                f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples",
+                hint="End every sample with a line feed.",
+                where=self.where,
+            )
+        found = _FAULT.search(text)
+        if not found:
+            return InputError(
+                f"the CSV file is not readable ({text[:200]})",
+                hint="Export it again, numbers only, one line per sample.",
+                where=self.where,
+            )
+        name = self.names[int(found["column"])]
+        line = f"line {self._line(int(found['row']))}, " if found["row"] else ""
+        return InputError(
+            f"{line}column {name!r}: {found['value'][:40]!r} is no number",
+            hint="Correct or delete the line; leave the field empty where a value is missing.",
+            where=self.where,
+        )
+
+    def _line(self, row: int) -> int:
+        """Return the line of a row: Arrow counts all lines but empty ones among the data."""
+        counted = 0
+        with self.path.open("rb") as file:
+            for number, line in enumerate(iter(lambda: file.readline(_BLOCK), b""), start=1):
+                counted += number <= self.form.skip or bool(line.strip(b"\r\n"))
+                if counted >= row:
+                    return number
+        return row
+
+
+def _texts(table: pa.Table) -> bool:
+    """Tell whether a column was found to be neither numbers nor times."""
+    return any(pa.types.is_string(kind) or pa.types.is_binary(kind) for kind in table.schema.types)
+
+
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = None
+) -> Iterator[RawLog]:
+    """Read a CSV log as one block; see `read_table`. A line has one time."""
+    del time_source
+    return read_table(CsvTable(path, read_form(path)), robot, rows)
+
+
+def list_columns(path: Path) -> tuple[list[str], int]:
+    """List the columns of a CSV file, and count the lines of data.
+
+    Raises
+    ------
+    InputError
+        It is no table.
+    """
+    form = read_form(path)
+    with path.open("rb") as file:
+        lines = sum(1 for line in iter(lambda: file.readline(_BLOCK), b"") if line.strip())
+    return list(form.names), max(0, lines - form.skip)

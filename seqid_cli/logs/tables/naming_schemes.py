@@ -1,0 +1,279 @@
+"""How well-known loggers name the columns of a table.
+
+A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot file,
+`{index0}` and `{index}` its place in the chain from 0 or 1. Elements of list columns are called
+`column[k]`. Standard library only.
+
+Sources: UR RTDE, `actual_q` and its like with `_0` ... `_5` (RTDE_Python_Client_Library,
+rtde/csv_writer.py); libfranka, `state.q[0]` ... and time in ms (src/logging/robot_state_log.cpp);
+LeRobot datasets, list columns `observation.state` and others.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import takewhile
+
+QUANTITIES = ("position", "velocity", "torque", "current", "temperature")
+EFFORT = "effort"  # torque or current, whichever the robot file says
+
+# Names of time columns, the unit behind them optional: time, t_ms, timestamp [s], __time.
+_UNIT = r"s|sec|secs|seconds|ms|msec|us|usec|ns|nsec"
+_TIME = re.compile(
+    r"(?:__)?(?:t|time|timestamp|time_stamp|stamp|header[./_]stamp)"
+    rf"(?:[ _]+(?P<unit>{_UNIT})|[ _]*[\[(](?P<bracket>{_UNIT})[\])])?",
+    re.IGNORECASE,
+)
+_SHORT = {"s": "s", "se": "s", "ms": "ms", "us": "us", "ns": "ns"}
+_STAMP_PARTS = re.compile(r"(?P<stem>.*stamp[./_])(?:sec|secs|seconds)")
+_NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
+EPISODES = ("episode_index", "episode_id", "episode")
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Names of one kind of log.
+
+    `patterns[quantity]` are tried one after the other; `time_unit` is that of its time column
+    where the name does not say.
+    """
+
+    patterns: Mapping[str, tuple[str, ...]]
+    time_unit: str | None = None
+
+
+@dataclass(frozen=True)
+class Match:
+    """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
+
+    scheme: Scheme
+    columns: dict[str, list[str | None]] = field(default_factory=dict)
+
+
+_ALL = (*QUANTITIES, EFFORT)
+_NAMED = {
+    "position": ("position", "pos", "q"),
+    "velocity": ("velocity", "vel", "dq", "qd"),
+    "torque": ("torque", "tau"),
+    "current": ("current",),
+    "temperature": ("temperature", "temp"),
+    "effort": ("effort",),
+}
+_NUMBERED = {
+    "position": ("q", "position", "pos", "joint_position", "joint_positions"),
+    "velocity": ("dq", "qd", "velocity", "vel", "joint_velocity", "joint_velocities"),
+    "torque": ("tau", "torque", "joint_torque", "joint_torques"),
+    "current": ("current", "joint_current", "joint_currents"),
+    "temperature": ("temperature", "temp", "joint_temperature", "joint_temperatures"),
+    "effort": ("effort", "joint_effort", "joint_efforts"),
+}
+
+
+def _scheme(form: str, words: Mapping[str, tuple[str, ...]]) -> Scheme:
+    """Make a scheme of a form of names, in which `*` stands for the words of a quantity."""
+    return Scheme(
+        {name: tuple(form.replace("*", word) for word in own) for name, own in words.items()}
+    )
+
+
+DEFAULT = Scheme({quantity: (f"{{name}}.{quantity}",) for quantity in _ALL})
+RTDE = Scheme(
+    {
+        "position": ("actual_q_{index0}",),
+        "velocity": ("actual_qd_{index0}",),
+        "current": ("actual_current_{index0}",),
+        "temperature": ("joint_temperatures_{index0}",),
+    },
+)
+FRANKA = Scheme(
+    {
+        "position": ("state.q[{index0}]",),
+        "velocity": ("state.dq[{index0}]",),
+        "torque": ("state.tau_J[{index0}]",),
+    },
+    time_unit="ms",
+)
+LEROBOT_STATE = "observation.state"
+LEROBOT = Scheme(
+    {
+        "position": ("observation.state[{index0}]",),
+        "velocity": ("observation.velocity[{index0}]", "observation.state.velocity[{index0}]"),
+        "torque": ("observation.torque[{index0}]",),
+        "current": ("observation.current[{index0}]",),
+        "temperature": ("observation.temperature[{index0}]",),
+        "effort": ("observation.effort[{index0}]",),
+    },
+)
+LISTS = "*[{index0}]"
+SCHEMES = (
+    DEFAULT,
+    *(_scheme(f, _NAMED) for f in ("{name}.*", "{name}/*", "*.{name}", "*/{name}")),
+    *(_scheme(f, _NAMED) for f in ("/joint_states/{name}/*", "{name}_*", "*_{name}")),
+    RTDE,
+    FRANKA,
+    LEROBOT,
+    *(_scheme(f, _NUMBERED) for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}", LISTS)),
+)
+
+
+def column_name(pattern: str, joint: str, index0: int) -> str:
+    """Fill a pattern: {name}, {index} (from 1), {index0} (from 0)."""
+    filled = pattern.replace("{index0}", str(index0)).replace("{index}", str(index0 + 1))
+    return filled.replace("{name}", joint)
+
+
+def find_scheme(
+    joints: Sequence[str], known: Collection[str], entries: Mapping[str, int] | None = None
+) -> Match | None:
+    """Find the scheme by which a log names all joints.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Names in the robot file, in chain order.
+    known : collection of str
+        Columns of the log.
+    entries : mapping, optional
+        Place of each joint in the log's lists, where the log names them; by default that in the
+        chain.
+
+    Returns
+    -------
+    Match or None
+        None where no scheme gives a position for every joint.
+    """
+    for scheme in SCHEMES:
+        places = entries if entries and _uses_lists(scheme) else None
+        position = _find(scheme.patterns["position"], joints, known, places, whole=True)
+        if position is None:
+            continue
+        columns: dict[str, list[str | None]] = {"position": position}
+        for quantity in _ALL[1:]:
+            found = _find(scheme.patterns.get(quantity, ()), joints, known, places, whole=False)
+            if found is not None:
+                columns[quantity] = found
+        return Match(scheme, columns)
+    return None
+
+
+def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, list[str | None]]:
+    """Find what can be told by name where the robot file names the positions itself.
+
+    Each quantity by the first scheme that gives it for all joints, else by the default names for
+    some of them.
+    """
+    columns: dict[str, list[str | None]] = {}
+    for quantity in _ALL[1:]:
+        for scheme in SCHEMES:
+            found = _find(scheme.patterns.get(quantity, ()), joints, known, None, whole=True)
+            if found is not None:
+                columns.setdefault(quantity, found)
+        some = _find(DEFAULT.patterns[quantity], joints, known, None, whole=False)
+        if some is not None:
+            columns.setdefault(quantity, some)
+    return columns
+
+
+def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
+    """List the position columns that a log lacks of the scheme that fits it best."""
+    best: list[str] = []
+    for scheme in SCHEMES:
+        for pattern in scheme.patterns["position"]:
+            names = [column_name(pattern, joint, i) for i, joint in enumerate(joints)]
+            missing = [name for name in names if name not in known]
+            if not best or len(missing) < len(best):
+                best = missing
+    return best
+
+
+def _uses_lists(scheme: Scheme) -> bool:
+    return all(p.endswith("[{index0}]") for p in scheme.patterns["position"]) and scheme != FRANKA
+
+
+def _find(
+    patterns: Iterable[str],
+    joints: Sequence[str],
+    known: Collection[str],
+    places: Mapping[str, int] | None,
+    *,
+    whole: bool,
+) -> list[str | None] | None:
+    """Return the columns of the first pattern that gives one for every joint, or for some."""
+    for pattern in patterns:
+        names = [
+            column_name(pattern, joint, places.get(joint, -1) if places else i)
+            for i, joint in enumerate(joints)
+        ]
+        found = [name if name in known else None for name in names]
+        if all(found) or (not whole and any(found)):
+            return found
+    return None
+
+
+def other_joints(match: Match, joints: Sequence[str], known: Iterable[str]) -> list[str]:
+    """Name the joints (or, where they are numbered, the columns) that the robot file lacks."""
+    used = {name for name in match.columns["position"] if name is not None}
+    for pattern in match.scheme.patterns["position"]:
+        form = re.escape(pattern).replace(r"\{name\}", "(?P<name>[^./]+)")
+        form = re.sub(r"\\\{index0?\\\}", "[0-9]{1,3}", form)
+        found = {name: re.fullmatch(form, name) for name in (*used, *known)}
+        if all(found[name] for name in used):
+            others = [m.groupdict().get("name") or n for n, m in found.items() if m]
+            return [name for name in dict.fromkeys(others) if name not in used.union(joints)]
+    return []
+
+
+def survey_names(names: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
+    """Find, without a robot file, the joints of a table and the pattern of their positions.
+
+    Returns
+    -------
+    tuple
+        Names of the joints, joint_1 ... where the table only numbers them; and the `[channels]`
+        pattern of position, None for the default one or where there are no joints.
+    """
+    for scheme in SCHEMES:
+        for pattern in scheme.patterns["position"]:
+            if "{name}" in pattern:
+                before, after = pattern.split("{name}")
+                found = [
+                    name[len(before) : len(name) - len(after)]
+                    for name in names
+                    if name.startswith(before) and name.endswith(after)
+                ]
+                joints = tuple(n for n in found if re.fullmatch(r"(?!\d+$)[^./\[]+", n))
+            else:
+                columns = (column_name(pattern, "", i) for i in range(len(names)))
+                count = len(list(takewhile(set(names).__contains__, columns)))
+                joints = tuple(f"joint_{i + 1}" for i in range(count))
+            if joints:
+                return joints, None if scheme is DEFAULT else pattern
+    return (), None
+
+
+def time_names(names: Iterable[str]) -> dict[str, str | None]:
+    """List the columns that look like time, with the unit where the name says it."""
+    found: dict[str, str | None] = {}
+    for name in names:
+        matched = _TIME.fullmatch(name.strip())
+        if matched:
+            unit = (matched["unit"] or matched["bracket"] or "").lower()
+            found[name] = _SHORT[unit[:2]] if unit else None
+    return found
+
+
+def stamp_parts(names: Collection[str]) -> tuple[str, str] | None:
+    """Find a stamp that is written as whole seconds and nanoseconds in two columns."""
+    for name in names:
+        matched = _STAMP_PARTS.fullmatch(name)
+        for word in _NANOSECONDS if matched else ():
+            if matched and matched["stem"] + word in names:
+                return name, matched["stem"] + word
+    return None
+
+
+def looks_like_log(names: Collection[str]) -> bool:
+    """Tell, without a robot file, whether a table with these columns can be a log."""
+    return bool(time_names(names)) or stamp_parts(names) is not None

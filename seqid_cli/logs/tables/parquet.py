@@ -1,0 +1,240 @@
+"""Parquet logs: only the needed columns are read, one row group at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.raw import Array, RawLog, TimeSource
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, opened_table
+from seqid_cli.logs.tables.list_names import list_entries
+from seqid_cli.logs.tables.table import read_table
+from seqid_cli.robot.types import Robot
+
+_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
+BLOCK_ROWS = 65_536
+_LONGEST = 256  # elements of a list column that can be one number per joint
+
+
+@dataclass(frozen=True)
+class ParquetTable:
+    """An opened Parquet file; see `table.TableFile`.
+
+    `lists` are its list columns of numbers and how long their lists are.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    lists: dict[str, int] = field(default_factory=dict)
+    entries: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def where(self) -> str:
+        """The file, for messages."""
+        return str(self.path)
+
+    def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
+        """Read columns; nothing of a damaged file can be salvaged.
+
+        Raises
+        ------
+        InputError
+            The file is damaged, or lists differ in length.
+        """
+        for table in read_tables(self.path, self._stored(columns), rows=rows):
+            yield self._arranged(table, columns), ""
+
+    def _stored(self, columns: Sequence[str]) -> list[str]:
+        """Name the columns of the file that hold the given ones."""
+        found = [(name, self._element(name)) for name in columns]
+        return list(dict.fromkeys(each["list"] if each else name for name, each in found))
+
+    def _arranged(self, table: pa.Table, columns: Sequence[str]) -> pa.Table:
+        """Turn what was read, whole or in part, into the given columns."""
+        while any(pa.types.is_struct(kind) for kind in table.schema.types):
+            table = table.flatten()
+        elements = {name: found for name in columns if (found := self._element(name))}
+        lists = dict.fromkeys(found["list"] for found in elements.values())
+        out: dict[str, pa.ChunkedArray] = {}
+        for name in [name for name in columns if name not in elements]:
+            if table.schema.names.count(name) == 1:
+                out[name] = table.column(name)
+        for name in lists:
+            values = self._matrix(table, name)
+            for element, found in elements.items():
+                if found["list"] == name:
+                    out[element] = pa.chunked_array([values[:, int(found["index"])]])
+        return pa.table(out)
+
+    def _element(self, name: str) -> re.Match[str] | None:
+        found = _ELEMENT.fullmatch(name)
+        return found if found and found["list"] in self.lists else None
+
+    def _matrix(self, table: pa.Table, name: str) -> Array:
+        """Return a list column as (M, length), rows without a list as NaN."""
+        length = self.lists[name]
+        try:
+            column = table.column(name).combine_chunks()
+            counts = np.asarray(pc.fill_null(pc.list_value_length(column), -1))
+            wrong = np.flatnonzero((counts != length) & (counts > 0))
+            if len(wrong):
+                raise InputError(
+                    f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the first row "
+                    f"{length} ({len(wrong)} such rows)",
+                    hint="Write one value per joint in every row, null where one is missing.",
+                    where=self.where,
+                )
+            values = np.full((len(column), length), np.nan)
+            flat = pc.cast(pc.list_flatten(column), pa.float64(), safe=False)
+            values[counts == length] = flat.to_numpy(zero_copy_only=False).reshape(-1, length)
+        except ARROW_ERRORS as error:
+            raise damaged(self.path, error) from error
+        return values
+
+
+def read_blocks(
+    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = BLOCK_ROWS
+) -> Iterator[RawLog]:
+    """Read a Parquet log; see `read_table`. A row has one time, whatever the source."""
+    del time_source
+    return read_table(open_table(path, robot.joint_names), robot, rows)
+
+
+def read_tables(
+    path: Path, columns: Sequence[str], *, rows: int | None = BLOCK_ROWS
+) -> Iterator[pa.Table]:
+    """Read columns of a Parquet file, up to `rows` rows at a time; None for all of them.
+
+    In blocks memory stays that of one row group: nothing is read ahead. Pages are checked against
+    their checksums where the file has them.
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
+    pool = _pool()
+    try:
+        with _opened(path, pool if rows else pa.default_memory_pool()) as file:
+            if rows is None:
+                yield file.read(columns=list(columns))
+                return
+            for group in range(file.num_row_groups):
+                for batch in file.iter_batches(
+                    rows, row_groups=[group], columns=list(columns), use_threads=False
+                ):
+                    yield pa.Table.from_batches([batch])
+                    del batch
+                pool.release_unused()  # or it keeps some row groups' worth
+    except ARROW_ERRORS as error:
+        raise damaged(path, error) from error
+
+
+def _pool() -> pa.MemoryPool:
+    """The memory that is had at the least cost: Arrow's usual one takes a third of decoding."""
+    try:
+        return pa.jemalloc_memory_pool()
+    except NotImplementedError:
+        return pa.default_memory_pool()
+
+
+def _opened(path: Path, pool: pa.MemoryPool) -> pq.ParquetFile:
+    """Open a file whose columns go into a memory pool."""
+    usual = pa.default_memory_pool()
+    pa.set_memory_pool(pool)
+    try:
+        return opened_table(path, pre_buffer=False, page_checksum_verification=True)
+    finally:
+        pa.set_memory_pool(usual)  # a reader keeps the one that it was opened with
+
+
+def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
+    """Read the names of the columns, of nested ones as `parent.child`, of lists as `column[k]`.
+
+    `joints` are the names to look for where the file names the elements of its lists.
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
+    try:
+        with opened_table(path) as file:
+            fields = _flat(file.schema_arrow)
+            lists = {
+                name: length
+                for name, kind in fields
+                if _is_list(kind) and (length := _length(file, name, kind))
+            }
+            entries, notes = list_entries(path, file, lists, joints)
+    except ARROW_ERRORS as error:
+        raise damaged(path, error) from error
+    names = [name for name, _ in fields]
+    names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
+    return ParquetTable(path, tuple(names), lists, entries, notes)
+
+
+def list_columns(path: Path) -> list[tuple[str, str, int]]:
+    """List name, type and number of rows of each column.
+
+    Raises
+    ------
+    InputError
+        The file is damaged.
+    """
+    try:
+        with opened_table(path) as file:
+            rows = file.metadata.num_rows
+            columns = [file.schema.column(i) for i in range(len(file.schema))]
+            return [(column.path, column.physical_type.lower(), rows) for column in columns]
+    except ARROW_ERRORS as error:
+        raise damaged(path, error) from error
+
+
+def _flat(schema: pa.Schema) -> list[tuple[str, pa.DataType]]:
+    fields: list[tuple[str, pa.DataType]] = []
+    for entry in schema:
+        if pa.types.is_struct(entry.type):
+            inner = pa.schema([entry.type.field(i) for i in range(entry.type.num_fields)])
+            fields += [(f"{entry.name}.{name}", kind) for name, kind in _flat(inner)]
+        else:
+            fields.append((entry.name, entry.type))
+    return fields
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
+    return any(check(kind) for check in lists) and is_number(kind.value_type)
+
+
+def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
+    """Return the length of the first list of a column, 0 where none can hold joints."""
+    if pa.types.is_fixed_size_list(kind):
+        return int(kind.list_size) if kind.list_size <= _LONGEST else 0
+    if "." in name and name not in file.schema_arrow.names:
+        return 0  # a list inside a struct
+    for batch in file.iter_batches(batch_size=1024, columns=[name]):
+        given = batch.column(0).drop_null() if batch.num_columns else []
+        if len(given):
+            length = len(given[0])
+            return length if length <= _LONGEST else 0
+    return 0
+
+
+def damaged(path: Path, error: BaseException) -> InputError:
+    """Make the error for what Arrow could not read."""
+    reason = " ".join(str(error).split())[:200] or type(error).__name__
+    return InputError(
+        f"the Parquet file is damaged or not readable ({reason})",
+        hint="Copy it again from the source, or leave this log out.",
+        where=str(path),
+    )

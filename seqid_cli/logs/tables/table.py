@@ -1,0 +1,270 @@
+"""Tables, one row per sample: which column carries what, whatever file they come from."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import pyarrow as pa
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Stamps, Stream
+from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
+from seqid_cli.logs.tables.episodes import separate
+from seqid_cli.logs.tables.imus import imu_columns
+from seqid_cli.logs.tables.naming_schemes import (
+    EFFORT,
+    EPISODES,
+    QUANTITIES,
+    Match,
+    column_name,
+    find_quantities,
+    find_scheme,
+    nearest_scheme,
+    other_joints,
+    stamp_parts,
+    time_names,
+)
+from seqid_cli.robot.types import Channels, Robot
+
+ROWS = "the rows"
+_SHOWN = 6
+
+
+class TableFile(Protocol):
+    """A file that holds a table.
+
+    `names` are its columns, elements of list columns as `column[k]`; `entries` the places of the
+    joints in its lists, empty where the file does not name them.
+    """
+
+    @property
+    def where(self) -> str:
+        """The file, for messages."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """All columns."""
+
+    @property
+    def entries(self) -> Mapping[str, int]:
+        """Places of named joints in list columns."""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What was noticed while the file was opened."""
+
+    def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
+        """Read columns, at most `rows` rows at a time if that is given; says what was lost.
+
+        Raises
+        ------
+        InputError
+            The file is damaged.
+        """
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which column carries what: per quantity one per joint, per IMU accelerometers and gyro."""
+
+    time: TimeColumn
+    joints: dict[str, list[str | None]]
+    imus: dict[str, tuple[list[str], list[str]]]
+    episode: str | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def columns(self) -> list[str]:
+        """All columns to load, each once."""
+        names = list(self.time.columns)
+        names += [name for row in self.joints.values() for name in row if name is not None]
+        names += [name for pair in self.imus.values() for row in pair for name in row]
+        names += [self.episode] if self.episode is not None else []
+        return list(dict.fromkeys(names))
+
+
+def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
+    """Read the channels that the robot file knows.
+
+    Parameters
+    ----------
+    file : TableFile
+        An opened table.
+    robot : Robot
+        Its joints, IMUs and `[channels]` say which columns are read.
+    rows : int or None
+        Rows in a block, if the format allows it; None for the whole table as one block.
+
+    Yields
+    ------
+    RawLog
+        The next rows. All streams share their stamps; nulls and NaN stay missing. What was noticed
+        of the file is told by the first block, what was noticed of rows by theirs. A file that
+        holds several episodes is one block: they are put one behind the other as a whole.
+
+    Raises
+    ------
+    InputError
+        A missing column, or one that holds no numbers.
+    """
+    plan = make_plan(file, robot)
+    _require_once(file.where, plan.columns, file.names)
+    notes = [*file.notes, *plan.warnings]
+    for table, partial in file.tables(plan.columns, None if plan.episode else rows):
+        yield _raw_log(file.where, table, plan, robot, partial, notes)
+        notes = []
+
+
+def _raw_log(
+    where: str, table: pa.Table, plan: Plan, robot: Robot, partial: str, notes: list[str]
+) -> RawLog:
+    stamps, keep, warnings = read_stamps(where, table, plan.time)
+    if plan.episode is not None:
+        episode = numbers(where, table, plan.episode)
+        stamps, keep, more = separate(stamps, keep, episode, plan.episode)
+        warnings += more
+    channels = {quantity: _columns(where, table, row) for quantity, row in plan.joints.items()}
+    joints = Stream(ROWS, stamps, channels)
+    if plan.episode is not None or len(keep) < len(stamps):
+        joints = joints.take(keep)
+    imus: dict[str, tuple[Stream, ...]] = {
+        imu: (_imu_stream(where, table, stamps, columns).take(keep),)
+        for imu, columns in plan.imus.items()
+    }
+    prefer_current = robot.channels.current is not None and robot.channels.torque is None
+    return RawLog(joints, imus, partial, (*notes, *warnings), prefer_current=prefer_current)
+
+
+def make_plan(file: TableFile, robot: Robot) -> Plan:
+    """Decide which columns to read: what the robot file declares, else what the names tell.
+
+    Raises
+    ------
+    InputError
+        A column that is needed is missing.
+    """
+    names, known, joints = file.names, set(file.names), robot.joint_names
+    warnings: list[str] = []
+    match = find_scheme(joints, known, file.entries)
+    if match is None and robot.channels.position is None:
+        raise missing_columns(file.where, nearest_scheme(joints, known), names)
+    if match is not None and robot.channels.position is None:
+        warnings += _other_joints(match, joints, names)
+    columns = _joint_columns(file, robot, match)
+    imus = {
+        imu.name: found
+        for imu in robot.imus
+        if (found := imu_columns(file.where, robot, imu, known, warnings)) is not None
+    }
+    time = _time_column(file, robot.channels, match)
+    used = {name for row in columns.values() for name in row}
+    episode = next((name for name in EPISODES if name in known and name not in used), None)
+    return Plan(time, columns, imus, episode, warnings)
+
+
+def _joint_columns(
+    file: TableFile, robot: Robot, match: Match | None
+) -> dict[str, list[str | None]]:
+    known = set(file.names)
+    found = find_quantities(robot.joint_names, known) if match is None else dict(match.columns)
+    effort = found.pop(EFFORT, None)
+    kind = "current" if robot.channels.effort == "current" else "torque"
+    if effort is not None:
+        found.setdefault(kind, effort)
+    for quantity in QUANTITIES:
+        pattern: str | None = getattr(robot.channels, quantity)
+        if pattern is None:
+            continue
+        declared = [column_name(pattern, name, i) for i, name in enumerate(robot.joint_names)]
+        missing = [name for name in declared if name not in known]
+        if missing:
+            raise missing_columns(file.where, missing, file.names)
+        found[quantity] = list(declared)
+    return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}
+
+
+def _other_joints(match: Match, joints: Sequence[str], names: Sequence[str]) -> list[str]:
+    others = other_joints(match, joints, names)
+    if not others:
+        return []
+    more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
+    return [
+        f"the log also holds {', '.join(others[:_SHOWN])}{more}, which the robot file does not "
+        "know: ignored"
+    ]
+
+
+def _time_column(file: TableFile, channels: Channels, match: Match | None) -> TimeColumn:
+    names, unit = file.names, match.scheme.time_unit if match is not None else None
+    told = time_names(names)
+    if channels.time is not None:
+        if channels.time not in names:
+            raise missing_columns(file.where, [channels.time], names)
+        said = time_names([channels.time]).get(channels.time)
+        return TimeColumn(channels.time, said or unit, said is not None)
+    if "t" in told:
+        return TimeColumn("t", unit)
+    candidates = list(told)
+    if len(candidates) == 1:
+        said = told[candidates[0]]
+        return TimeColumn(candidates[0], said or unit, said is not None)
+    if candidates:
+        raise InputError(
+            f"the time column is ambiguous: {' or '.join(candidates)}",
+            hint='Say which in the robot file: [channels] time = "..."',
+            where=file.where,
+        )
+    parts = stamp_parts(names)
+    if parts is None:
+        raise missing_columns(file.where, ["t"], names, what="[channels] time")
+    return TimeColumn(parts[0], "s", True, nanoseconds=parts[1])
+
+
+def missing_columns(
+    where: str, missing: Sequence[str], names: Sequence[str], *, what: str = "[channels] position"
+) -> InputError:
+    """Make the error for columns that a log lacks; it names the nearest ones that are there."""
+    names = list(dict.fromkeys(names))
+    close = [difflib.get_close_matches(name, names, n=3, cutoff=0.4) for name in missing[:3]]
+    nearest = list(dict.fromkeys(match for matches in close for match in matches))
+    listed = nearest or names[:12]
+    more = "" if len(missing) <= _SHOWN else f" and {len(missing) - _SHOWN} more"
+    return InputError(
+        f"no column {', '.join(repr(name) for name in missing[:_SHOWN])}{more}; "
+        f"{'nearest' if nearest else 'there are'}: {', '.join(listed) or 'no columns at all'}",
+        hint="Joint names come from the robot file; where the log uses other column names, "
+        f'give them there: {what} = "..."',
+        where=where,
+    )
+
+
+def _require_once(where: str, columns: Sequence[str], names: Sequence[str]) -> None:
+    for name in columns:
+        count = list(names).count(name)
+        if count > 1:
+            raise InputError(
+                f"column {name!r} is there {count} times",
+                hint="Give each column a name of its own.",
+                where=where,
+            )
+
+
+def _columns(where: str, table: pa.Table, row: Sequence[str | None]) -> Array:
+    empty = np.full(table.num_rows, np.nan)
+    columns = [empty if name is None else numbers(where, table, name) for name in row]
+    return np.stack(columns).T  # one column after the other, as they came
+
+
+def _imu_stream(
+    where: str, table: pa.Table, stamps: Stamps, columns: tuple[list[str], list[str]]
+) -> Stream:
+    channels = {
+        quantity: _columns(where, table, names)
+        for quantity, names in zip((ACCELEROMETERS, GYRO), columns, strict=True)
+        if names
+    }
+    return Stream(ROWS, stamps, channels)

@@ -97,7 +97,7 @@ def run(
     if explain is not None:
         _known(explain, job)
 
-    from seqid_cli.discover.diagnose import diagnose
+    from seqid_cli.discover.diagnosis import diagnose
     from seqid_cli.discover.gather import gather, one_each
     from seqid_cli.discover.options import DiscoverOptions
     from seqid_cli.identify.motion_use import motion_uses

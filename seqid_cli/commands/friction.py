@@ -86,7 +86,7 @@ def run(
         workers=Workers(jobs, engine, scheduler, skip_failed),
     )
 
-    from seqid_cli.identify.friction import identify_friction
+    from seqid_cli.identify.friction_stage import identify_friction
     from seqid_cli.identify.options import FrictionOptions
     from seqid_cli.motion.options import MotionOptions
 

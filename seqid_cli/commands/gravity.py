@@ -71,7 +71,7 @@ def run(
         needs=("friction",),
     )
 
-    from seqid_cli.identify.gravity import identify_gravity
+    from seqid_cli.identify.gravity_stage import identify_gravity
     from seqid_cli.motion.options import MotionOptions
 
     options = MotionOptions(cutoff_hz=cutoff)

@@ -74,7 +74,7 @@ def run(
     )
 
     from seqid_cli.identify.consistency import made_consistent
-    from seqid_cli.identify.inertia import identify_inertia
+    from seqid_cli.identify.inertia_stage import identify_inertia
     from seqid_cli.identify.one_cutoff import identification_options
     from seqid_cli.identify.options import InertiaOptions
 

@@ -67,7 +67,7 @@ def run(
         check_output(output, [*files, *([robot] if robot else [])])
     loaded = load_robot(robot) if robot is not None else None
 
-    from seqid_cli.inspect.inspect import inspect_logs
+    from seqid_cli.inspect.inspection import inspect_logs
 
     progress = ProgressLine(len(files), sys.stderr, enabled=not screen.quiet)
     try:

@@ -140,7 +140,7 @@ def _predict(
 ) -> PredictionFile:
     from seqid_cli.commands.prediction_errors import ErrorSums
     from seqid_cli.identify.judge import as_a_whole, physics_verdicts
-    from seqid_cli.identify.predict import predict
+    from seqid_cli.identify.predict_logs import predict
     from seqid_cli.identify.prediction import lacking
     from seqid_cli.model.effects.fitted import effect_notes
 

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from seqid_cli.identify.predict import LogPrediction
+from seqid_cli.identify.predict_logs import LogPrediction
 from seqid_cli.params.files import replacing, writing
 
 _ROWS = 65536  # per row group

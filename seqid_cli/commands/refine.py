@@ -144,7 +144,7 @@ def _refine(
     from seqid_cli.discover.confirm import confirm
     from seqid_cli.discover.gather import one_each
     from seqid_cli.discover.heldout import WholeLogs
-    from seqid_cli.discover.refine import refine
+    from seqid_cli.discover.refinement import refine
     from seqid_cli.identify.judge import physics_verdicts
     from seqid_cli.identify.motion_use import motion_uses
 

@@ -71,7 +71,7 @@ def run(
 
     from seqid_cli.identify.consistency import made_consistent
     from seqid_cli.identify.one_cutoff import identification_options
-    from seqid_cli.identify.simultaneous import identify_simultaneous
+    from seqid_cli.identify.one_step import identify_simultaneous
 
     options = identification_options(
         job.files,

@@ -12,7 +12,7 @@ from seqid_cli.discover.echo import echoes
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.heldout import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.loop import joints_of, key_of_round, with_effects
-from seqid_cli.discover.refine import Refinement
+from seqid_cli.discover.refinement import Refinement
 from seqid_cli.discover.results import ClosedLoop, LoopError, Round
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict import predict
+from seqid_cli.identify.predict_logs import predict
 from seqid_cli.identify.predict_long import local_effects
 from seqid_cli.identify.prediction import LogPrediction
 from seqid_cli.identify.streaming import LONG, open_if_long, streams

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.guess import WORDS, Guess, guess
-from seqid_cli.inspect.inspect import inspect_log
+from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.inspect.report import JointSummary
 from seqid_cli.logs.presets import find_scheme, time_names
 from seqid_cli.logs.survey import Survey, survey

@@ -150,7 +150,7 @@ class Library:
 @pytest.fixture
 def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
-    module = ModuleType("seqid_cli.discover.diagnose")
+    module = ModuleType("seqid_cli.discover.diagnosis")
     module.diagnose = fake.diagnose  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
     rig.params("p.json", inertia_file())

@@ -124,7 +124,7 @@ def replace_effects(stages: Stages, effects: list[EffectOfJoint] | None) -> Stag
 @pytest.fixture
 def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
-    module = ModuleType("seqid_cli.discover.refine")
+    module = ModuleType("seqid_cli.discover.refinement")
     module.refine = fake.refine  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
     other = ModuleType("seqid_cli.discover.confirm")

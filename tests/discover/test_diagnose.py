@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.diagnose import described, diagnose, share_above
+from seqid_cli.discover.diagnosis import described, diagnose, share_above
 from seqid_cli.discover.floor import NoiseFloor
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, louder_joints

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.diagnose import described
+from seqid_cli.discover.diagnosis import described
 from seqid_cli.discover.investigate import investigate
 from seqid_cli.discover.results import Diagnosis, Evidence, Finding
 from tests.discover.test_diagnose import OPTIONS, clean, given, humped_diagnosis, plain

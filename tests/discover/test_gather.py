@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover import gather as gathering
 from seqid_cli.discover import look_over as looking
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.gather import Gathered, gather, one_each
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict import predict
+from seqid_cli.identify.predict_logs import predict
 from seqid_cli.motion.survey import open_surveyed
 from tests.discover.long_logs import BEGUN, Files, LongCase, long_case
 

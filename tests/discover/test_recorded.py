@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis, Finding
 from seqid_cli.errors import InputError
+from seqid_cli.identify.one_step import identify_simultaneous
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.simultaneous import identify_simultaneous
 from seqid_cli.logs.echo import WARNING
 from seqid_cli.logs.open import expand
 from seqid_cli.logs.read import read_recordings

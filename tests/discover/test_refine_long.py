@@ -14,7 +14,7 @@ from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.gather import Gathered, gather
 from seqid_cli.discover.heldout import WholeLogs, held_out_error
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refine import on_the_same_samples, refine
+from seqid_cli.discover.refinement import on_the_same_samples, refine
 from seqid_cli.discover.results import ClosedLoop
 from seqid_cli.identify import predict_long
 from seqid_cli.logs.read import read_recording

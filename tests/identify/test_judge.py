@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from seqid_cli.identify.friction import identify_friction
-from seqid_cli.identify.gravity import identify_gravity
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import identify_gravity
 from seqid_cli.identify.judge import as_a_whole, friction_verdicts, inertia_verdicts, judged
 from seqid_cli.identify.log_verdicts import notes_of_logs, remedies, verdicts_of_logs
 from seqid_cli.identify.options import FrictionOptions

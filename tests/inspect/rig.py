@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.inspect.inspect import inspect_logs
+from seqid_cli.inspect.inspection import inspect_logs
 from seqid_cli.inspect.report import InspectReport
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot

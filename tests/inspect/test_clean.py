@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from seqid_cli.inspect.inspect import inspect_log, inspect_logs
+from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.logs.open import expand
 from seqid_cli.robot.file import load_robot
 from tests.inspect.faults import SAMPLES

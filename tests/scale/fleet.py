@@ -44,7 +44,7 @@ FEW = 12  # robots say little of how much robots differ
 REACH, TOP = 2.0, np.array([2.5, 3.0])  # rad to either side, rad/s: a short program
 EVERY = 4  # control periods per row: 250 Hz
 ORDERS = {"position_order": 5, "velocity_order": 1}
-PRELOAD = ("seqid_cli.api", "seqid_cli.identify.inertia", "tests.plants.simulate")
+PRELOAD = ("seqid_cli.api", "seqid_cli.identify.inertia_stage", "tests.plants.simulate")
 WIDTH = 2
 
 

@@ -82,7 +82,7 @@ def standard(
 ) -> tuple[Stages, ClosedLoop]:
     """Refine with the options that a user has who sets none."""
     from seqid_cli.discover.confirm import confirm
-    from seqid_cli.discover.refine import refine
+    from seqid_cli.discover.refinement import refine
 
     found = refine(training, robot, file, earlier=earlier, options=DiscoverOptions())
     return found.stages, confirm(found, held_out)

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 import seqid_cli
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.results import Diagnosis
 from seqid_cli.logs.recording import Recording

@@ -115,6 +115,11 @@ class Gain:
         return bool(np.isfinite(self.high - self.low))
 
     @property
+    def limits(self) -> list[float]:
+        """The interval as documents have it: empty where it is not known."""
+        return [self.low, self.high] if np.isfinite([self.low, self.high]).all() else []
+
+    @property
     def loses(self) -> bool:
         """Whether something is lost that counts, and not by chance."""
         return self.value <= -LEAST_GAIN and self.high < 0.0

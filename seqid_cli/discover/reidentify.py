@@ -274,8 +274,7 @@ def _friction(material: Material, model: Refitted, old: FrictionStage) -> Fricti
     names = {name for name, anew in zip(robot.joint_names, changed, strict=True) if anew}
     if not logs:
         return old
-    options = FrictionOptions(motion=material.options.motion.motion)
-    new = identify_friction(logs, robot, options=options)
+    new = identify_friction(logs, robot, options=FrictionOptions())
     joints = {n: j for n, j in new.joints.items() if n in names}
     verdicts = [v for v in new.verdicts if v.joint in names]
     return msgspec.structs.replace(

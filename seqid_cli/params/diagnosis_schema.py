@@ -9,6 +9,7 @@ from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 
+DiagnosisVerdict = Literal["effect_found", "nothing_missing", "unexplained"]
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
 MORE_THAN_NOISE = 3.0  # noise floors, above which a joint's residual is reported
 
@@ -135,7 +136,7 @@ class DiagnosisFile(Struct, kw_only=True):
     inputs: list[InputLog]
     parameters: list[FileId]
     stages: list[str]  # names of the stages that took part
-    verdict: Literal["effect_found", "nothing_missing", "unexplained"]
+    verdict: DiagnosisVerdict
     findings: list[FindingEntry]
     unexplained: list[UnexplainedPart]
     joints: dict[str, ResidualEntry]

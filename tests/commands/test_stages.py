@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.inspect.report import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
@@ -37,7 +37,9 @@ def test_friction(rig: Rig, reader: Reader, identified: Replace) -> None:
     count, robot, given = calls
     assert count == 2
     assert isinstance(robot, Robot)
-    assert given == FrictionOptions(MotionOptions(20.0), 4, 5, 0.1)
+    assert given == FrictionOptions(
+        cutoff_hz=20.0, time_source="log", position_order=4, velocity_order=5, beta=0.1
+    )
     assert reader.time_source == "log"
     file = read_parameters(rig.folder / "out.json")
     assert [(log.path, log.samples, log.stage) for log in file.inputs] == [

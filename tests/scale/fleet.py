@@ -18,14 +18,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from seqid_cli.scale.local import ordered
+from seqid_cli.scale.options import cores
 
 from seqid_cli import api
 from seqid_cli.commands.render import plain_table
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.scale.fleet import Fleet, judge_fleet
-from seqid_cli.scale.local import ordered
-from seqid_cli.scale.options import cores
 from tests.logs.writers import write_parquet
 from tests.plants.experiments import Trial, friction_trials, inertia_trials
 from tests.plants.friction import SurfaceFriction

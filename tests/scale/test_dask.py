@@ -12,10 +12,11 @@ import pytest
 
 pytest.importorskip("distributed", reason="Dask is not installed (seqid[dask])")
 
-from seqid_cli.commands.app import run
-from seqid_cli.errors import UsageError
 from seqid_cli.scale.dask_engine import connected
 from seqid_cli.scale.options import Workers
+
+from seqid_cli.commands.app import run
+from seqid_cli.errors import UsageError
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed"),

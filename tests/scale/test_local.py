@@ -8,10 +8,10 @@ import signal
 import threading
 
 import pytest
-
-from seqid_cli.errors import InputError
 from seqid_cli.scale.local import ordered
 from seqid_cli.scale.reply import WorkerError
+
+from seqid_cli.errors import InputError
 from tests.scale import jobs
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.base import FrozenStruct, Struct
+from seqid_cli.params.base import FrozenStruct
+from seqid_cli.params.html import Document
 from seqid_cli.params.schema import Tool
 
 COMPARISON_SCHEMA = "seqid/comparison@1"
@@ -36,7 +37,7 @@ class Difference(FrozenStruct, kw_only=True, frozen=True):
     remark: str = ""
 
 
-class ComparisonFile(Struct, kw_only=True):
+class ComparisonFile(Document, kw_only=True):
     """The whole document; `changed` of the `compared` numbers did, `notes` do not count."""
 
     schema: str

@@ -6,6 +6,7 @@ from typing import Literal
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.html import Document
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 
@@ -122,7 +123,7 @@ class HiddenEntry(Struct, kw_only=True):
     visible: float
 
 
-class DiagnosisFile(Struct, kw_only=True):
+class DiagnosisFile(Document, kw_only=True):
     """The whole document; `findings` are ordered, the most certain first.
 
     `verdicts` are poor where the logs are damaged or the model is of no arm that can be: what is

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from seqid_cli.params.base import Struct
+from seqid_cli.params.html import Document
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import RobotId, Tool
 
@@ -43,7 +44,7 @@ class ExportedLink(Struct, kw_only=True):
     friction: ExportedFriction | None
 
 
-class ExportFile(Struct, kw_only=True):
+class ExportFile(Document, kw_only=True):
     """The whole document; `largest_deviation` is in standard errors."""
 
     schema: str

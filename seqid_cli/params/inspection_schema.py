@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from seqid_cli.params.base import FrozenStruct, Struct
+from seqid_cli.params.html import Document
 from seqid_cli.params.schema import Tool
 
 INSPECTION_SCHEMA = "seqid/inspection@1"
@@ -88,7 +89,7 @@ class InspectedLog(Struct, kw_only=True):
     partial: str
 
 
-class InspectionFile(Struct, kw_only=True):
+class InspectionFile(Document, kw_only=True):
     """The whole document."""
 
     schema: str

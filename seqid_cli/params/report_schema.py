@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from seqid_cli.params.base import Struct
+from seqid_cli.params.html import Document
 
 TITLES = {  # of verdicts
     "good": "Good",
@@ -27,7 +28,7 @@ class ReportSection(Struct, kw_only=True):
     complete: bool
 
 
-class ReportFile(Struct, kw_only=True):
+class ReportFile(Document, kw_only=True):
     """The verdict in a word, in a sentence, and point by point; what the page was made of."""
 
     output: str

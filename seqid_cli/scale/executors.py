@@ -8,16 +8,17 @@ the command line.
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import logging
 import multiprocessing
 import os
 import signal
 import traceback
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -28,7 +29,9 @@ R = TypeVar("R")
 
 AHEAD = 3  # items per worker that are submitted before the first of them is waited for
 PATIENCE_S = 10  # until a Dask scheduler must answer
+END_S = 2.0  # that a process gets to end when told to
 PRELOAD = ("seqid_cli.inspect.screening", "seqid_cli.identify.inertia_stage")
+_ENDED_AT_ONCE: weakref.WeakSet[Executor] = weakref.WeakSet()
 _QUOTA = Path("/sys/fs/cgroup/cpu.max")
 _LOST = ("KilledWorker", "CancelledError", "FutureCancelledError")  # of Dask
 
@@ -95,7 +98,8 @@ def ordered(
             item, future = pending.popleft()
             yield _reply(function, item, future)
     finally:
-        for _, future in pending:
+        # A pool that is about to be ended must not find futures that were cancelled.
+        for _, future in pending if executor not in _ENDED_AT_ONCE else ():
             future.cancel()
 
 
@@ -130,15 +134,14 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
 
     before = set(multiprocessing.active_children())
     executor = ProcessPoolExecutor(jobs or cores(), mp_context=_context(), initializer=_begin)
+    _ENDED_AT_ONCE.add(executor)
     try:
         yield executor
     except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
-        for child in set(multiprocessing.active_children()) - before:
-            child.terminate()
+        _end(set(multiprocessing.active_children()) - before)
         raise
     finally:
-        executor.shutdown()
+        executor.shutdown(cancel_futures=True)
 
 
 @contextlib.contextmanager
@@ -157,7 +160,7 @@ def dask_cluster(scheduler: str | None = None, jobs: int | None = None) -> Itera
     UsageError
         No scheduler answers, or Dask is not installed.
     """
-    if find_spec("dask") is None or find_spec("distributed") is None:
+    if not all(map(importlib.util.find_spec, ("dask", "distributed"))):
         hint = "Install it: python -m pip install 'seqid[dask]'"
         raise UsageError("--engine dask needs Dask, which is not installed", hint=hint)
     from distributed import Client, LocalCluster
@@ -198,6 +201,16 @@ def _context() -> Any:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(PRELOAD))
     return context
+
+
+def _end(children: Iterable[multiprocessing.process.BaseProcess]) -> None:
+    """End processes, whatever they are doing."""
+    for child in children:
+        child.terminate()
+    for child in children:
+        child.join(END_S)
+        if child.is_alive():
+            child.kill()
 
 
 def _begin() -> None:

@@ -28,6 +28,7 @@ from tests.plants.cases import RIGS
 from tests.plants.robotfile import robot_toml
 
 Array = NDArray[np.float64]
+pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 
 PUSHED = 30.0
 MOST = 68_000

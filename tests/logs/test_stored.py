@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from seqid_cli import api
+from seqid_cli import identify
 from seqid_cli.commands.app import run
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.logs.open import expand
@@ -79,8 +79,12 @@ def test_the_result_is_that_of_local_logs_under_other_names(
         for key in ("notes", "verdicts"):  # they name the logs
             stage[key] = re.sub(r"[^\s\"']+\.parquet", "", json.dumps(stage[key]))
     assert found[0] == found[1]
-    file = api.inertia(
-        store, RIG / "robot.toml", RIG / "golden.json", motion="encoder", output=tmp_path / "o"
+    file = identify.inertia(
+        store,
+        RIG / "robot.toml",
+        RIG / "golden.json",
+        identify.RigidOptions(source="encoder"),
+        output=tmp_path / "o",
     )
     assert file.inputs[-1].path == named[1]
 

@@ -17,13 +17,14 @@ import pyarrow.parquet as pq
 import pytest
 
 import seqid_cli
-from seqid_cli import compare, discover, identify, inspect
+from seqid_cli import compare, discover, identify, inspect, report
 from seqid_cli.commands.app import COMMANDS, run
 from seqid_cli.errors import ConfigError, InputError, SeqidWarning, UsageError
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
+from tests.params.documents import diagnosis_file
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs" / "one_joint"
 ROBOT = SAMPLES / "robot.toml"
@@ -180,3 +181,17 @@ def test_documents_show_themselves() -> None:
     shown = file._repr_html_()
     assert "<table" in shown
     assert "joint_1" in shown
+
+
+def test_plots_are_the_reports_drawings() -> None:
+    file = msgspec.json.decode(GOLDEN.read_bytes(), type=ParameterFile)
+    drawn = report.plot_friction(file, "joint_1")
+    assert len(drawn.svg) == 3
+    assert all(svg.startswith("<svg") for svg in drawn.svg)
+    assert "srcdoc=" in drawn._repr_html_()
+    assert "<svg" not in drawn._repr_html_()  # escaped: the report's style stays in its frame
+    with pytest.raises(UsageError, match="no friction of 'elbow'"):
+        report.plot_friction(file, "elbow")
+    found = diagnosis_file()
+    parts = [*found.findings, *found.unexplained]
+    assert len(report.plot_evidence(found).svg) == sum(part.evidence is not None for part in parts)

@@ -16,6 +16,7 @@ def found(code: str, message: str, *, joint: str = "", channel: str = "") -> Ins
     return InspectionFinding(
         code=code,
         severity=entry.severity,
+        log="",
         joint=joint,
         channel=channel,
         message=message,

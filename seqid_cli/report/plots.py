@@ -63,8 +63,8 @@ def plot_evidence(file: DiagnosisFile) -> Drawing:
     from seqid_cli.report.evidence_views import evidence_figure
 
     collection = _collection(file)
-    shown = [part.evidence for part in (*file.findings, *file.unexplained) if part.evidence]
-    figures = (evidence_figure(evidence, collection) for evidence in shown)
+    shown = [item.evidence for item in file.findings] + [p.evidence for p in file.unexplained]
+    figures = (evidence_figure(evidence, collection) for evidence in shown if evidence)
     return Drawing(tuple(figure for figure in figures if figure is not None))
 
 

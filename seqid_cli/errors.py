@@ -8,6 +8,10 @@ from __future__ import annotations
 EXIT_INTERRUPTED = 130
 
 
+class SeqidWarning(UserWarning):
+    """Something about the inputs that may be wrong; commands print it."""
+
+
 class SeqidError(Exception):
     """A problem that the user can act on.
 

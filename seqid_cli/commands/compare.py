@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
 from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.params.document import now, tool
-from seqid_cli.params.read_any import read_any
-
-if TYPE_CHECKING:
-    from seqid_cli.params.comparison import Comparison, Difference
+from seqid_cli.params.comparison_schema import ComparisonFile, Difference
 
 EXAMPLES = (
     "seqid compare sample_logs/two_joint/golden.json inertia.json",
     "seqid compare sample_logs/two_joint/golden.json inertia.json --sigma 3 --rtol 0.02 --json",
     "seqid compare sample_logs/two_joint/golden.json inertia.json --format github",
 )
-COMPARISON_SCHEMA = "seqid/comparison@1"
 _SHOWN = 8  # unchanged numbers that the screen shows without -v
 
 
@@ -75,15 +70,12 @@ def run(
     screen = screen_of(context)
     if form == "json":
         screen = replace(screen, json=True)
-    a, b = read_any([first, second])
+    from seqid_cli.compare import compare
 
-    from seqid_cli.params.compare import compare
-    from seqid_cli.params.comparison import Rule
-
-    found = compare(a, b, rule=Rule.of(sigma, rtol))
-    screen.document(_document(found, first, second))
+    found = compare(first, second, rtol=rtol, sigma=sigma)
+    screen.document(found)
     if form == "github":
-        _annotate(screen, found, second)
+        _annotate(screen, found)
     else:
         _show(screen, found)
     for note in found.notes:
@@ -91,33 +83,20 @@ def run(
     return EXIT_UNTRUSTED if found.changed else EXIT_DONE
 
 
-def _document(found: Comparison, first: Path, second: Path) -> dict[str, object]:
-    return {
-        "schema": COMPARISON_SCHEMA,
-        "created": now(),
-        "tool": tool(),
-        "kind": found.kind,
-        "a": str(first),
-        "b": str(second),
-        "rule": asdict(found.rule),
-        "different": bool(found.changed),
-        "compared": len(found.differences),
-        "changed": len(found.changed),
-        "differences": [asdict(item) for item in found.differences],
-        "notes": list(found.notes),
-    }
-
-
-def _show(screen: Screen, found: Comparison) -> None:
+def _show(screen: Screen, found: ComparisonFile) -> None:
     rest = [item for item in found.differences if not item.different]
     rest.sort(key=lambda item: -(item.relative or 0.0))
-    shown = [*found.changed, *(rest if screen.verbose else rest[:_SHOWN])]
+    shown = [*_changed(found), *(rest if screen.verbose else rest[:_SHOWN])]
     columns = ("stage", "number", "joint", "first", "second", "std errors", "relative", "verdict")
     screen.table(columns, [_row(item) for item in shown])
-    hidden = len(rest) - (len(shown) - len(found.changed))
+    hidden = len(rest) - (len(shown) - found.changed)
     if hidden:
         screen.note(f"{hidden} more are unchanged (-v shows them)")
     screen.result(_summary(found))
+
+
+def _changed(found: ComparisonFile) -> list[Difference]:
+    return [item for item in found.differences if item.different]
 
 
 def _row(item: Difference) -> tuple[str, ...]:
@@ -136,21 +115,21 @@ def _row(item: Difference) -> tuple[str, ...]:
     )
 
 
-def _summary(found: Comparison) -> str:
+def _summary(found: ComparisonFile) -> str:
     rule = found.rule
     limits = [] if rule.sigma is None else [f"{rule.sigma:g} standard errors"]
     limits.append(f"{100.0 * rule.rtol:g} % of its size")
-    count = f"{len(found.changed)} of {len(found.differences)} numbers changed"
+    count = f"{found.changed} of {found.compared} numbers changed"
     return f"{count} (by more than {' and '.join(limits)})"
 
 
-def _annotate(screen: Screen, found: Comparison, second: Path) -> None:
+def _annotate(screen: Screen, found: ComparisonFile) -> None:
     """Print workflow commands, which GitHub shows beside the file."""
-    for item in found.changed:
+    for item in _changed(found):
         where = f" of {item.joint}" if item.joint else ""
         title = _property(f"seqid: {item.stage} {item.name}{where} changed")
         text = _message(_sentence(item))
-        screen.result(f"::error file={_property(str(second))},title={title}::{text}")
+        screen.result(f"::error file={_property(found.b)},title={title}::{text}")
     screen.result(f"::notice title=seqid compare::{_message(_summary(found))}")
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import prepare
+from seqid_cli.commands.job import listening, workers
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
@@ -21,12 +20,7 @@ from seqid_cli.commands.options import (
     Strict,
 )
 from seqid_cli.commands.render import screen_of
-from seqid_cli.commands.stages import run_stage
-from seqid_cli.params.schema import Stages
-from seqid_cli.scale.options import Workers
-
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
+from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
     "seqid friction sample_logs/six_joint/friction -r sample_logs/six_joint/robot.toml"
@@ -76,28 +70,26 @@ def run(
     The logs hold moves of one joint at a time at constant velocity, forward and backward, at
     several speeds.
     """
-    job = prepare(
-        screen_of(context),
-        logs,
-        robot,
-        (),
+    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+        from seqid_cli import identify
+
+        options = identify.FrictionOptions(
+            cutoff_hz=cutoff,
+            time_source=time,
+            skip_failed=skip_failed,
+            position_order=position_order,
+            velocity_order=velocity_order,
+            beta=beta,
+        )
+        file = identify.friction(
+            logs, robot, options, output=output, executor=executor, on_progress=told
+        )
+    return show_stage(
+        told,
+        file,
+        ["friction"],
         output=output,
-        time_source=time,
-        workers=Workers(jobs, engine, scheduler, skip_failed),
+        robot=robot,
+        strict=strict,
+        following=_FOLLOWING,
     )
-
-    from seqid_cli.identify.friction import identify_friction
-    from seqid_cli.identify.options import FrictionOptions
-    from seqid_cli.motion.options import MotionOptions
-
-    options = FrictionOptions(
-        motion=MotionOptions(cutoff_hz=cutoff),
-        position_order=position_order,
-        velocity_order=velocity_order,
-        beta=beta,
-    )
-
-    def identify(recordings: Iterable[Recording]) -> Stages:
-        return Stages(friction=identify_friction(recordings, job.robot, options=options))
-
-    return run_stage(job, identify, strict=strict, following=_FOLLOWING)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
 import typer
 
-from seqid_cli.commands.job import prepare
+from seqid_cli.commands.job import listening, workers
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
@@ -22,12 +19,7 @@ from seqid_cli.commands.options import (
     Strict,
 )
 from seqid_cli.commands.render import screen_of
-from seqid_cli.commands.stages import run_stage
-from seqid_cli.params.schema import Stages
-from seqid_cli.scale.options import Workers
-
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
+from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
     "seqid gravity sample_logs/six_joint/gravity sample_logs/six_joint/friction"
@@ -60,23 +52,19 @@ def run(
     The logs hold moves of one joint at a time at constant velocity, with the other joints locked in
     several configurations.
     """
-    job = prepare(
-        screen_of(context),
-        logs,
-        robot,
-        parameters,
+    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+        from seqid_cli import identify
+
+        options = identify.LogOptions(cutoff_hz=cutoff, time_source=time, skip_failed=skip_failed)
+        file = identify.gravity(
+            logs, robot, parameters, options, output=output, executor=executor, on_progress=told
+        )
+    return show_stage(
+        told,
+        file,
+        ["gravity"],
         output=output,
-        time_source=time,
-        workers=Workers(jobs, engine, scheduler, skip_failed),
-        needs=("friction",),
+        robot=robot,
+        strict=strict,
+        following=_FOLLOWING,
     )
-
-    from seqid_cli.identify.gravity import identify_gravity
-    from seqid_cli.motion.options import MotionOptions
-
-    options = MotionOptions(cutoff_hz=cutoff)
-
-    def identify(recordings: Iterable[Recording]) -> Stages:
-        return Stages(gravity=identify_gravity(recordings, job.robot, job.stages, options=options))
-
-    return run_stage(job, identify, strict=strict, following=_FOLLOWING)

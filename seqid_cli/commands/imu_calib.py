@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
 import typer
 
-from seqid_cli.commands.job import prepare
+from seqid_cli.commands.job import listening, workers
 from seqid_cli.commands.options import (
     Clock,
     Cutoff,
@@ -22,13 +19,7 @@ from seqid_cli.commands.options import (
     Strict,
 )
 from seqid_cli.commands.render import screen_of
-from seqid_cli.commands.stages import run_stage
-from seqid_cli.errors import ConfigError
-from seqid_cli.params.schema import Stages
-from seqid_cli.scale.options import Workers
-
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
+from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
     "seqid imu-calib sample_logs/six_joint/imu -r sample_logs/six_joint/robot.toml"
@@ -57,30 +48,25 @@ def run(
     The logs hold rotations of the first joint with the other joints locked in several
     configurations. Mounting, place, biases, scales, axes and clock offset are found together.
     """
-    job = prepare(
-        screen_of(context),
-        logs,
-        robot,
-        parameters or (),
+    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+        from seqid_cli import identify
+
+        options = identify.LogOptions(cutoff_hz=cutoff, time_source=time, skip_failed=skip_failed)
+        file = identify.imu_calib(
+            logs,
+            robot,
+            parameters or (),
+            options,
+            output=output,
+            executor=executor,
+            on_progress=told,
+        )
+    return show_stage(
+        told,
+        file,
+        ["imu"],
         output=output,
-        time_source=time,
-        workers=Workers(jobs, engine, scheduler, skip_failed),
+        robot=robot,
+        strict=strict,
+        following=_FOLLOWING,
     )
-    if not job.robot.imus:
-        hint = "Add an [[imu]] table with its accelerometers."
-        raise ConfigError("the robot file names no IMU", where=str(robot), hint=hint)
-
-    from seqid_cli.identify.imu import calibrate_imus
-    from seqid_cli.motion.imu.array import layout_report
-    from seqid_cli.motion.options import MotionOptions
-
-    for imu in job.robot.imus:
-        for text in layout_report(imu).statements:
-            job.screen.note(f"{imu.name}: {text}")
-    options = MotionOptions(cutoff_hz=cutoff)
-    earlier = job.previous.stages if job.previous else None
-
-    def identify(recordings: Iterable[Recording]) -> Stages:
-        return Stages(imu=calibrate_imus(recordings, job.robot, earlier, options=options))
-
-    return run_stage(job, identify, strict=strict, following=_FOLLOWING, imus=True)

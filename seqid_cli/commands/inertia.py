@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
 import typer
 
-from seqid_cli.commands.job import prepare
+from seqid_cli.commands.job import listening, workers
 from seqid_cli.commands.options import (
     Clock,
     Consistent,
@@ -22,16 +19,9 @@ from seqid_cli.commands.options import (
     Scheduler,
     SkipFailed,
     Strict,
-    imu_stage_for,
 )
 from seqid_cli.commands.render import screen_of
-from seqid_cli.commands.show_motion import announced
-from seqid_cli.commands.stages import run_stage
-from seqid_cli.params.schema import Stages
-from seqid_cli.scale.options import Workers
-
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
+from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
     "seqid inertia sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
@@ -62,37 +52,25 @@ def run(
 
     The logs hold moves of two joints (or more) at a time.
     """
-    job = prepare(
-        screen_of(context),
-        logs,
-        robot,
-        parameters,
+    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+        from seqid_cli import identify
+
+        options = identify.RigidOptions(
+            cutoff_hz=cutoff,
+            time_source=time,
+            skip_failed=skip_failed,
+            source=motion,
+            consistent=consistent,
+        )
+        file = identify.inertia(
+            logs, robot, parameters, options, output=output, executor=executor, on_progress=told
+        )
+    return show_stage(
+        told,
+        file,
+        ["inertia"],
         output=output,
-        time_source=time,
-        workers=Workers(jobs, engine, scheduler, skip_failed),
-        needs=("friction", "gravity", *imu_stage_for(motion)),
+        robot=robot,
+        strict=strict,
+        following=_FOLLOWING,
     )
-
-    from seqid_cli.identify.consistency import made_consistent
-    from seqid_cli.identify.inertia import identify_inertia
-    from seqid_cli.identify.one_cutoff import identification_options
-    from seqid_cli.identify.options import InertiaOptions
-
-    filtering = identification_options(
-        job.files,
-        job.robot,
-        cutoff_hz=cutoff,
-        imu=job.stages.imu,
-        source=motion,
-        time_source=job.time_source,
-    )
-    options = InertiaOptions(motion=filtering, source=motion)
-
-    def identify(recordings: Iterable[Recording]) -> Stages:
-        logs = announced(recordings, job.screen, job.stages.imu, motion)
-        stage = identify_inertia(logs, job.robot, job.stages, options=options, compare=True)
-        if consistent:
-            stage = made_consistent(stage, job.stages, job.robot)
-        return Stages(inertia=stage)
-
-    return run_stage(job, identify, strict=strict, following=_FOLLOWING)

@@ -2,36 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
+from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, listening
 from seqid_cli.commands.options import Clock, Logs, Output
-from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import Screen, screen_of
 from seqid_cli.commands.show_inspection import show_inspection
 from seqid_cli.commands.visible import visible
-from seqid_cli.logs.storage.files import expand
-from seqid_cli.params.document import now, tool
-from seqid_cli.params.files import check_output
-from seqid_cli.params.inspection_schema import (
-    INSPECTION_SCHEMA,
-    InspectedImu,
-    InspectedJoint,
-    InspectedLog,
-    InspectedMoves,
-    InspectionFile,
-    InspectionFinding,
-)
-from seqid_cli.params.io import write_json_atomic
-from seqid_cli.robot.file import load_robot
-
-if TYPE_CHECKING:
-    from seqid_cli.inspect.report import Finding, InspectReport, LogReport
+from seqid_cli.params.inspection_schema import InspectionFile
 
 EXAMPLES = (
     "seqid inspect sample_logs/six_joint/friction -r sample_logs/six_joint/robot.toml",
@@ -61,30 +43,19 @@ def run(
     With a robot file, torque and IMUs are compared with its geometry as well. The exit code is 2
     when a log cannot be read, 3 when one was read in part.
     """
-    screen = screen_of(context)
-    files = expand(logs)
-    if output is not None:
-        check_output(output, [*files, *([robot] if robot else [])])
-    loaded = load_robot(robot) if robot is not None else None
+    with listening(screen_of(context)) as told:
+        from seqid_cli.inspect import inspect
 
-    from seqid_cli.inspect.inspect import inspect_logs
-
-    progress = ProgressLine(len(files), sys.stderr, enabled=not screen.quiet)
-    try:
-        report = inspect_logs(files, loaded, time_source=time, progress=progress.show)
-    finally:
-        progress.clear()
-    document = _document(report, loaded.name if loaded else "")
-    if output is not None:
-        write_json_atomic(output, document, inputs=files)
-    screen.document(document)
-    show_inspection(screen, document)
+        report = inspect(logs, robot, time_source=time, output=output, on_progress=told)
+    screen = told.screen
+    screen.document(report)
+    show_inspection(screen, report)
     if output is not None:
         screen.note(f"written: {output}")
     return _exit_code(screen, report, strict=strict)
 
 
-def _exit_code(screen: Screen, report: InspectReport, *, strict: bool) -> int:
+def _exit_code(screen: Screen, report: InspectionFile, *, strict: bool) -> int:
     unreadable = [f for f in report.findings if f.code == "unreadable"]
     if unreadable:
         first = unreadable[0]
@@ -94,53 +65,3 @@ def _exit_code(screen: Screen, report: InspectReport, *, strict: bool) -> int:
     if strict and any(finding.severity == "error" for finding in report.findings):
         return EXIT_UNTRUSTED
     return EXIT_PARTIAL if any(log.partial for log in report.logs) else EXIT_DONE
-
-
-def _document(report: InspectReport, robot: str) -> InspectionFile:
-    return InspectionFile(
-        schema=INSPECTION_SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot,
-        verdict=report.verdict,
-        logs=[_log(log) for log in report.logs],
-        findings=[_finding(finding) for finding in report.findings],
-        advice=list(report.advice),
-    )
-
-
-def _finding(finding: Finding) -> InspectionFinding:
-    return InspectionFinding(**dataclasses.asdict(finding))
-
-
-def _log(log: LogReport) -> InspectedLog:
-    return InspectedLog(
-        path=log.path,
-        sha256=log.sha256,
-        format=log.format,
-        verdict=log.verdict,
-        samples=log.samples,
-        seconds=log.seconds,
-        rate_hz=log.rate_hz,
-        jitter=log.jitter,
-        gaps=[list(gap) for gap in log.gaps],
-        non_monotonic=log.non_monotonic,
-        duplicates=log.duplicates,
-        log_minus_header_s=log.log_minus_header_s,
-        channels=list(log.channels),
-        missing=dict(log.missing),
-        joints=[
-            InspectedJoint(
-                **{
-                    **dataclasses.asdict(joint),
-                    "temperature": list(joint.temperature) if joint.temperature else None,
-                }
-            )
-            for joint in log.joints
-        ],
-        imus=[InspectedImu(**dataclasses.asdict(imu)) for imu in log.imus],
-        moves=[InspectedMoves(**dataclasses.asdict(moves)) for moves in log.moves],
-        moving_together=list(log.moving_together),
-        serves=list(log.serves),
-        partial=log.partial,
-    )

@@ -1,281 +1,162 @@
-"""The way that every command on logs goes: cheap checks first, then reading with an account."""
+"""What commands have in common: they listen to one function, and turn its result into a code."""
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from seqid_cli.commands.options import TimeSource
 from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import Screen
-from seqid_cli.errors import ConfigError, InputError
-from seqid_cli.logs.storage.files import check_log, expand
-from seqid_cli.logs.storage.remote import StoredLog
-from seqid_cli.params.document import join, present
-from seqid_cli.params.files import check_output
-from seqid_cli.params.io import check_robot, read_parameters
-from seqid_cli.params.schema import InputLog, ParameterFile, Stages, Verdict
-from seqid_cli.robot.file import load_robot
-from seqid_cli.scale.options import Workers
+from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
+from seqid_cli.params.schema import Verdict
 
 if TYPE_CHECKING:
-    from seqid_cli.identify.parts import PartOf
-    from seqid_cli.inspect.report import Finding
-    from seqid_cli.logs.recording import Recording
-    from seqid_cli.robot.types import Robot
-    from seqid_cli.scale.work import LogNote, Task
+    from concurrent.futures import Executor
 
-P = TypeVar("P")
+    from seqid_cli.inspect.progress import LogNote, Progress
+    from seqid_cli.params.inspection_schema import InspectionFinding
 
-ONE_PROCESS = Workers()
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
-_WRITTEN_BY = {
-    "friction": "friction",
-    "gravity": "gravity",
-    "imu": "imu-calib",
-    "inertia": "inertia",
-}
+# Below this many bytes of logs one process is done before others have imported what they need.
+WORTH_BYTES = 32_000_000
 
 
-@dataclass(frozen=True)
-class Job:
-    """Everything that a command works on, checked; nothing heavy has been imported yet.
+@dataclass
+class Told:
+    """Shows on a screen what a function tells and warns of, and keeps what decides its exit code.
 
-    `files` are the logs, `previous` the joined parameter files (None where none was given),
-    `missing` says which arguments stand for no log, where that is no reason to stop.
+    `findings` are those of all logs, `partial` and `left_out` name logs that were read in part or
+    not at all.
     """
 
     screen: Screen
-    files: tuple[Path, ...]
-    robot: Robot
-    previous: ParameterFile | None
-    parameters: tuple[Path, ...]
-    output: Path | None
-    time_source: TimeSource
-    workers: Workers = ONE_PROCESS
-    missing: tuple[str, ...] = ()
+    line: ProgressLine
+    findings: list[InspectionFinding] = field(default_factory=list)
+    partial: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
 
-    @property
-    def stages(self) -> Stages:
-        """What had been identified before."""
-        return self.previous.stages if self.previous else Stages()
+    def __call__(self, progress: Progress) -> None:
+        """Take what is told."""
+        self.line.clear()
+        if progress.state == "note":
+            self.screen.note(progress.text)
+        elif progress.state == "detail":
+            self.screen.detail(progress.text)
+        elif progress.state == "failed":
+            self.left_out.append(progress.log)
+        elif progress.note is not None:
+            self._done(progress.note)
+        self.line.show(progress.done, progress.total, Path(progress.log).name)
+
+    def _done(self, log: LogNote) -> None:
+        path = str(log.path)
+        self.screen.detail(f"{path}: {log.samples} samples at {log.rate_hz:.6g} Hz")
+        self.screen.knows(f"{path}: {text}" for text in log.mended)
+        self.findings += log.findings
+        if log.partial:
+            self.partial.append(path)
+
+    def warn(self, message: Warning | str, category: type[Warning], *more: Any) -> None:
+        """Print a warning in the place of Python's own way."""
+        self.line.clear()
+        if issubclass(category, SeqidWarning):
+            self.screen.warn(str(message))
+        else:
+            sys.stderr.write(warnings.formatwarning(message, category, *more[:2]))
+
+    def exit_code(self, *, untrusted: bool) -> int:
+        """Return the exit code of a command that has written its result."""
+        return exit_code(untrusted=untrusted, partial=[*self.partial, *self.left_out])
 
 
-def prepare(
-    screen: Screen,
-    logs: Sequence[str],
-    robot: Path,
-    parameters: Sequence[Path],
-    *,
-    output: Path | None,
-    more_outputs: Sequence[Path] = (),
-    time_source: TimeSource = "header",
-    needs: Sequence[str] = (),
-    workers: Workers = ONE_PROCESS,
-) -> Job:
-    """Check all that can be checked before numpy is imported.
+@contextlib.contextmanager
+def listening(screen: Screen) -> Iterator[Told]:
+    """Show progress and warnings of what is called in the block."""
+    told = Told(screen, ProgressLine(sys.stderr, enabled=not screen.quiet))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SeqidWarning)
+        warnings.showwarning = told.warn  # type: ignore[assignment]
+        try:
+            yield told
+        finally:
+            told.line.clear()
 
-    `needs` names the stages that `parameters` must hold.
+
+@contextlib.contextmanager
+def workers(
+    logs: Sequence[str], jobs: int | None, engine: str = "local", scheduler: str | None = None
+) -> Iterator[Executor | None]:
+    """Whoever is to read the logs: processes, a Dask cluster, or None for this process.
 
     Raises
     ------
-    SeqidError
-        A path, the robot file or a parameter file is wrong.
+    UsageError
+        A scheduler is given without Dask, Dask is not installed or no scheduler answers.
     """
-    workers.check()
-    files, missing = _logs(screen, logs, go_on=workers.skip_failed)
-    for path in [output, *more_outputs]:
-        if path is not None:
-            check_output(path, [*files, robot, *parameters])
-    parts = [(str(path), read_parameters(path)) for path in parameters]
-    previous = join(parts) if parts else None
-    _require(needs, previous, parameters)
-    loaded = load_robot(robot)
-    for name, part in parts:
-        for warning in check_robot(part, loaded, where=name):
-            screen.warn(warning)
-    given = (screen, tuple(files), loaded, previous, tuple(parameters), output, time_source)
-    return Job(*given, workers=workers, missing=tuple(missing))
+    if scheduler is not None and engine != "dask":
+        hint = "Add --engine dask, or leave out --scheduler."
+        raise UsageError("a scheduler is of use to Dask only", hint=hint)
+    count = 1 if engine == "dask" else processes_for(logs, jobs)
+    if engine != "dask" and count == 1:
+        yield None
+        return
+    from seqid_cli.scale.executors import dask_cluster, processes
+
+    with dask_cluster(scheduler, jobs) if engine == "dask" else processes(count) as executor:
+        yield executor
 
 
-def _logs(screen: Screen, arguments: Sequence[str], *, go_on: bool) -> tuple[list[Path], list[str]]:
-    """Return the logs that are meant, and what stands for none where that is no reason to stop."""
-    if not go_on:
-        files = expand(arguments, screen.warn, stored=True)
-        for file in files:
-            if not isinstance(file, StoredLog):  # listed by its store, looked into when read
-                check_log(file)
-        return files, []
-    found, missing = [], []
-    for argument in arguments:
-        try:
-            expand([argument], stored=True)
-            found.append(argument)
-        except InputError as error:
-            missing.append(error)
-            screen.warn(f"left out: {error}")
-    if not found:
-        raise missing[0]
-    return expand(found, screen.warn, stored=True), [str(error) for error in missing]
+def processes_for(logs: Sequence[str], jobs: int | None) -> int:
+    """How many processes to start for these logs; 1 means none beside this one."""
+    from seqid_cli.logs.storage.files import expand
+    from seqid_cli.logs.storage.remote import is_url
+    from seqid_cli.scale.executors import cores
+
+    if jobs == 1:
+        return 1
+    if any(map(is_url, logs)):  # listed by its store, later; worth the start
+        return jobs or cores()
+    try:
+        sizes = [path.stat().st_size for path in expand(logs)]
+    except (SeqidError, OSError):  # told by whoever reads them
+        return jobs or 1
+    if jobs is None and sum(sizes) < WORTH_BYTES:
+        return 1
+    return max(1, min(jobs or cores(), len(sizes)))
 
 
-def _require(
-    needs: Sequence[str], previous: ParameterFile | None, parameters: Sequence[Path]
-) -> None:
-    there = present(previous.stages) if previous else {}
-    for name in needs:
-        if name not in there:
-            message = f"there is no {name} stage, which this command builds on"
-            hint = f"Run seqid {_WRITTEN_BY[name]} first and give its result with -p."
-            raise ConfigError(message, where=", ".join(map(str, parameters)), hint=hint)
-
-
-class Account:
-    """Passes recordings on, or what is made of them elsewhere, and keeps account of them.
-
-    Iterate over it once, or have it `reduced` or `mapped` once (see `identify.parts`); `inputs`,
-    `partial` and `left_out` are complete afterwards. Health warnings go to the screen as they come.
-    """
-
-    def __init__(self, job: Job, *, imus: bool | None = None) -> None:
-        """Take a job; `imus` says whether IMUs are read, else the IMU stage does."""
-        self._job = job
-        self._imus = job.stages.imu is not None if imus is None else imus
-        self.findings: list[Finding] = []
-        self._progress = ProgressLine(len(job.files), sys.stderr, enabled=not job.screen.quiet)
-        self._logs: list[tuple[str, str, int]] = []
-        self.partial: list[str] = []
-        self.left_out = list(job.missing)
-        self.before: Callable[[Recording], None] | None = None
-
-    def __iter__(self) -> Iterator[Recording]:
-        """Read the logs one after the other."""
-        from seqid_cli.inspect.screening import read_screened
-        from seqid_cli.scale.work import note_of
-
-        job = self._job
-        try:
-            self._progress.show(0, job.files[0].name)
-            for path in job.files:
-                clock = job.time_source
-                found = read_screened(path, job.robot, time_source=clock, imus=self._imus)
-                recording = found.recording
-                self.done(replace(note_of(recording), findings=found.findings))
-                self.begun(recording)
-                yield recording
-                self._progress.show(len(self._logs), recording.path.name)
-        finally:
-            self._progress.clear()
-
-    def reduced(self, part: PartOf[Any, P], merge: Callable[[P, P], P]) -> P | None:
-        """Merge the parts of all logs, made by the job's workers."""
-        from seqid_cli.scale.run import reduced_logs
-
-        job = self._job
-        try:
-            self._progress.show(0, job.files[0].name)
-            task = self._task(part)
-            return reduced_logs(task, job.files, merge, workers=job.workers, listener=self)
-        finally:
-            self._progress.clear()
-
-    def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
-        """Yield the parts of all logs in their order, made by the job's workers."""
-        from seqid_cli.scale.run import mapped_logs
-
-        job = self._job
-        try:
-            self._progress.show(0, job.files[0].name)
-            task = self._task(part)
-            yield from mapped_logs(task, job.files, workers=job.workers, listener=self)
-        finally:
-            self._progress.clear()
-
-    def _task(self, part: PartOf[Any, P]) -> Task[P]:
-        from seqid_cli.scale.work import Task
-
-        return Task(self._job.robot, self._job.time_source, part, Path.cwd(), self._imus)
-
-    def inputs(self, stage: str = "") -> list[InputLog]:
-        """Return the logs read so far, as documents list them."""
-        return [
-            InputLog(path=path, sha256=sha256, samples=samples, stage=stage)
-            for path, sha256, samples in self._logs
-        ]
-
-    def begun(self, recording: Recording) -> None:
-        """Hear of a recording that this process is about to work on."""
-        if self.before is not None:
-            self._progress.clear()
-            self.before(recording)
-
-    def done(self, note: LogNote) -> None:
-        """Take account of a log that was read."""
-        self._progress.clear()
-        path, screen = str(note.path), self._job.screen
-        self._logs.append((path, note.sha256, note.samples))
-        screen.detail(f"{path}: {note.samples} samples at {note.rate_hz:.6g} Hz")
-        self._found(note)
-        known = {finding.message for finding in note.findings}
-        for warning in note.warnings:
-            if warning not in known:
-                screen.warn(f"{path}: {warning}")
-        screen.knows(f"{path}: {text}" for text in note.mended)
-        if note.partial:
-            self.partial.append(f"{path}: {note.partial}")
-            screen.warn(f"{path}: only partly read: {note.partial}")
-        self._show_progress(note.path)
-
-    def _found(self, note: LogNote) -> None:
-        """Take account of what is wrong with a log, and say what cannot wait for the result."""
-        from seqid_cli.identify.log_verdicts import said
-
-        for finding in note.findings:
-            self.findings.append(finding)
-            if finding.severity == "error":
-                about = " ".join(part for part in (finding.joint, finding.channel) if part)
-                text = f"{about}: {finding.message}" if about else finding.message
-                self._job.screen.warn(f"{note.path}: [{finding.code}] {text}")
-            elif finding.message in note.warnings:
-                self._job.screen.warn(said(finding))
-
-    def failed(self, path: Path, error: Exception) -> None:
-        """Take account of a log that was left out because the user wants to go on."""
-        self._progress.clear()
-        text = str(error) if str(path) in str(error) else f"{path}: {error}"
-        self.left_out.append(text)
-        self._job.screen.warn(f"left out: {text}")
-        self._show_progress(path)
-
-    def _show_progress(self, path: Path) -> None:
-        self._progress.show(len(self._logs) + len(self.left_out), path.name)
-
-    @property
-    def incomplete(self) -> list[str]:
-        """What was read in part or not at all."""
-        return self.partial + self.left_out
-
-    def notes(self, known: Sequence[str] = ()) -> list[str]:
-        """Return what the result must say of its logs, but for what it says already (`known`)."""
-        from seqid_cli.identify.log_verdicts import notes_of_logs
-
-        return [
-            *(f"left out: {text}" for text in self.left_out),
-            *notes_of_logs(self.findings, known),
-        ]
-
-    def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict for each error of the logs."""
-        from seqid_cli.identify.log_verdicts import verdicts_of_logs
-
-        return verdicts_of_logs(self.findings)
-
-
-def exit_code(*, untrusted: bool, partial: Sequence[str]) -> int:
+def exit_code(*, untrusted: bool, partial: Sequence[str] = ()) -> int:
     """Return the exit code of a command that has written its result."""
     if untrusted:
         return EXIT_UNTRUSTED
     return EXIT_PARTIAL if partial else EXIT_DONE
+
+
+def any_poor(verdicts: Sequence[Verdict]) -> bool:
+    """Whether a verdict is not good."""
+    return any(not verdict.good for verdict in verdicts)
+
+
+def tell_output(screen: Screen, output: Path | None, robot: Path, following: str = "") -> None:
+    """Say where the result went and which command to type next."""
+    if output is None:
+        screen.note("Nothing was written: give -o FILE to keep the result.")
+        return
+    screen.note(f"written: {output}")
+    if following:
+        screen.note(f"next: {following.format(output=output, robot=robot)}")
+
+
+def tell_remedies(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
+    """Say what to do after a poor verdict."""
+    for remedy in dict.fromkeys(f.remedy for f in findings if f.severity == "error"):
+        screen.note(f"do: {remedy}")
+    screen.note(
+        "do: look at the reasons above and mend the logs or the robot file before going on"
+        + ("" if findings else " (seqid inspect LOG... -r ROBOT looks closer)")
+    )

@@ -71,22 +71,6 @@ MotionSource = Annotated[
         " where encoders are much the worse), else encoder.",
     ),
 ]
-
-
-def source_for_effects(motion: str) -> str:
-    """Return the source of motion for commands that look for effects.
-
-    By default IMUs take part only where encoders are too coarse: what a drive or its encoder does
-    wrong is what these commands are to find, and IMUs would make up for it.
-    """
-    return "needed" if motion == "auto" else motion
-
-
-def imu_stage_for(motion: str) -> tuple[str, ...]:
-    """Return the stages that a source of motion insists on."""
-    return ("imu",) if motion in ("imu", "fused") else ()
-
-
 Jobs = Annotated[
     int | None,
     typer.Option(

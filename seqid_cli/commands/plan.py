@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from seqid_cli.commands.job import exit_code
+from seqid_cli.commands.job import any_poor, exit_code, listening
 from seqid_cli.commands.options import Output, RobotPath, Strict
 from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.errors import UsageError
-from seqid_cli.logs.storage.files import expand
-from seqid_cli.params.files import check_output
-from seqid_cli.params.io import check_robot, file_sha256, read_joined, write_json_atomic
 from seqid_cli.params.plan_schema import PlanFile
-from seqid_cli.params.prediction_schema import FileId
-from seqid_cli.params.schema import Stages
-from seqid_cli.plan.options import MOVE_RAMPS, PlanOptions
-from seqid_cli.robot.file import load_robot
+from seqid_cli.plan.options import PlanOptions
 
 EXAMPLES = (
     "seqid plan all -r sample_logs/six_joint/robot.toml -o plan.json --trajectories moves",
@@ -129,65 +121,35 @@ def run(
 
     Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a robot.
     """
-    screen = screen_of(context)
-    given = parameters or []
-    _check_paths(output, trajectories, [robot, *given])
-    length = MOVE_RAMPS * ramp if move_duration is None else move_duration
-    if duration < length:
-        message = f"--duration {duration:g} s is shorter than one move of {length:g} s"
-        raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
-    if have and what not in ("inertia", "all"):
-        hint = "Leave it out, or plan the inertia stage."
-        raise UsageError(f"--have counts for the inertia stage, not for {what}", hint=hint)
-    files = expand(have, screen.warn) if have else []
-    loaded = load_robot(robot)
-    stages = Stages()
-    if given:
-        file = read_joined(given)
-        stages = file.stages
-        for warning in check_robot(file, loaded, where=str(given[0])):
-            screen.warn(warning)
+    with listening(screen_of(context)) as told:
+        from seqid_cli import plan
 
-    from seqid_cli.inspect.screening import read_screened
-    from seqid_cli.plan.limits import limits_of
-    from seqid_cli.plan.make import make_plan
-
-    options = PlanOptions(duration_s=duration, move_s=length, together=together, seed=seed)
-    limits = limits_of(loaded, ramp_s=ramp, share=share, locked=lock or ())
-    ids = [FileId(path=str(path), sha256=file_sha256(path)) for path in given]
-    recorded = (read_screened(file, loaded, imus=False).recording for file in files)
-    plan = make_plan(what, loaded, limits, stages, options, ids, recorded)
-    if trajectories is not None:
-        plan = _with_trajectories(plan, trajectories, speed_scale)
-    if output is not None:
-        write_json_atomic(output, plan, inputs=[robot, *given])
-    screen.document(plan)
-    _show(screen, plan)
-    _tell_written(screen, output, trajectories)
-    poor = any(not verdict.good for verdict in plan.verdicts)
-    return exit_code(untrusted=strict and poor, partial=())
-
-
-def _check_paths(output: Path | None, trajectories: Path | None, inputs: Sequence[Path]) -> None:
-    if output is not None:
-        check_output(output, inputs)
-    if trajectories is not None:
-        if trajectories.exists() and not trajectories.is_dir():
-            hint = "Name a folder for the files of the moves."
-            raise UsageError("is a file, not a folder", where=str(trajectories), hint=hint)
-        check_output(trajectories.parent / f"{trajectories.name}.csv")
-
-
-def _with_trajectories(plan: PlanFile, folder: Path, speed_scale: float) -> PlanFile:
-    import msgspec
-
-    from seqid_cli.params.files import writing
-    from seqid_cli.plan.trajectories import write_csv
-
-    with writing(folder):
-        folder.mkdir(exist_ok=True)
-    moves = write_csv(folder, plan.moves, plan.robot.joints, speed_scale)
-    return msgspec.structs.replace(plan, moves=moves)
+        options = plan.PlanOptions(
+            duration_s=duration,
+            move_s=move_duration,
+            together=together,
+            seed=seed,
+            ramp_s=ramp,
+            share=share,
+            locked=tuple(lock or ()),
+            speed_scale=speed_scale,
+        )
+        file = plan.plan(
+            what,
+            robot,
+            parameters or (),
+            options,
+            have=have or (),
+            output=output,
+            trajectories=trajectories,
+        )
+    screen = told.screen
+    screen.document(file)
+    _show(screen, file)
+    for path in (trajectories, output):
+        if path is not None:
+            screen.note(f"written: {path}")
+    return exit_code(untrusted=strict and any_poor(file.verdicts))
 
 
 def _show(screen: Screen, plan: PlanFile) -> None:
@@ -227,9 +189,3 @@ def _show(screen: Screen, plan: PlanFile) -> None:
         f"{len(plan.moves)} moves, {plan.duration_s:.0f} s of motion,"
         f" {plan.total_s:.0f} s with the ways between them"
     )
-
-
-def _tell_written(screen: Screen, output: Path | None, trajectories: Path | None) -> None:
-    for path in (trajectories, output):
-        if path is not None:
-            screen.note(f"written: {path}")

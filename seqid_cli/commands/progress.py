@@ -16,26 +16,24 @@ class ProgressLine:
 
     def __init__(
         self,
-        total: int,
         stream: TextIO,
         *,
         enabled: bool,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._total = max(total, 1)
         self._stream = stream
         self._enabled = enabled and stream.isatty()
         self._clock = clock
         self._start = clock()
         self._drawn = False
 
-    def show(self, done: int, text: str) -> None:
-        """Say that `done` parts are finished and what comes next."""
+    def show(self, done: int, total: int, text: str) -> None:
+        """Say that `done` of `total` parts are finished and what comes next."""
         if not self._enabled or self._clock() - self._start < _PATIENCE_S:
             return
-        filled = min(_CELLS, _CELLS * done // self._total)
+        filled = min(_CELLS, _CELLS * done // max(total, 1))
         bar = "#" * filled + "." * (_CELLS - filled)
-        self._stream.write(f"{_CLEAR}[{bar}] {done}/{self._total} {text[:50]}")
+        self._stream.write(f"{_CLEAR}[{bar}] {done}/{total} {text[:50]}")
         self._stream.flush()
         self._drawn = True
 

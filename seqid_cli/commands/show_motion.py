@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from statistics import median
-from typing import TYPE_CHECKING
 
-from seqid_cli.commands.job import Account
 from seqid_cli.commands.render import Screen, number
-from seqid_cli.params.schema import ImuStage, MotionUse
-
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
-
-LONG_S = 300.0  # of a log whose smoothing is announced
+from seqid_cli.params.schema import MotionUse
 
 
 def show_motion(screen: Screen, uses: Sequence[MotionUse]) -> None:
@@ -55,31 +48,3 @@ def _gain(uses: Sequence[MotionUse]) -> str:
         f"; acceleration known to {number(now, 2)} rad/s^2, by the encoders alone"
         f" {number(before, 2)} (medians)"
     )
-
-
-def announced(
-    recordings: Iterable[Recording], screen: Screen, imu: ImuStage | None, source: str
-) -> Iterable[Recording]:
-    """Pass recordings on; say so before one is smoothed here that takes long."""
-
-    def announce(recording: Recording) -> None:
-        length = len(recording.t) / recording.rate_hz
-        smoothed = imu is not None and source not in ("encoder", "imu") and recording.accelerometers
-        if smoothed and length > LONG_S:
-            screen.note(
-                f"{recording.path}: smoothing {length / 60:.0f} min of encoders and IMUs"
-                " (--motion encoder does without)"
-            )
-
-    if isinstance(recordings, Account):
-        recordings.before = announce
-        return recordings
-    return _each(recordings, announce)
-
-
-def _each(
-    recordings: Iterable[Recording], tell: Callable[[Recording], None]
-) -> Iterator[Recording]:
-    for recording in recordings:
-        tell(recording)
-        yield recording

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import prepare
+from seqid_cli.commands.job import listening
 from seqid_cli.commands.options import (
     Clock,
     Consistent,
@@ -18,15 +17,9 @@ from seqid_cli.commands.options import (
     Output,
     RobotPath,
     Strict,
-    imu_stage_for,
 )
 from seqid_cli.commands.render import screen_of
-from seqid_cli.commands.show_motion import announced
-from seqid_cli.commands.stages import run_stage
-from seqid_cli.params.schema import Stages
-
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
+from seqid_cli.commands.stages import show_stage
 
 Offset = Annotated[
     bool,
@@ -59,41 +52,21 @@ def run(
     Any logs will do. For comparison, and for data without moves of single joints. With the file of
     seqid imu-calib (-p) accelerometers are used as well.
     """
-    job = prepare(
-        screen_of(context),
-        logs,
-        robot,
-        parameters or (),
-        output=output,
-        time_source=time,
-        needs=imu_stage_for(motion),
-    )
+    with listening(screen_of(context)) as told:
+        from seqid_cli import identify
 
-    from seqid_cli.identify.consistency import made_consistent
-    from seqid_cli.identify.one_cutoff import identification_options
-    from seqid_cli.identify.simultaneous import identify_simultaneous
-
-    options = identification_options(
-        job.files,
-        job.robot,
-        cutoff_hz=cutoff,
-        imu=job.stages.imu,
-        source=motion,
-        time_source=job.time_source,
-    )
-
-    def identify(recordings: Iterable[Recording]) -> Stages:
-        imu = job.stages.imu
-        friction, inertia = identify_simultaneous(
-            announced(recordings, job.screen, imu, motion),
-            job.robot,
-            options=options,
-            imu=imu,
-            source=motion,
-            offset=offset,
+        options = identify.SimultaneousOptions(
+            cutoff_hz=cutoff, time_source=time, source=motion, consistent=consistent, offset=offset
         )
-        if consistent:
-            inertia = made_consistent(inertia, Stages(), job.robot)
-        return Stages(friction=friction, inertia=inertia)
-
-    return run_stage(job, identify, strict=strict, following=_FOLLOWING)
+        file = identify.simultaneous(
+            logs, robot, parameters or (), options, output=output, on_progress=told
+        )
+    return show_stage(
+        told,
+        file,
+        ["friction", "inertia"],
+        output=output,
+        robot=robot,
+        strict=strict,
+        following=_FOLLOWING,
+    )

@@ -1,1 +1,6 @@
 """What an identified model cannot explain: find it, trace it to an effect, add it, prove it."""
+
+from seqid_cli.discover.functions import diagnose, refine
+from seqid_cli.discover.options import DiagnoseOptions, RefineOptions
+
+__all__ = ["DiagnoseOptions", "RefineOptions", "diagnose", "refine"]

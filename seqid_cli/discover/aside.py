@@ -26,12 +26,12 @@ from seqid_cli.discover.event_windows import (
 from seqid_cli.discover.events import GATE, LENGTHS_S, Interval, events_of_scene, scores
 from seqid_cli.discover.investigate import STANDS_OUT, Investigation, no_push
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import Event
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, extrapolated, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.params.diagnosis_schema import EventEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 class EventAside:
     """One event, how far it stands out over the gate, and its energy in units of the noise."""
 
-    event: Event
+    event: EventEntry
     ratio: float
     energy: float
 
@@ -137,11 +137,11 @@ class _Look:
     def told(self, place: Interval, robot: Robot) -> EventAside:
         """Describe an event."""
         begun = self.recording.offset
-        event = Event(
+        event = EventEntry(
             log=str(self.recording.path),
             start=begun + place.start,
             end=begun + place.end,
-            joints=tuple(robot.joint_names[j] for j in place.joints),
+            joints=[robot.joint_names[j] for j in place.joints],
         )
         return EventAside(event, place.score / GATE, place.energy(self.scene, self.scaled()))
 

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.echo import echoes
 from seqid_cli.discover.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.heldout import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.loop import joints_of, key_of_round, with_effects
-from seqid_cli.discover.refine import Refinement
-from seqid_cli.discover.results import ClosedLoop, LoopError, Round
+from seqid_cli.discover.refinement import Refinement
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.diagnosis_schema import MORE_THAN_NOISE
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import ClosedLoop, JointRmse, RefinementRound, Stages
 from seqid_cli.shares import percent
 
 ASK = "diagnose says on what it depends, refine --with-unexplained adds a smooth term for it"
@@ -72,7 +71,7 @@ def _errors(
     return [held_out_error(held_out, robot, stages, options=options) for stages in models], note
 
 
-def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> tuple[Round, ...]:
+def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[RefinementRound]:
     """The rounds with what the held-out logs say; `errors` before the first and after each."""
     rounds, number = [], 0
     for told in found.rounds:
@@ -80,19 +79,19 @@ def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> tuple[Round
             joints = joints_of(key_of_round(told, found.material.robot), found.material.robot)
             change = gain(errors[number], errors[number + 1], joints)
             number += 1
-            told = replace(
+            told = structs.replace(
                 told,
                 held_out_gain=change.value,
-                interval=(change.low, change.high),
+                interval=change.limits,
                 confirmed=change.certain,
             )
         rounds.append(told)
-    return tuple(rounds)
+    return rounds
 
 
 def _closed(
     found: Refinement,
-    rounds: tuple[Round, ...],
+    rounds: list[RefinementRound],
     errors: Sequence[HeldOutError],
     floor: NoiseFloor,
     logs: tuple[str, ...],
@@ -109,31 +108,42 @@ def _closed(
     times = ", ".join(f"{names[j]} ({new[j] / floor.rms[j]:.1f} times)" for j in loud)
     more = f"more is left than torque noise and encoder account for: {times}; {ASK}"
     return ClosedLoop(
-        rounds=rounds,
+        verdict="good" if all(told.confirmed for told in rounds if told.accepted) else "poor",
+        rounds=[told for told in rounds if told.accepted],
+        refused=[told for told in rounds if not told.accepted],
         before=_by_joint(before, names),
         after=_by_joint(after, names),
         noise_floor={names[j]: float(floor.rms[j]) for j in judged},
-        noise_floor_interval={names[j]: floor.interval(j) for j in judged},
-        gain_interval={name: (g.low, g.high) for name, g in changes.items() if g.known},
-        evaluated_on=logs,
-        notes=(
+        noise_floor_interval={names[j]: list(floor.interval(j)) for j in judged},
+        gain_interval={name: [g.low, g.high] for name, g in changes.items() if g.known},
+        evaluated_on=list(logs),
+        notes=[
             *found.notes,
             *notes,
             *((said,) if lost else ()),
             *((more,) if loud else ()),
             *floor.doubts(new, names),
-        ),
+        ],
     )
 
 
-def _by_joint(error: HeldOutError, names: Sequence[str]) -> dict[str, LoopError]:
+def _by_joint(error: HeldOutError, names: Sequence[str]) -> dict[str, JointRmse]:
     """Errors of the joints that slide."""
     columns = (error.rmse(), error.rmse_inside(), error.rmse_outside(), error.share_outside())
     return {
-        name: LoopError(*(float(column[j]) for column in columns))
+        name: JointRmse(
+            rmse=float(columns[0][j]),
+            rmse_inside=_known(columns[1][j]),
+            rmse_outside=_known(columns[2][j]),
+            share_outside=float(columns[3][j]),
+        )
         for j, name in enumerate(names)
         if np.isfinite(columns[0][j])
     }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:

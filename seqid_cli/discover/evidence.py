@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.results import Evidence
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.selection import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
+from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -35,6 +35,20 @@ LEAST = 0.02  # of the samples, up to which cells are joined into one bin
 GAP = 2  # cells without a sample, that no bin goes over
 DIGITS = 4
 AROUND_S = 1.0  # shown before and behind a push
+# What each quantity is measured in: for a revolute joint, for a prismatic one.
+UNITS = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s^2", "m/s^2"),
+    "load": ("N m", "N"),
+    "temperature": ("degC", "degC"),
+    "time": ("s", "s"),
+    "time_frequency": ("Hz", "Hz"),
+    "speed": ("rad/s", "m/s"),
+    "driving_load": ("N m", "N"),
+    "wave": ("turn", "turn"),
+    "torque": ("N m", "N"),
+}
 NAMES = {"load_size": "load", "session_time": "time"}
 
 
@@ -48,7 +62,7 @@ class _Over:
     values: Sequence[Array] = ()
 
 
-def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> Evidence:
+def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
     """Bin what the model leaves of a term's joint without it, and with it."""
     term, model = taken.term, found.model
     theta, channel = model.linear.theta[model.where(term)], _channel_of(term, model)
@@ -65,7 +79,7 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> Evidence:
     )
 
 
-def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> Evidence:
+def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> EvidenceEntry:
     """Bin what is left at a joint over what it is most like; nothing takes that off."""
     scenes, take, j = found.ground.stage.scenes, found.ground.stage.rows.of, what.joint
     over = _over(what, np.zeros(0), scenes, j)
@@ -74,7 +88,7 @@ def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> Evide
     return _binned(robot, j, over, x, y * _sign(over, scenes, j, take))
 
 
-def pushed(found: Investigation, robot: Robot) -> Evidence | None:
+def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
     """Bin the residual over time around the strongest push; nothing takes that off."""
     event = max(found.events, key=lambda one: one.score, default=None)
     if event is None:
@@ -151,18 +165,19 @@ def _turn(X: Array, theta: Array) -> Array:
 
 def _binned(
     robot: Robot, j: int, over: _Over, x: Array, y: Array, left: Array | None = None
-) -> Evidence:
+) -> EvidenceEntry:
     """Means and spreads over x (M,) of y, left (M,) N m."""
     bins = _bins(x)
     after = [left[part] for part in bins] if left is not None else []
     names = robot.joint_names
-    return Evidence(
+    return EvidenceEntry(
         joint=names[j],
         quantity=over.quantity,
         of=names[over.of],
+        unit=UNITS.get(over.quantity, ("", ""))[robot.joints[over.of].prismatic],
         sided=over.sided,
         x=_each(np.mean, [x[part] for part in bins]),
-        count=tuple(len(part) for part in bins),
+        count=[len(part) for part in bins],
         before=_each(np.mean, [y[part] for part in bins]),
         before_spread=_each(np.std, [y[part] for part in bins]),
         after=_each(np.mean, after),
@@ -186,5 +201,5 @@ def _bins(x: Array) -> list[Index]:
     return [np.flatnonzero(number == k) for k in range(len(ends))]
 
 
-def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> tuple[float, ...]:
-    return tuple(float(f"{what(part):.{DIGITS}g}") for part in parts)
+def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> list[float]:
+    return [float(f"{what(part):.{DIGITS}g}") for part in parts]

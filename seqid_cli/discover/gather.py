@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.choose import chosen
 from seqid_cli.discover.look_over import BLOCK_S, LookedOver, look_over
+from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.parts import Reducible, mapped
 from seqid_cli.identify.streaming import open_if_long
-from seqid_cli.inspect.screening import read_screened, sound
+from seqid_cli.inspect.screening import sound
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
 from seqid_cli.logs.raw import TimeSource
@@ -78,13 +78,11 @@ class Gathered:
 
 
 def gather(
-    recordings: Iterable[Recording],
+    recordings: LogSet | Iterable[Recording],
     robot: Robot,
     stages: Stages,
     *,
     options: InertiaOptions,
-    paths: Sequence[Path] = (),
-    time_source: TimeSource = "header",
     most_values: int = MOST_VALUES,
     aside: bool = True,
 ) -> Gathered:
@@ -92,16 +90,12 @@ def gather(
 
     Parameters
     ----------
-    recordings : iterable of Recording
-        With torque. If it is `Reducible` it can have long logs passed over instead of read.
+    recordings : LogSet, or iterable of Recording
+        With torque. Long logs of a set are passed over instead of read.
     robot : Robot
     stages : Stages
         The model.
     options : InertiaOptions
-    paths : sequence of Path
-        Of the recordings, where these are not at hand yet.
-    time_source : {"header", "log"}
-        As for `read_recording`.
     most_values : int
         Samples times joints that are held, as `MOST_VALUES` counts them.
     aside : bool
@@ -113,18 +107,17 @@ def gather(
         If a log cannot be read or carries neither torque nor current.
     """
     most = most_values / robot.n
-    if isinstance(recordings, Reducible) and sum(map(_likely, paths)) > most:
-        looks = tuple(mapped(recordings, _LookOver(robot, stages, options)))
+    if isinstance(recordings, LogSet) and sum(map(_likely, recordings.logs)) > most:
+        looks = tuple(recordings.mapped(_LookOver(robot, stages, options)))
         if sum(_size(look.samples, look.rate_hz) for look in looks) <= most:
-            imus = stages.imu is not None
-            again = (read_screened(p, robot, time_source=time_source, imus=imus) for p in paths)
-            return Gathered(tuple(each.recording for each in again))
-        return _pieces(looks, paths, robot, most, time_source, aside=aside)
+            return Gathered(tuple(recordings.again(imus=stages.imu is not None)))
+        given, clock = recordings.logs, recordings.time_source
+        return _pieces(looks, given, robot, most, clock, aside=aside)
     held = list(recordings)
     if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
         return Gathered(tuple(held))
     looks = tuple(look_over(log, robot, stages, options=options) for log in held)
-    return _pieces(looks, held, robot, most, time_source, aside=aside)
+    return _pieces(looks, held, robot, most, "header", aside=aside)
 
 
 def by_digest(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
@@ -150,9 +143,11 @@ def _size(samples: int, rate_hz: float) -> float:
     return samples * (1.0 + PER_SECOND / rate_hz)
 
 
-def _likely(path: Path) -> int:
+def _likely(log: Path | Recording) -> int:
     """Rows of a local log; of a stored one, that it has to be looked at."""
-    return MOST_VALUES if isinstance(path, StoredLog) else likely_rows(path)
+    if isinstance(log, Recording):
+        return len(log.t)
+    return MOST_VALUES if isinstance(log, StoredLog) else likely_rows(log)
 
 
 @dataclass(frozen=True)

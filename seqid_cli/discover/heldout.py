@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict import predict
+from seqid_cli.identify.predict_logs import predict
 from seqid_cli.identify.predict_long import local_effects
 from seqid_cli.identify.prediction import LogPrediction
 from seqid_cli.identify.streaming import LONG, open_if_long, streams
@@ -113,6 +113,11 @@ class Gain:
     def known(self) -> bool:
         """Whether there is an interval: one block of time gives none."""
         return bool(np.isfinite(self.high - self.low))
+
+    @property
+    def limits(self) -> list[float]:
+        """The interval as documents have it: empty where it is not known."""
+        return [self.low, self.high] if np.isfinite([self.low, self.high]).all() else []
 
     @property
     def loses(self) -> bool:

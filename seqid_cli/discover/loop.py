@@ -16,9 +16,8 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.heldout import HeldOutError, gain, held_out_error
 from seqid_cli.discover.left_out import Folds, left_out_error
 from seqid_cli.discover.reidentify import Key, Material, Refitted, identity, refitted, unique
-from seqid_cli.discover.results import Round
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import RefinementRound, Stages
 from seqid_cli.robot.types import Robot
 
 IDLE = "no longer helps beside what was added later"
@@ -54,7 +53,7 @@ class Loop:
     best: Account
     steps: list[Refitted]
     without: Refitted
-    rounds: list[Round] = field(default_factory=list)
+    rounds: list[RefinementRound] = field(default_factory=list)
     refused: dict[Key, float] = field(default_factory=dict)  # until so many effects were added
 
     @classmethod
@@ -153,7 +152,7 @@ class Loop:
         options = replace(options, motion=motion)
         return replace(self.material, training=kept, earlier=earlier, options=options)
 
-    def accept(self, told: Round, account: Account) -> None:
+    def accept(self, told: RefinementRound, account: Account) -> None:
         """Take effects into the model of all training logs."""
         self.best, self.base = account, account.models
         self.steps.append(self._whole(self.model, account))
@@ -181,10 +180,10 @@ class Loop:
             if not any(gain(*errors, joints).certain for joints in where):
                 self._withdraw(told, key, without)
 
-    def _withdraw(self, told: Round, key: Key, without: Account) -> None:
+    def _withdraw(self, told: RefinementRound, key: Key, without: Account) -> None:
         """Forget an effect; the models of those that came after it are fitted anew."""
         number = [r for r in self.rounds if r.accepted].index(told)
-        idle = replace(told, accepted=False, reason=IDLE)
+        idle = msgspec.structs.replace(told, accepted=False, reason=IDLE)
         self.rounds = [idle if r is told else r for r in self.rounds]
         later, self.steps = self.steps[number + 2 :], self.steps[: number + 1]
         for step in later:
@@ -194,7 +193,7 @@ class Loop:
         self.best, self.base = without, without.models
 
 
-def key_of_round(told: Round, robot: Robot) -> Key:
+def key_of_round(told: RefinementRound, robot: Robot) -> Key:
     """The effect of a round, and its joint by number."""
     return told.effect, None if told.joint is None else robot.joint_names.index(told.joint)
 

@@ -4,7 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.options import InertiaOptions, LogOptions, Source
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseOptions(LogOptions):
+    """Where joint motion comes from.
+
+    `source` "auto" takes IMUs only where encoders are too coarse: what a drive or its encoder does
+    wrong is to be found, and IMUs would make up for it.
+    """
+
+    source: Source = "auto"
+
+    @property
+    def source_for_effects(self) -> str:
+        """The source as the search takes it."""
+        return "needed" if self.source == "auto" else self.source
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineOptions(DiagnoseOptions):
+    """At most `rounds` effects are added.
+
+    `with_unexplained` adds a smooth term where no effect explains.
+    """
+
+    rounds: int = 4
+    with_unexplained: bool = False
 
 
 @dataclass(frozen=True)

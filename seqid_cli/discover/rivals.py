@@ -5,29 +5,29 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.results import Rival
 from seqid_cli.discover.select.selection import Options, Ranked, Taken
+from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
 MOST = 6  # of each list that are told
 
 
-def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> tuple[Rival, ...]:
+def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[RivalEntry]:
     """What was tried in a term's place; `alike` are the effects that could be it as well."""
     others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
     told = [one for one in others if one.term.name in alike]
     told += [one for one in others if one not in told]
     ranked = sorted(told[:MOST], key=lambda one: -one.foretold.total)
-    return tuple(_rival(robot, one, _beside(one, taken, alike)) for one in ranked)
+    return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
 
 
-def tried_at(found: Investigation, robot: Robot, joint: int) -> tuple[Rival, ...]:
+def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]:
     """What was tried at a joint beside all that was taken, the largest gain first."""
     n = found.ground.n
     here = [r for r in found.found.tried if any(c % n == joint for c in r.term.channels)]
     ranked = sorted(_each_once(here), key=lambda one: -one.foretold.total)
-    return tuple(_rival(robot, one, _lacking(one)) for one in ranked[:MOST])
+    return [_rival(robot, one, _lacking(one)) for one in ranked[:MOST]]
 
 
 def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
@@ -38,10 +38,10 @@ def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
     return list(kept.values())
 
 
-def _rival(robot: Robot, one: Ranked, why_not: str) -> Rival:
+def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
     joint = None if one.term.joint is None else robot.joint_names[one.term.joint]
     name = f"some function of {one.term.name}" if one.term.smooth else one.term.name
-    return Rival(name, joint, one.foretold.total, why_not)
+    return RivalEntry(effect=name, joint=joint, log_gain=one.foretold.total, why_not=why_not)
 
 
 def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:

@@ -23,7 +23,7 @@ from seqid_cli.identify.imu_pairs import Pair, axis_trials, fit_rotation
 from seqid_cli.identify.imu_result import calibration_of, verdict_of
 from seqid_cli.identify.imu_segments import Segment, calibration_cutoff, segments_of, thinned
 from seqid_cli.identify.imu_start import starting_constants
-from seqid_cli.identify.parts import reduced
+from seqid_cli.identify.log_set import reduced
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.motion import estimate_motion

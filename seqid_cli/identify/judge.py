@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.log_verdicts import verdicts_of_logs
 from seqid_cli.identify.trials import gravity_columns
-from seqid_cli.inspect.report import Finding
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.params.schema import (
     FrictionJoint,
     FrictionStage,
@@ -52,7 +52,10 @@ JUDGED = ("friction", "gravity", "imu", "inertia")
 
 
 def judged(
-    found: Stages, previous: ParameterFile | None, robot: Robot, findings: Sequence[Finding] = ()
+    found: Stages,
+    previous: ParameterFile | None,
+    robot: Robot,
+    findings: Sequence[InspectionFinding] = (),
 ) -> Stages:
     """Add to the verdicts of new stages what the logs and physics say.
 
@@ -63,7 +66,7 @@ def judged(
     previous : ParameterFile or None
         The stages before.
     robot : Robot
-    findings : sequence of Finding
+    findings : sequence of InspectionFinding
         What inspection says of the logs that were read.
 
     Returns

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from seqid_cli.inspect.report import Finding
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.params.schema import Verdict
 
 
-def verdicts_of_logs(findings: Iterable[Finding]) -> list[Verdict]:
+def verdicts_of_logs(findings: Iterable[InspectionFinding]) -> list[Verdict]:
     """A poor verdict for every joint (or IMU) that a log's error is about.
 
     Parameters
     ----------
-    findings : iterable of Finding
+    findings : iterable of InspectionFinding
         Of all logs. Errors count; warnings do not spoil a result.
 
     Returns
@@ -31,7 +31,7 @@ def verdicts_of_logs(findings: Iterable[Finding]) -> list[Verdict]:
     return verdicts
 
 
-def notes_of_logs(findings: Iterable[Finding], said: Iterable[str] = ()) -> list[str]:
+def notes_of_logs(findings: Iterable[InspectionFinding], said: Iterable[str] = ()) -> list[str]:
     """Return warnings about the logs in words, but for those `said` already."""
     known = set(said)
     return [
@@ -41,25 +41,25 @@ def notes_of_logs(findings: Iterable[Finding], said: Iterable[str] = ()) -> list
     ]
 
 
-def remedies(findings: Iterable[Finding]) -> list[str]:
+def remedies(findings: Iterable[InspectionFinding]) -> list[str]:
     """Return what to do about the errors, each once."""
     return list(dict.fromkeys(f.remedy for f in findings if f.severity == "error"))
 
 
-def _grouped(findings: Iterable[Finding], severity: str) -> list[list[Finding]]:
-    groups: dict[tuple[str, str, str], list[Finding]] = {}
+def _grouped(findings: Iterable[InspectionFinding], severity: str) -> list[list[InspectionFinding]]:
+    groups: dict[tuple[str, str, str], list[InspectionFinding]] = {}
     for finding in findings:
         if finding.severity == severity:
             groups.setdefault((finding.code, finding.joint, finding.channel), []).append(finding)
     return list(groups.values())
 
 
-def said(finding: Finding) -> str:
+def said(finding: InspectionFinding) -> str:
     """Return a finding in words, as notes have it."""
     return (f"{finding.joint}: " if finding.joint else "") + _text([finding])
 
 
-def _text(alike: Sequence[Finding]) -> str:
+def _text(alike: Sequence[InspectionFinding]) -> str:
     first = alike[0]
     logs = list(dict.fromkeys(finding.log for finding in alike))
     more = f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}" if len(logs) > 1 else ""

@@ -128,7 +128,7 @@ def _summed(scores: Sequence[tuple[Score, float]]) -> tuple[Array, int]:
 
 
 def identification_options(
-    paths: Sequence[Path],
+    logs: Sequence[Path | Recording],
     robot: Robot,
     *,
     cutoff_hz: float | None,
@@ -142,8 +142,7 @@ def identification_options(
 
     Parameters
     ----------
-    paths : sequence of Path
-        The logs.
+    logs : sequence of Path or Recording
     robot : Robot
     cutoff_hz : float or None
         As given by the user.
@@ -156,23 +155,36 @@ def identification_options(
     """
     if cutoff_hz is not None:
         return MotionOptions(cutoff_hz, origin="as given")
-    if len(paths) < 2:
+    if len(logs) < 2:
         return MotionOptions()
-    fuses = imu is not None and bool(imu.imus) and source != "encoder"
     found: list[LogScore] = []
-    for path in paths:
+    for given in logs:
         # Errors are told when the log is read to be identified from.
-        with contextlib.suppress(SeqidError), local_copy(path) as copy:
-            file = Path(copy)
-            log = None if fuses else open_if_long(file, robot, time_source=time_source)
-            whole = log or read_recording(file, robot, time_source=time_source)
-            own = score_of(whole, robot, imu=imu, source=source)
+        with contextlib.suppress(SeqidError):
+            own = _score_of_given(given, robot, imu, source, time_source)
             found += [own] if own is not None else []
     if not found:
         return MotionOptions()
     hz, alone = chosen_together(found)
-    origin = f"chosen from all {len(paths)} logs together"
+    origin = f"chosen from all {len(logs)} logs together"
     return MotionOptions(hz, origin=origin, encoder_hz=alone)
+
+
+def _score_of_given(
+    log: Path | Recording,
+    robot: Robot,
+    imu: ImuStage | None,
+    source: str,
+    time_source: TimeSource,
+) -> LogScore | None:
+    if isinstance(log, Recording):
+        return score_of(log, robot, imu=imu, source=source)
+    fuses = imu is not None and bool(imu.imus) and source != "encoder"
+    with local_copy(log) as copy:
+        file = Path(copy)
+        long = None if fuses else open_if_long(file, robot, time_source=time_source)
+        whole = long or read_recording(file, robot, time_source=time_source)
+        return score_of(whole, robot, imu=imu, source=source)
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:

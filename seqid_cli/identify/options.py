@@ -3,22 +3,66 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from seqid_cli.motion.options import MotionOptions
 
+TimeSource = Literal["header", "log"]
+Source = Literal["auto", "encoder", "imu", "fused"]
 
-@dataclass(frozen=True)
-class FrictionOptions:
+
+@dataclass(frozen=True, kw_only=True)
+class LogOptions:
+    """How logs are read.
+
+    `cutoff_hz` is the low-pass cut-off; that of the model, or chosen from the logs, where it is
+    None. `time_source` says which stamps of an MCAP log count: those in the messages, or the times
+    of logging. With `skip_failed` logs that cannot be used are left out, and warned of.
+    """
+
+    cutoff_hz: float | None = None
+    time_source: TimeSource = "header"
+    skip_failed: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionOptions(LogOptions):
     """Orders m and l of Eq. 8 and 10, and the threshold beta of Eq. 11.
 
     Orders left None are raised while speeds that were left out are predicted better; with a `beta`
     the raising stops as soon as Eq. 11 holds at it.
     """
 
-    motion: MotionOptions = field(default_factory=MotionOptions)
     position_order: int | None = None
     velocity_order: int | None = None
     beta: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigidOptions(LogOptions):
+    """Where joint motion comes from, and which parameters are allowed.
+
+    `source` "auto" is "fused" where a log has a calibrated IMU, else "encoder". `consistent` allows
+    only parameters that bodies with positive density and rotors of positive inertia can have.
+    """
+
+    source: Source = "auto"
+    consistent: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimultaneousOptions(RigidOptions):
+    """With `offset` each joint's friction has a constant torque besides."""
+
+    offset: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictOptions(LogOptions):
+    """`with_unexplained` adds the smooth terms that no known effect explains."""
+
+    source: Source = "auto"
+    with_unexplained: bool = False
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.inertia import slowest_speeds
+from seqid_cli.identify.inertia_stage import slowest_speeds
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel, friction_surfaces

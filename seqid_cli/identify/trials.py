@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from seqid_cli.identify.parts import reduced
+from seqid_cli.identify.log_set import reduced
 from seqid_cli.identify.streaming import open_if_long
 from seqid_cli.identify.trials_long import pieces
 from seqid_cli.logs.raw import TimeSource

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 
-from seqid_cli.inspect.report import Finding, found
+from seqid_cli.inspect.findings import found
 from seqid_cli.logs.contents import Survey
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.types import Robot
 
 
@@ -19,7 +20,7 @@ def nearest_name(name: str, known: tuple[str, ...]) -> str:
     return lower[close[0]] if close else ""
 
 
-def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[Finding]]:
+def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[InspectionFinding]]:
     """Find IMUs of the robot file that a log lacks.
 
     A log need not have them; it is a finding where an unknown name in the log is very near.
@@ -47,7 +48,9 @@ def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[Fin
     return missing, findings
 
 
-def missing_joints(robot: Robot, joints: tuple[str, ...]) -> tuple[dict[str, str], list[Finding]]:
+def missing_joints(
+    robot: Robot, joints: tuple[str, ...]
+) -> tuple[dict[str, str], list[InspectionFinding]]:
     """Find joints of the robot file that a log lacks, with the nearest name that it has."""
     unknown = tuple(name for name in joints if name not in robot.joint_names)
     missing, findings = {}, []

@@ -10,9 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import structs
 
 from seqid_cli.inspect.clock import clock_findings
 from seqid_cli.inspect.dynamics import friction_findings, sample_of
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.geometry import geometry_findings
 from seqid_cli.inspect.holes import hole_findings
 from seqid_cli.inspect.imu_fit import FOLLOWS
@@ -26,11 +28,11 @@ from seqid_cli.inspect.positions import (
     position_findings,
     position_quality,
 )
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.torques import temperature_findings, torque_findings, torque_quality
 from seqid_cli.inspect.velocities import velocity_findings
 from seqid_cli.logs.read import without_values
 from seqid_cli.logs.timebase import JITTER_LIMIT
+from seqid_cli.params.inspection_schema import InspectionFinding
 
 # Findings that make everything computed from the motion of a joint meaningless.
 SPOIL = frozenset(
@@ -79,7 +81,7 @@ class Checked:
     """A log with its findings; `data` is without the samples that are damaged."""
 
     data: LogData
-    findings: tuple[Finding, ...]
+    findings: tuple[InspectionFinding, ...]
     following: tuple[Following, ...]
 
 
@@ -128,7 +130,7 @@ def _findings(
     *,
     imus: bool,
     quality: bool,
-) -> Iterator[Finding]:
+) -> Iterator[InspectionFinding]:
     """Run the checks, the sound ones first; what is spoilt is not judged again.
 
     `sound` is the log without damaged samples.
@@ -151,11 +153,13 @@ def _findings(
     yield from _one_cause(own, _FOLLOW_UP_OF_MOTION)
 
 
-def _all_spoilt(findings: Sequence[Finding]) -> bool:
+def _all_spoilt(findings: Sequence[InspectionFinding]) -> bool:
     return any(finding.code in SPOIL_ALL for finding in findings)
 
 
-def _of_positions(data: LogData, breaks: Sequence[Break], *, quality: bool) -> list[Finding]:
+def _of_positions(
+    data: LogData, breaks: Sequence[Break], *, quality: bool
+) -> list[InspectionFinding]:
     """Check positions and velocities."""
     positions = [*position_findings(data, breaks)]
     broken = frozenset(f.joint for f in positions if f.code in SPOIL)
@@ -170,11 +174,11 @@ def _of_positions(data: LogData, breaks: Sequence[Break], *, quality: bool) -> l
 
 
 def _of_dynamics(
-    data: LogData, own: list[Finding], following: Sequence[Following]
-) -> Iterator[Finding]:
+    data: LogData, own: list[InspectionFinding], following: Sequence[Following]
+) -> Iterator[InspectionFinding]:
     """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
     spoilt = {f.joint for f in own if f.code in SPOIL - _TAKEN_OUT}
-    against: list[Finding] = []
+    against: list[InspectionFinding] = []
     uneven = any(f.code == "jitter" for f in own)  # accelerations mean nothing then
     sample = None if uneven else sample_of(data)
     if sample is not None:
@@ -190,7 +194,9 @@ def _of_dynamics(
         yield from motion_findings(data, sound)
 
 
-def _with_imus(finding: Finding, data: LogData, following: Sequence[Following]) -> Finding:
+def _with_imus(
+    finding: InspectionFinding, data: LogData, following: Sequence[Following]
+) -> InspectionFinding:
     """Add to a sign that is wrong whether the IMUs blame the position."""
     if finding.code != "sign_mismatch":
         return finding
@@ -199,10 +205,10 @@ def _with_imus(finding: Finding, data: LogData, following: Sequence[Following]) 
     if not told:
         return finding
     blamed = "position" if any(f.fit.left > FOLLOWS for f in told) else "torque"
-    return replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
+    return structs.replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
 
 
-def _one_cause(findings: list[Finding], rules: Rules) -> list[Finding]:
+def _one_cause(findings: list[InspectionFinding], rules: Rules) -> list[InspectionFinding]:
     """Leave out what another finding of the same joint already explains."""
     codes: dict[str, set[str]] = {}
     for finding in findings:
@@ -219,5 +225,5 @@ def _one_cause(findings: list[Finding], rules: Rules) -> list[Finding]:
     ]
 
 
-def _unique(findings: Sequence[Finding]) -> list[Finding]:
+def _unique(findings: Sequence[InspectionFinding]) -> list[InspectionFinding]:
     return list({(f.code, f.joint, f.channel): f for f in reversed(findings)}.values())[::-1]

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.shares import percent
 
 SLOW_HZ, TOO_SLOW_HZ, TOO_FAST_HZ = 20.0, 5.0, 50_000.0
@@ -41,7 +42,7 @@ _SAID: tuple[tuple[str, str], ...] = (
 )
 
 
-def clock_findings(data: LogData) -> Iterator[Finding]:
+def clock_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Check the clock of a log and pass on what its reader said."""
     health = data.recording.health
     rate = health.rate_hz
@@ -88,7 +89,7 @@ def _gaps(data: LogData) -> list[tuple[float, float]]:
     return [(float(t[k]), float(t[k + 1])) for k in wide]
 
 
-def _said(warnings: tuple[str, ...], names: tuple[str, ...]) -> Iterator[Finding]:
+def _said(warnings: tuple[str, ...], names: tuple[str, ...]) -> Iterator[InspectionFinding]:
     for text in warnings:
         code = next((code for form, code in _SAID if re.search(form, text)), "reader")
         if not code:

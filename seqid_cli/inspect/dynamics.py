@@ -20,10 +20,11 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import Motion, decimated
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.base import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
@@ -113,7 +114,7 @@ def _both_ways(motion: Motion, rows: NDArray[np.intp], j: int) -> bool:
     return min(travels) > max(BOTH_WAYS, BALANCED * max(travels))
 
 
-def friction_findings(data: LogData, sample: Sample) -> Iterator[Finding]:
+def friction_findings(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
     """Check signs of torques and their order by the friction that they show."""
     names = data.robot.joint_names
     gravity = _gravity(data.robot, sample)

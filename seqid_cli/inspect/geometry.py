@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.inspect.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics import Sample, joint_columns, position_columns
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
-from seqid_cli.inspect.report import Finding, found
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.base import base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
@@ -57,7 +58,7 @@ class Left:
 class Mended:
     """A cause that mends a fit, and the error that it leaves."""
 
-    finding: Finding
+    finding: InspectionFinding
     error: float
 
 
@@ -71,7 +72,9 @@ class Weight:
     rms: float
 
 
-def geometry_findings(data: LogData, sample: Sample, friction: list[Finding]) -> list[Finding]:
+def geometry_findings(
+    data: LogData, sample: Sample, friction: list[InspectionFinding]
+) -> list[InspectionFinding]:
     """Compare a log with the robot's equations.
 
     Parameters
@@ -79,13 +82,13 @@ def geometry_findings(data: LogData, sample: Sample, friction: list[Finding]) ->
     data : LogData
     sample : Sample
         Its filtered motion and torque.
-    friction : list of Finding
+    friction : list of InspectionFinding
         What its friction shows. Another cause that mends the equations explains that as well: a
         zero that is off leaves gravity in the torque, which may look like friction of any sign.
 
     Returns
     -------
-    list of Finding
+    list of InspectionFinding
         One cause, or those of `friction`, or what the robot's weight says.
     """
     if not data.modelled or not sample.moving:
@@ -99,7 +102,7 @@ def geometry_findings(data: LogData, sample: Sample, friction: list[Finding]) ->
     return structural or [*_scale(data, sample, _weights(data.robot, _thinned(sample, ROWS)))]
 
 
-def _structural(data: LogData, sample: Sample) -> Iterator[Finding]:
+def _structural(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
     robot = data.robot
     thin = _thinned(sample, ROWS)
     left = _structural_error(robot, thin)
@@ -274,7 +277,7 @@ def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Lef
     return Left(float(np.sqrt(np.mean(shares))), 0)
 
 
-def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[Finding]:
+def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
     off = [w for w in weights if _is_off(w)]
     if not off:

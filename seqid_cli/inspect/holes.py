@@ -7,14 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.logs.clocks import gap_limit
+from seqid_cli.params.inspection_schema import InspectionFinding
 
 Array = NDArray[np.float64]
 
 
-def hole_findings(data: LogData) -> Iterator[Finding]:
+def hole_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Find holes in the position and the torque of every joint."""
     effort = data.effort()
     channels = [("position", data.joints.channels["position"]), *([effort] if effort else [])]

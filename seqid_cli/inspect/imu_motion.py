@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.imu_fit import FOLLOWS, SIGMAS, Fit, fit_link, scan
 from seqid_cli.inspect.imus import channel_name, odd_channel
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.logs.raw import GYRO
 from seqid_cli.motion.motion import Motion
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.types import Imu
 from seqid_cli.shares import percent
 
@@ -63,7 +64,7 @@ def follow(data: LogData) -> list[Following]:
     return result
 
 
-def motion_findings(data: LogData, following: list[Following]) -> Iterator[Finding]:
+def motion_findings(data: LogData, following: list[Following]) -> Iterator[InspectionFinding]:
     """Judge how the IMUs follow the encoders."""
     for item in following:
         name = item.imu.name
@@ -101,7 +102,7 @@ def _resolution_s(data: LogData, link: int) -> float:
     return float(UNIFORM / max(max(speeds, default=0.0), 1e-9))
 
 
-def _better(data: LogData, item: Following) -> Finding | None:
+def _better(data: LogData, item: Following) -> InspectionFinding | None:
     """Find what the IMU follows far better than its own link: another one, or an axis reversed."""
     motion = data.motion
     if item.fit.left < CERTAIN or motion is None:
@@ -132,7 +133,7 @@ def _reversed(motion: Motion, j: int) -> Motion:
     return replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
 
 
-def _not_following(data: LogData, item: Following) -> Finding:
+def _not_following(data: LogData, item: Following) -> InspectionFinding:
     better = _better(data, item)
     if better is not None:
         return better
@@ -140,7 +141,7 @@ def _not_following(data: LogData, item: Following) -> Finding:
     return found("imu_not_moving", text, joint=item.imu.name)
 
 
-def _gyro(item: Following) -> Iterator[Finding]:
+def _gyro(item: Following) -> Iterator[InspectionFinding]:
     size = item.fit.gain
     text = f"reads {size:.3g} times the link's angular velocity"
     if item.fit.left > TELLS:
@@ -155,7 +156,7 @@ def _gyro(item: Following) -> Iterator[Finding]:
         yield found("gyro_scale", text, joint=item.imu.name)
 
 
-def _axes(data: LogData, item: Following) -> Iterator[Finding]:
+def _axes(data: LogData, item: Following) -> Iterator[InspectionFinding]:
     """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
     if item.fit.map_error > MAPPED or item.fit.left > TELLS or _in_other_unit(item):
         return

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import clipped, equal_runs, missing_share
 from seqid_cli.logs.checks.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.segmentation import standing
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.shares import percent
 
@@ -34,7 +35,7 @@ FEW_CHANNELS = 3
 AXES = "xyz"
 
 
-def layout_findings(robot: Robot) -> Iterator[Finding]:
+def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
     """Tell which arrays of the robot file cannot see angular acceleration."""
     for imu in robot.imus:
         triad = len(imu.positions) == 3 and not imu.positions.any()
@@ -44,7 +45,7 @@ def layout_findings(robot: Robot) -> Iterator[Finding]:
         yield found("imu_layout", text, joint=imu.name)
 
 
-def imu_findings(data: LogData) -> Iterator[Finding]:
+def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Check the channels of every IMU in the log."""
     for imu in data.robot.imus:
         broken = [*_channels(data, imu)]
@@ -57,7 +58,7 @@ def imu_findings(data: LogData) -> Iterator[Finding]:
             yield from _gyro_bias(data, imu, gyro)
 
 
-def _together(findings: list[Finding]) -> Iterator[Finding]:
+def _together(findings: list[InspectionFinding]) -> Iterator[InspectionFinding]:
     """Say once what many channels of an IMU share: it is the IMU's fault then, not theirs."""
     for code in dict.fromkeys(finding.code for finding in findings):
         alike = [finding for finding in findings if finding.code == code]
@@ -65,7 +66,7 @@ def _together(findings: list[Finding]) -> Iterator[Finding]:
             yield from alike
         else:
             names = ", ".join(finding.channel for finding in alike)
-            yield replace(alike[0], channel=names)
+            yield structs.replace(alike[0], channel=names)
 
 
 def channel_name(imu: Imu, quantity: str, k: int) -> str:
@@ -75,7 +76,7 @@ def channel_name(imu: Imu, quantity: str, k: int) -> str:
     return f"{imu.name}.a{k + 1}"
 
 
-def _channels(data: LogData, imu: Imu) -> Iterator[Finding]:
+def _channels(data: LogData, imu: Imu) -> Iterator[InspectionFinding]:
     first = {ACCELEROMETERS: 0, GYRO: 0}
     for stream in data.raw.imus.get(imu.name, ()):
         stamps = stream.stamp_ns
@@ -95,7 +96,9 @@ def _changes(values: Array) -> bool:
     return bool(len(present) and np.ptp(present) > 0)
 
 
-def _channel(imu: Imu, name: str, values: Array, seconds: float, *, others: bool) -> Finding | None:
+def _channel(
+    imu: Imu, name: str, values: Array, seconds: float, *, others: bool
+) -> InspectionFinding | None:
     present = values[np.isfinite(values)]
     share = missing_share(values)
     if share > MISSING:
@@ -129,7 +132,7 @@ def rest_rows(data: LogData, values: Array) -> Array:
     return np.array(means).reshape(-1, values.shape[1])
 
 
-def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[Finding]:
+def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[InspectionFinding]:
     gravity = float(np.linalg.norm(data.robot.gravity))
     rest = rest_rows(data, values)
     if not data.modelled or not len(rest) or np.linalg.matrix_rank(imu.axes) < 3:
@@ -151,7 +154,7 @@ def _in_g(imu: Imu, rest: Array) -> bool:
     return 0.8 < norm < 1.2 or 800.0 < norm < 1200.0
 
 
-def odd_channel(imu: Imu, rest: Array, gravity: float) -> Finding | None:
+def odd_channel(imu: Imu, rest: Array, gravity: float) -> InspectionFinding | None:
     """Find what one change makes the accelerometers of an array agree on gravity (Eq. 29).
 
     Parameters
@@ -208,7 +211,7 @@ def _disagreement(rest: Array, P: Array) -> float:
     return squares
 
 
-def _gyro_bias(data: LogData, imu: Imu, gyro: Array) -> Iterator[Finding]:
+def _gyro_bias(data: LogData, imu: Imu, gyro: Array) -> Iterator[InspectionFinding]:
     rest = rest_rows(data, gyro)
     if not len(rest):
         return

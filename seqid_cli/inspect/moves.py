@@ -11,9 +11,9 @@ from seqid_cli.inspect.imu_motion import Following
 from seqid_cli.inspect.imus import rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.positions import top_speeds
-from seqid_cli.inspect.report import ImuSummary, JointSummary, Moves
 from seqid_cli.inspect.values import lattice
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
+from seqid_cli.params.inspection_schema import InspectedImu, InspectedJoint, InspectedMoves
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def stretches_of(data: LogData) -> list[Stretch]:
     return constant_velocity(recording.q, recording.rate_hz, step=data.step, valid=recording.valid)
 
 
-def joint_summaries(data: LogData) -> tuple[JointSummary, ...]:
+def joint_summaries(data: LogData) -> list[InspectedJoint]:
     """Describe what the log shows of each joint."""
     effort, speeds = data.effort(), top_speeds(data)
     temperature = data.joints.channels.get("temperature")
@@ -46,7 +46,7 @@ def joint_summaries(data: LogData) -> tuple[JointSummary, ...]:
             else values[:0]
         )
         result.append(
-            JointSummary(
+            InspectedJoint(
                 name=name,
                 moves=data.moves(j),
                 low=float(q.min()),
@@ -55,13 +55,13 @@ def joint_summaries(data: LogData) -> tuple[JointSummary, ...]:
                 encoder_step=lattice(q) or None,
                 effort=effort[0] if effort and len(values) else "",
                 effort_rms=float(np.sqrt(np.mean(values**2))) if len(values) else None,
-                temperature=(float(warm.min()), float(warm.max())) if len(warm) else None,
+                temperature=[float(warm.min()), float(warm.max())] if len(warm) else None,
             )
         )
-    return tuple(result)
+    return result
 
 
-def imu_summaries(data: LogData, following: Sequence[Following]) -> tuple[ImuSummary, ...]:
+def imu_summaries(data: LogData, following: Sequence[Following]) -> list[InspectedImu]:
     """Describe what the log shows of each IMU."""
     result = []
     for imu in data.robot.imus:
@@ -79,11 +79,20 @@ def imu_summaries(data: LogData, following: Sequence[Following]) -> tuple[ImuSum
         delay = next((f.fit.delay for f in following if f.imu.name == imu.name), None)
         count = 0 if values is None else values.shape[1]
         rate = 1.0 / float(max(spans)) if spans and max(spans) > 0 else 0.0
-        result.append(ImuSummary(imu.name, count, gyro, rate, norm, delay))
-    return tuple(result)
+        result.append(
+            InspectedImu(
+                name=imu.name,
+                accelerometers=count,
+                gyro=gyro,
+                rate_hz=rate,
+                rest_norm=norm,
+                delay_s=delay,
+            )
+        )
+    return result
 
 
-def moves_of(data: LogData, stretches: list[Stretch]) -> tuple[Moves, ...]:
+def moves_of(data: LogData, stretches: list[Stretch]) -> list[InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
     result = []
     for j, name in enumerate(data.robot.joint_names):
@@ -92,16 +101,16 @@ def moves_of(data: LogData, stretches: list[Stretch]) -> tuple[Moves, ...]:
             speeds = [abs(s.velocity) for s in mine]
             forward = sum(s.velocity > 0 for s in mine)
             result.append(
-                Moves(
-                    name,
-                    forward,
-                    len(mine) - forward,
-                    min(speeds),
-                    max(speeds),
-                    len(_postures(mine, j)),
+                InspectedMoves(
+                    joint=name,
+                    forward=forward,
+                    backward=len(mine) - forward,
+                    slowest=min(speeds),
+                    fastest=max(speeds),
+                    postures=len(_postures(mine, j)),
                 )
             )
-    return tuple(result)
+    return result
 
 
 def _postures(stretches: list[Stretch], joint: int) -> list[Array]:

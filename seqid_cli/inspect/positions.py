@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import equal_runs, held, lattice, missing_share
 from seqid_cli.motion.segmentation import windowed_velocity
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.types import Joint, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.shares import percent
@@ -46,7 +47,7 @@ class Break:
     """
 
     joint: int
-    finding: Finding
+    finding: InspectionFinding
     rows: NDArray[np.intp]
 
 
@@ -84,7 +85,7 @@ def _smooth(t: Array, q: Array) -> bool:
     return bool(max(bend.max(), -bend.min()) < least)
 
 
-def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Finding]:
+def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[InspectionFinding]:
     """Check every joint's positions; `breaks` are those of `breaks_of`."""
     for j in range(data.robot.n):
         broken = [each.finding for each in breaks if each.joint == j]
@@ -94,7 +95,7 @@ def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Findin
             yield unit
 
 
-def position_quality(data: LogData, broken: Container[str]) -> Iterator[Finding]:
+def position_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
     """Check how well positions are measured, but for the joints named in `broken`."""
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
@@ -115,7 +116,7 @@ def position_quality(data: LogData, broken: Container[str]) -> Iterator[Finding]
         yield from _speed(data, j)
 
 
-def _unit(data: LogData, j: int) -> Finding | None:
+def _unit(data: LogData, j: int) -> InspectionFinding | None:
     """Compare with the limits, as they are and in other units."""
     joint = data.robot.joints[j]
     column = data.joints.channels["position"][:, j]
@@ -162,7 +163,7 @@ def _span(limits: tuple[float, float]) -> float:
     return limits[1] - limits[0]
 
 
-def fast_in_degrees(data: LogData) -> Iterator[Finding]:
+def fast_in_degrees(data: LogData) -> Iterator[InspectionFinding]:
     """Take positions for degrees where most moving joints of an arm are impossibly fast.
 
     Only for logs with neither limits nor velocities, which say it with more certainty.
@@ -191,7 +192,7 @@ def top_speeds(data: LogData) -> list[float]:
     return [_top_speed(data, j) for j in range(data.robot.n)]
 
 
-def _speed(data: LogData, j: int) -> Iterator[Finding]:
+def _speed(data: LogData, j: int) -> Iterator[InspectionFinding]:
     joint = data.robot.joints[j]
     if joint.velocity_limit is None:
         return
@@ -201,7 +202,9 @@ def _speed(data: LogData, j: int) -> Iterator[Finding]:
         yield found("speed_limit", text, joint=joint.name, channel="position")
 
 
-def _breaks(joint: Joint, t: Array, q: Array, step: float) -> Iterator[tuple[Finding, Rows]]:
+def _breaks(
+    joint: Joint, t: Array, q: Array, step: float
+) -> Iterator[tuple[InspectionFinding, Rows]]:
     """Find wraps, freezes, spikes and jumps, each with the samples that are wrong."""
     dt, d = np.diff(t), np.diff(q)
     usual = float(np.median(dt))
@@ -244,7 +247,7 @@ def _least_jump(q: Array, step: float, usual: float) -> float:
 
 def _jumps(
     joint: Joint, t: Array, q: Array, large: float, usual: float
-) -> Iterator[tuple[Finding, Rows]]:
+) -> Iterator[tuple[InspectionFinding, Rows]]:
     d = np.diff(q)
     size = np.abs(d)
     big = size > large
@@ -300,7 +303,7 @@ def _frozen(t: Array, q: Array, large: float) -> list[tuple[int, int, float]]:
     return found_runs
 
 
-def _resolution(joint: Joint, q: Array, step: float) -> Iterator[Finding]:
+def _resolution(joint: Joint, q: Array, step: float) -> Iterator[InspectionFinding]:
     declared = joint.encoder_resolution
     if declared is None or np.ptp(q) < 20 * max(declared, step):
         return

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.guess import WORDS, Guess, guess
-from seqid_cli.inspect.inspect import inspect_log
-from seqid_cli.inspect.report import JointSummary
+from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
+from seqid_cli.params.inspection_schema import InspectedJoint
 from seqid_cli.robot.template import ImuTemplate, JointTemplate, RobotTemplate
 from seqid_cli.robot.urdf_joints import UrdfJoint, best_chain, check_urdf
 from seqid_cli.robot.urdf_text import UrdfText
@@ -59,10 +59,10 @@ def propose(
     guessed = guess(surveyed)
     reports = [inspect_log(path) for path in paths]
     for report in reports:
-        if report.verdict == "unreadable":
+        if report.log.verdict == "unreadable":
             first = report.findings[0]
-            raise InputError(first.message, hint=first.remedy, where=report.path)
-    seen = _merged([joint for report in reports for joint in report.joints])
+            raise InputError(first.message, hint=first.remedy, where=report.log.path)
+    seen = _merged([joint for report in reports for joint in report.log.joints])
     pairs, chain = _matched(guessed.joints, urdf)
     joints = tuple(_joint(log_name, joint, seen[log_name]) for log_name, joint in pairs) or tuple(
         _joint(log_name, None, seen[log_name]) for log_name in guessed.joints
@@ -85,9 +85,9 @@ def propose(
     return Proposal(template, (*unread, *_todo(template, guessed, pairs, urdf)))
 
 
-def _merged(joints: Sequence[JointSummary]) -> dict[str, JointSummary]:
+def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:
     """Put together what several logs say of a joint: it moves if it moves in any."""
-    found: dict[str, JointSummary] = {}
+    found: dict[str, InspectedJoint] = {}
     for joint in joints:
         if joint.name not in found or (joint.moves and not found[joint.name].moves):
             found[joint.name] = joint
@@ -141,7 +141,7 @@ def _matched(
     return found, chain
 
 
-def _joint(log_name: str, joint: UrdfJoint | None, seen: JointSummary) -> JointTemplate:
+def _joint(log_name: str, joint: UrdfJoint | None, seen: InspectedJoint) -> JointTemplate:
     if joint is None:
         return JointTemplate(log_name, encoder_step=seen.encoder_step, moves=seen.moves)
     limits = None

@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.inspect.checks import check, without
+from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.material import log_data
 from seqid_cli.inspect.positions import Break, breaks_of
-from seqid_cli.inspect.report import Finding
 from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.long import READERS, Block, Bridge
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ class Screened:
     """A log without its damaged samples, and what was found."""
 
     recording: Recording
-    findings: tuple[Finding, ...]
+    findings: tuple[InspectionFinding, ...]
 
 
 def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> Screened:
@@ -56,7 +57,7 @@ def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> 
     Screened
     """
     checked = check(log_data(recording, raw, robot, modelled=True), imus=imus, quality=False)
-    return Screened(checked.data.recording, _located(checked.findings, recording.path))
+    return Screened(checked.data.recording, located(checked.findings, recording.path))
 
 
 def sound(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
@@ -84,7 +85,7 @@ class ScreenedLong:
     """A log to be passed over without its damaged samples, and what was found."""
 
     log: SurveyedLog
-    findings: tuple[Finding, ...]
+    findings: tuple[InspectionFinding, ...]
 
 
 def screened_long(log: SurveyedLog, robot: Robot) -> ScreenedLong:
@@ -104,7 +105,7 @@ def screened_long(log: SurveyedLog, robot: Robot) -> ScreenedLong:
         findings += check(data, imus=False, quality=False).findings
         warnings = ()  # they are the log's, and said once
     unique = {(f.code, f.joint, f.channel): f for f in reversed(findings)}
-    return ScreenedLong(sound, _located([*unique.values()][::-1], log.path))
+    return ScreenedLong(sound, located([*unique.values()][::-1], log.path))
 
 
 @dataclass
@@ -219,7 +220,3 @@ def _held(
     effort = {"current": piece.tau / np.array(factor)} if currents else {"torque": piece.tau}
     joints = Stream("joints", stamps, {"position": piece.q, **effort})
     return recording, RawLog(joints, prefer_current=first.prefer_current)
-
-
-def _located(findings: Sequence[Finding], path: object) -> tuple[Finding, ...]:
-    return tuple(replace(finding, log=str(path)) for finding in findings)

@@ -7,10 +7,11 @@ from collections.abc import Container, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.geometry import HEAVY, largest_gravity
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.report import Finding, found
 from seqid_cli.inspect.values import clipped, equal_runs, held, lattice, missing_share
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
@@ -24,7 +25,7 @@ DITHERED = 0.6  # share of changing samples, beyond which noise carries the sign
 WHOLE, WHOLE_LEAST = 0.999, 30.0
 
 
-def torque_findings(data: LogData) -> Iterator[Finding]:
+def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Check the torque or current of every joint that moves."""
     effort = data.effort()
     if effort is None:
@@ -67,7 +68,7 @@ def _of_moving(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]
         yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
 
 
-def torque_quality(data: LogData, broken: Container[str]) -> Iterator[Finding]:
+def torque_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
     """Check how well torque is measured, but for the joints named in `broken`."""
     effort = data.effort()
     if effort is None:
@@ -112,7 +113,7 @@ def _stuck(values: Array, t: Array, moving: NDArray[np.bool_]) -> str:
     return ""
 
 
-def _milliamperes(data: LogData, values: Array) -> Iterator[Finding]:
+def _milliamperes(data: LogData, values: Array) -> Iterator[InspectionFinding]:
     """Whole numbers beyond 30 in all channels are no amperes of an arm's drive."""
     columns = [values[np.isfinite(values[:, j]), j] for j in range(data.robot.n)]
     live = {j: c for j, c in enumerate(columns) if len(c) and np.ptp(c) > 0}
@@ -124,7 +125,7 @@ def _milliamperes(data: LogData, values: Array) -> Iterator[Finding]:
             yield found("current_in_ma", text, joint=name, channel="current")
 
 
-def temperature_findings(data: LogData) -> Iterator[Finding]:
+def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Check the temperatures."""
     temperatures = data.joints.channels.get("temperature")
     if temperatures is None:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.positions import DEGREES
-from seqid_cli.inspect.report import Finding, found
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]
@@ -25,7 +26,9 @@ CROSSED = 0.95
 DEAD = 0.3  # of the usual travel of a window, that a dead encoder's joint must move
 
 
-def velocity_findings(data: LogData, broken: frozenset[str] = frozenset()) -> Iterator[Finding]:
+def velocity_findings(
+    data: LogData, broken: frozenset[str] = frozenset()
+) -> Iterator[InspectionFinding]:
     """Check the velocity of every joint that moves, but for the joints named in `broken`."""
     if data.recording.dq is None:
         return
@@ -144,7 +147,7 @@ def _crossed(
 
 def _verdict(
     data: LogData, j: int, gain: float, correlation: float, ratio: float
-) -> Iterator[Finding]:
+) -> Iterator[InspectionFinding]:
     joint = data.robot.joints[j]
     if ratio < NOTHING and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"

@@ -6,9 +6,11 @@ from typing import Literal
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.html import Document
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 
+DiagnosisVerdict = Literal["effect_found", "nothing_missing", "unexplained"]
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
 MORE_THAN_NOISE = 3.0  # noise floors, above which a joint's residual is reported
 
@@ -121,7 +123,7 @@ class HiddenEntry(Struct, kw_only=True):
     visible: float
 
 
-class DiagnosisFile(Struct, kw_only=True):
+class DiagnosisFile(Document, kw_only=True):
     """The whole document; `findings` are ordered, the most certain first.
 
     `verdicts` are poor where the logs are damaged or the model is of no arm that can be: what is
@@ -135,7 +137,7 @@ class DiagnosisFile(Struct, kw_only=True):
     inputs: list[InputLog]
     parameters: list[FileId]
     stages: list[str]  # names of the stages that took part
-    verdict: Literal["effect_found", "nothing_missing", "unexplained"]
+    verdict: DiagnosisVerdict
     findings: list[FindingEntry]
     unexplained: list[UnexplainedPart]
     joints: dict[str, ResidualEntry]

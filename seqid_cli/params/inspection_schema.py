@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.base import Struct
+from typing import Literal
+
+from seqid_cli.params.base import FrozenStruct, Struct
+from seqid_cli.params.html import Document
 from seqid_cli.params.schema import Tool
 
 INSPECTION_SCHEMA = "seqid/inspection@1"
+InspectionVerdict = Literal["good", "usable", "faulty", "unreadable"]
 
 
 class InspectedJoint(Struct, kw_only=True):
@@ -44,8 +48,12 @@ class InspectedMoves(Struct, kw_only=True):
     postures: int
 
 
-class InspectionFinding(Struct, kw_only=True):
-    """One fault, and the remedy; `joint` may name an IMU, or two joints."""
+class InspectionFinding(FrozenStruct, kw_only=True, frozen=True):
+    """One fault, or something worth knowing, and the remedy.
+
+    `log` is empty for a fault of the robot file or of all logs; `joint` (or IMU, or two joints)
+    and `channel` are named where the fault is of one.
+    """
 
     code: str
     severity: str
@@ -81,7 +89,7 @@ class InspectedLog(Struct, kw_only=True):
     partial: str
 
 
-class InspectionFile(Struct, kw_only=True):
+class InspectionFile(Document, kw_only=True):
     """The whole document."""
 
     schema: str

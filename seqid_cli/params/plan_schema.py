@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from seqid_cli.params.base import Struct
+from seqid_cli.params.html import Document
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import RobotId, Tool, Verdict
 
@@ -103,7 +104,7 @@ class PlannedStage(Struct, kw_only=True):
     notes: list[str] = []
 
 
-class PlanFile(Struct, kw_only=True):
+class PlanFile(Document, kw_only=True):
     """The whole document. `noise_density` is the torque's, N m/sqrt(Hz), one-sided."""
 
     schema: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from seqid_cli.params.base import Struct
+from seqid_cli.params.html import Document
 from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 
 PREDICTION_SCHEMA = "seqid/prediction@1"
@@ -46,7 +47,7 @@ class LogPredictionError(Struct, kw_only=True):
     motion: MotionUse | None = None
 
 
-class PredictionFile(Struct, kw_only=True):
+class PredictionFile(Document, kw_only=True):
     """The whole document; `joints` is over all logs together."""
 
     schema: str

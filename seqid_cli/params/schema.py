@@ -10,6 +10,7 @@ from typing import Literal
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.html import Document
 
 SCHEMA = "seqid/params@1"
 
@@ -372,7 +373,7 @@ class Stages(Struct, kw_only=True, omit_defaults=True):
     effects: list[EffectOfJoint] | None = None
 
 
-class ParameterFile(Struct, kw_only=True, omit_defaults=True):
+class ParameterFile(Document, kw_only=True, omit_defaults=True):
     """The whole document."""
 
     schema: str

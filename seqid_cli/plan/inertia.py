@@ -64,8 +64,8 @@ def plan_inertia(
     """
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
-    shapes = Shapes.over(options.move_s, COARSE_HZ)
-    count = max(1, int(options.duration_s / options.move_s))
+    shapes = Shapes.over(options.length_s, COARSE_HZ)
+    count = max(1, int(options.duration_s / options.length_s))
     groups = groups_of(belief.limits, together=options.together)
     rng = np.random.default_rng(options.seed)
     pool = draw_pool(belief, goal, shapes, groups, options.pool, rng)
@@ -83,7 +83,7 @@ def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
     """Stop where the pool is empty, naming the joint that the load is too heavy for."""
     if pool.joints:
         return
-    still = Shapes.over(options.move_s, COARSE_HZ)
+    still = Shapes.over(options.length_s, COARSE_HZ)
     n = belief.robot.n
     rng = np.random.default_rng(options.seed)
     places = rng.uniform(size=(200, n))
@@ -100,7 +100,7 @@ def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
 
 def within_torque(belief: Belief, drawn: Drawn, options: PlanOptions) -> tuple[Drawn, Moves]:
     """Make moves smaller until their torques hold on dense samples too."""
-    shapes = Shapes.over(options.move_s, DENSE_HZ)
+    shapes = Shapes.over(options.length_s, DENSE_HZ)
     moves = shapes.moves(drawn, belief.limits)
     overload = _dense_overload(belief, moves)
     while (over := np.flatnonzero(overload > 1.0)).size:
@@ -133,7 +133,7 @@ def described(
                 name=f"inertia_{k + 1:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
                 stage="inertia",
                 joints=joints,
-                duration_s=options.move_s,
+                duration_s=options.length_s,
                 start={name: float(x) for name, x in zip(names, start, strict=True)},
                 fourier=motions,
                 torque_share=float(shares[k]) if belief.checks_torque else None,

@@ -13,12 +13,23 @@ class PlanOptions:
 
     `duration_s` is the time that the moves of the inertia stage may take, `together` whether all
     joints move at once in them instead of two, `pool` how many moves are drawn to choose from and
-    `sweeps` how often each chosen one is refined.
+    `sweeps` how often each chosen one is refined. Each move lasts `move_s` (None: 20 ramps), gets
+    from rest to the largest speed in `ramp_s`, and uses a `share` of all limits; `locked` joints
+    are kept still, and `speed_scale` slows down the files, for the first run on the robot.
     """
 
     duration_s: float = 150.0
-    move_s: float = 10.0
+    move_s: float | None = None
     together: bool = False
     pool: int = 600
     sweeps: int = 2
     seed: int = 0
+    ramp_s: float = 0.5
+    share: float = 0.95
+    locked: tuple[str, ...] = ()
+    speed_scale: float = 1.0
+
+    @property
+    def length_s(self) -> float:
+        """How long each move lasts, s."""
+        return MOVE_RAMPS * self.ramp_s if self.move_s is None else self.move_s

@@ -28,7 +28,7 @@ def plan_validation(belief: Belief, options: PlanOptions) -> Planned:
     """
     own = replace(options, seed=options.seed + OWN_SEED)
     goal = Goal.of(belief, own.seed)
-    shapes = Shapes.over(own.move_s, COARSE_HZ)
+    shapes = Shapes.over(own.length_s, COARSE_HZ)
     rng = np.random.default_rng(own.seed)
     pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * MOVES, rng)
     check_torque(belief, pool, own)
@@ -37,4 +37,4 @@ def plan_validation(belief: Belief, options: PlanOptions) -> Planned:
         msgspec.structs.replace(move, name=f"validation_{k}", stage="validation")
         for k, move in enumerate(described(belief, drawn, moves, own), start=1)
     ]
-    return Planned(named, PlannedStage(duration_s=own.move_s * len(named)))
+    return Planned(named, PlannedStage(duration_s=own.length_s * len(named)))

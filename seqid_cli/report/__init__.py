@@ -1,1 +1,6 @@
 """Results as one self-contained HTML page."""
+
+from seqid_cli.report.functions import report
+from seqid_cli.report.plots import plot_evidence, plot_friction
+
+__all__ = ["plot_evidence", "plot_friction", "report"]

@@ -8,6 +8,7 @@ from typing import Literal
 
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.diagnosis_words import beyond_noise, nothing_found
+from seqid_cli.params.report_schema import TITLES
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.report.collection import Collection, Diagnosed, Model, Prediction
 from seqid_cli.report.words import (
@@ -24,12 +25,6 @@ from seqid_cli.report.words import (
 Level = Literal["good", "reservations", "poor", "not_judged"]
 Weight = Literal["poor", "open"]
 
-TITLES = {
-    "good": "Good",
-    "reservations": "Good, with reservations",
-    "poor": "Poor",
-    "not_judged": "Not judged yet",
-}
 _FAR = 2.0  # times the noise floor, above which noise cannot be all of an error
 _STAGES = ("friction", "gravity", "imu", "inertia")
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 
@@ -11,9 +11,10 @@ import pytest
 
 from seqid_cli.__main__ import main
 from seqid_cli.discover.gather import Gathered
-from seqid_cli.inspect.report import Finding
+from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Robot
@@ -80,7 +81,7 @@ class Reader:
     partial: str = ""
     time_source: str = ""
 
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[InspectionFinding, ...] = ()
 
     def read_screened(self, path: Path, robot: Robot, *, time_source: str, imus: bool) -> Screened:
         """Return one recording, whatever the path."""
@@ -97,15 +98,14 @@ class Reader:
             tau=np.ones((SAMPLES, robot.n)),
             partial=self.partial,
         )
-        located = (replace(finding, log=str(path)) for finding in self.findings)
-        return Screened(recording, tuple(located))
+        return Screened(recording, located(self.findings, path))
 
 
 @pytest.fixture
 def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
     """Replace the log reader and its checks."""
     fake = Reader()
-    monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", fake.read_screened)
+    monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", fake.read_screened)
     return fake
 
 
@@ -117,7 +117,8 @@ def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
         return Gathered(tuple(recordings))
 
     monkeypatch.setattr("seqid_cli.discover.gather.gather", gather)
-    monkeypatch.setattr("seqid_cli.discover.gather.values_of", lambda *_: 0)
+    monkeypatch.setattr("seqid_cli.discover.earlier_logs.gather", gather)
+    monkeypatch.setattr("seqid_cli.discover.earlier_logs.values_of", lambda *_: 0)
 
 
 @pytest.fixture

@@ -5,130 +5,164 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import ModuleType
 
 import jsonschema
 import pytest
+from msgspec import structs
 
 from seqid_cli.commands.render import Screen
 from seqid_cli.commands.show_diagnosis import show_diagnosis, verdict_sentence
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import (
-    Diagnosis,
-    Event,
-    Evidence,
-    Finding,
-    Hidden,
-    JointResidual,
-    Rival,
-    Unexplained,
-)
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.inspect.report import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.effect import Value
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
+from seqid_cli.params.diagnosis_schema import (
+    DIAGNOSIS_SCHEMA,
+    DiagnosisFile,
+    EffectParameter,
+    EventEntry,
+    FindingEntry,
+    HiddenEntry,
+    ResidualEntry,
+    UnexplainedPart,
+)
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
-from tests.params.documents import diagnosis_file, friction_file, gravity_file, inertia_file
+from tests.params.documents import (
+    diagnosis_file,
+    diagnosis_of,
+    friction_file,
+    gravity_file,
+    inertia_file,
+)
 
 BASE = ["diagnose", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 
-STRIBECK = Finding(
+STRIBECK = FindingEntry(
     effect="stribeck",
     joint="elbow",
     confidence=0.97,
     name_confidence=0.9,
     explains=0.81,
-    confusable_with=("presliding_hysteresis", "quadratic_drag"),
+    confusable_with=["presliding_hysteresis", "quadratic_drag"],
     separate_by="slow reversals at two accelerations",
     gain=0.7,
-    parameters=(Value("stribeck_torque", 1.5, 0.05, "N m"),),
+    parameters=[EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")],
     settings={"stribeck_speed": 0.05, "exponent": 2.0},
     note="a remark on it",
     log_gain=300.0,
-    evidence=Evidence(
+    evidence=EvidenceEntry(
         joint="elbow",
         quantity="speed",
         of="elbow",
+        unit="rad/s",
         sided=True,
-        x=(0.1, 0.5, 1.0),
-        count=(50, 51, 50),
-        before=(1.5, 0.4, 0.1),
-        before_spread=(0.2, 0.2, 0.2),
-        after=(0.01, -0.02, 0.0),
-        after_spread=(0.2, 0.2, 0.2),
+        x=[0.1, 0.5, 1.0],
+        count=[50, 51, 50],
+        before=[1.5, 0.4, 0.1],
+        before_spread=[0.2, 0.2, 0.2],
+        after=[0.01, -0.02, 0.0],
+        after_spread=[0.2, 0.2, 0.2],
     ),
-    rivals=(
-        Rival("presliding_hysteresis", "elbow", 290.0, "these logs cannot tell the two apart"),
-        Rival("quadratic_drag", "elbow", 120.0, "explains 60.0 % less"),
-    ),
+    rivals=[
+        RivalEntry(
+            effect="presliding_hysteresis",
+            joint="elbow",
+            log_gain=290.0,
+            why_not="these logs cannot tell the two apart",
+        ),
+        RivalEntry(
+            effect="quadratic_drag", joint="elbow", log_gain=120.0, why_not="explains 60.0 % less"
+        ),
+    ],
 )
-PAYLOAD = Finding(
+PAYLOAD = FindingEntry(
     effect="payload",
     joint=None,
     confidence=0.6,
     name_confidence=0.6,
     explains=0.1,
-    confusable_with=(),
+    confusable_with=[],
     separate_by="",
     gain=0.05,
 )
-CURVE = Unexplained(
+CURVE = UnexplainedPart(
     joint="shoulder",
-    depends_on=("position", "other_joint:elbow"),
+    depends_on=["position", "other_joint:elbow"],
     share=0.4,
     log_gain=80.0,
-    evidence=Evidence(
+    evidence=EvidenceEntry(
         joint="shoulder",
         quantity="position",
         of="shoulder",
+        unit="rad",
         sided=False,
-        x=(-1.0, 0.0, 1.0),
-        count=(9, 9, 9),
-        before=(0.5, -0.5, 0.5),
-        before_spread=(0.1, 0.1, 0.1),
-        after=(0.0, 0.0, 0.0),
-        after_spread=(0.1, 0.1, 0.1),
+        x=[-1.0, 0.0, 1.0],
+        count=[9, 9, 9],
+        before=[0.5, -0.5, 0.5],
+        before_spread=[0.1, 0.1, 0.1],
+        after=[0.0, 0.0, 0.0],
+        after_spread=[0.1, 0.1, 0.1],
     ),
-    rivals=(Rival("spring", "shoulder", 20.0, "explains 75.0 % less"),),
+    rivals=[
+        RivalEntry(effect="spring", joint="shoulder", log_gain=20.0, why_not="explains 75.0 % less")
+    ],
 )
 JOINTS = {
-    "shoulder": JointResidual(
-        0.3,
-        0.1,
-        (0.08, 0.13),
-        False,
-        0.12,
-        400,
-        (Rival("drift", "shoulder", 1.0, "gain of 0.9 standard errors; 2 are asked at least"),),
+    "shoulder": ResidualEntry(
+        rmse=0.3,
+        noise_floor=0.1,
+        noise_floor_interval=[0.08, 0.13],
+        white=False,
+        rmse_explained=0.12,
+        samples=400,
+        tried=[
+            RivalEntry(
+                effect="drift",
+                joint="shoulder",
+                log_gain=1.0,
+                why_not="gain of 0.9 standard errors; 2 are asked at least",
+            )
+        ],
     ),
-    "elbow": JointResidual(float("nan"), float("nan"), (0.0, 0.0), True, float("nan"), 0),
+    "elbow": ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0),
 }
-QUIET = JointResidual(0.12, 0.1, (0.08, 0.13), True, 0.12, 400)
-FOUND = Diagnosis(
-    verdict="effect_found",
-    findings=(STRIBECK, PAYLOAD),
-    unexplained=(CURVE,),
-    joints=JOINTS,
-    events=tuple(Event("a.parquet", float(k), k + 0.5, ("elbow",)) for k in range(12)),
-    hidden=(Hidden("base_tilt", None, 0.02), Hidden("spring", "elbow", 0.001)),
-    notes=("a remark",),
+QUIET = structs.replace(JOINTS["shoulder"], rmse=0.12, white=True, tried=[])
+FOUND = diagnosis_of(
+    "effect_found",
+    [STRIBECK, PAYLOAD],
+    [CURVE],
+    JOINTS,
+    events=[
+        EventEntry(log="a.parquet", start=float(k), end=k + 0.5, joints=["elbow"])
+        for k in range(12)
+    ],
+    hidden=[
+        HiddenEntry(effect="base_tilt", joint=None, visible=0.02),
+        HiddenEntry(effect="spring", joint="elbow", visible=0.001),
+    ],
+    notes=["a remark"],
 )
-NOTHING = Diagnosis("nothing_missing", (), (), {"shoulder": QUIET, "elbow": JOINTS["elbow"]})
-OPEN = Diagnosis("unexplained", (), (CURVE, Unexplained("elbow", (), 0.3)), JOINTS)
+NOTHING = diagnosis_of("nothing_missing", joints={"shoulder": QUIET, "elbow": JOINTS["elbow"]})
+OPEN = diagnosis_of(
+    "unexplained",
+    unexplained=[CURVE, UnexplainedPart(joint="elbow", depends_on=[], share=0.3)],
+    joints=JOINTS,
+)
 
 
 @dataclass
 class Library:
     """Stands in for the diagnosis: reads all recordings and returns what it was given."""
 
-    result: Diagnosis | Exception = FOUND
+    result: DiagnosisFile | Exception = FOUND
     calls: list[object] = field(default_factory=list)
 
     def diagnose(
@@ -139,7 +173,7 @@ class Library:
         *,
         options: DiscoverOptions,
         aside: Iterable[Recording],
-    ) -> Diagnosis:
+    ) -> DiagnosisFile:
         assert not list(aside)
         self.calls.append((len(list(recordings)), robot, stages, options))
         if isinstance(self.result, Exception):
@@ -150,7 +184,7 @@ class Library:
 @pytest.fixture
 def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
-    module = ModuleType("seqid_cli.discover.diagnose")
+    module = ModuleType("seqid_cli.discover.diagnosis")
     module.diagnose = fake.diagnose  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
     rig.params("p.json", inertia_file())
@@ -242,8 +276,8 @@ def test_the_story_of_a_finding(rig: Rig, library: Library) -> None:
 
 
 def test_a_push_is_told_of_the_joints_that_it_moves(rig: Rig, library: Library) -> None:
-    push = replace(PAYLOAD, effect="external_contact", separate_by="")
-    library.result = replace(FOUND, findings=(push,), unexplained=())
+    push = structs.replace(PAYLOAD, effect="external_contact", separate_by="")
+    library.result = structs.replace(FOUND, findings=[push], unexplained=[])
     assert "Taken: external_contact" in rig.run(*BASE, "--explain", "elbow").out
     assert "Nothing was taken." in rig.run(*BASE, "--explain", "shoulder").out
 
@@ -306,13 +340,13 @@ def test_long_lists_are_for_those_who_ask(rig: Rig, library: Library) -> None:
     [
         (NOTHING, "Nothing is missing: what these logs leave of the torque is noise.", None),
         (
-            replace(NOTHING, joints=JOINTS),
+            structs.replace(NOTHING, joints=JOINTS),
             "No effect was found, but not all that is left is noise"
             " (shoulder: 3 times the noise floor, noise makes up to 1.3, not white).",
             None,
         ),
         (
-            replace(NOTHING, joints={"elbow": replace(QUIET, white=False)}),
+            structs.replace(NOTHING, joints={"elbow": structs.replace(QUIET, white=False)}),
             "No effect was found, but not all that is left is noise (elbow: not white).",
             None,
         ),
@@ -323,14 +357,14 @@ def test_long_lists_are_for_those_who_ask(rig: Rig, library: Library) -> None:
             "-p p.json --with-unexplained -o refined.json",
         ),
         (
-            replace(FOUND, unexplained=()),
+            structs.replace(FOUND, unexplained=[]),
             "The model lacks stribeck at elbow, payload.",
             "-p p.json",
         ),
     ],
 )
 def test_verdicts_as_sentences(
-    rig: Rig, library: Library, found: Diagnosis, sentence: str, following: str | None
+    rig: Rig, library: Library, found: DiagnosisFile, sentence: str, following: str | None
 ) -> None:
     library.result = found
     done = rig.run(*BASE)
@@ -343,7 +377,7 @@ def test_verdicts_as_sentences(
 
 @pytest.mark.parametrize(("found", "strict"), [(FOUND, 1), (OPEN, 1), (NOTHING, 0)])
 def test_strict_is_about_the_verdict(
-    rig: Rig, library: Library, found: Diagnosis, strict: int
+    rig: Rig, library: Library, found: DiagnosisFile, strict: int
 ) -> None:
     library.result = found
     assert rig.run(*BASE).code == 0

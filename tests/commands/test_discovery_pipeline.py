@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -21,13 +20,6 @@ ROBOT = ["-r", str(RIG / "robot.toml")]
 FITTED = [RIG / "changed" / "fourier.parquet", RIG / "changed" / "trapezoids.parquet"]
 HELD_OUT = RIG / "changed" / "held_out.parquet"
 TRUTH = json.loads((RIG / "truth.json").read_text())["changed"]
-needs = {
-    name: pytest.mark.skipif(
-        importlib.util.find_spec(f"seqid_cli.discover.{name}") is None,
-        reason=f"seqid_cli.discover.{name} is not there",
-    )
-    for name in ("diagnose", "refine")
-}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +37,6 @@ def parameters(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return inertia
 
 
-@needs["diagnose"]
 def test_a_diagnosis_of_real_logs(
     tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -61,7 +52,6 @@ def test_a_diagnosis_of_real_logs(
     assert main([*command, "--strict", "-q"]) == 0
 
 
-@needs["diagnose"]
 def test_a_diagnosis_of_logs_after_a_change(tmp_path: Path, parameters: Path) -> None:
     output = tmp_path / "diagnosis.json"
     command = ["diagnose", str(RIG / "changed"), *ROBOT, "-p", str(parameters), "--strict"]
@@ -76,7 +66,6 @@ def test_a_diagnosis_of_logs_after_a_change(tmp_path: Path, parameters: Path) ->
     assert joint["rmse_explained"] < 0.6 * joint["rmse"]
 
 
-@needs["diagnose"]
 def test_a_log_without_torque_is_refused(
     tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,7 +79,6 @@ def test_a_log_without_torque_is_refused(
     assert "Traceback" not in error
 
 
-@needs["refine"]
 def test_a_refinement_of_real_logs(
     tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,25 +9,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.commands import earlier_logs
-from seqid_cli.commands.earlier_logs import read_earlier
-from seqid_cli.commands.job import Job
-from seqid_cli.commands.log_sets import EarlierLogs
-from seqid_cli.commands.render import Screen
+from seqid_cli.discover import earlier_logs
 from seqid_cli.discover import gather as gathering
+from seqid_cli.discover.earlier_logs import read_earlier
 from seqid_cli.discover.gather import Gathered, gather
-from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.discover.log_sets import EarlierLogs
+from seqid_cli.identify.inputs import Inputs
+from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.options import InertiaOptions, LogOptions
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from tests.commands.conftest import Rig
-from tests.discover.long_logs import RIG, Files, LongCase, long_case
+from tests.discover.long_logs import RIG, LongCase, long_case
 from tests.plants.cases import RIGS
 from tests.plants.robotfile import robot_toml
 
 Array = NDArray[np.float64]
+pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 
 PUSHED = 30.0
 MOST = 68_000
@@ -76,16 +77,9 @@ def test_a_long_log_is_diagnosed_in_pieces(rig: Rig) -> None:
     assert "40 s were looked at" in done.out + done.err
 
 
-def job_of(case: LongCase, folder: Path) -> Job:
-    return Job(
-        Screen("refine", quiet=True),
-        (folder / "fitted.parquet",),
-        case.robot,
-        file_of(case),
-        (),
-        None,
-        "header",
-    )
+def inputs_of(case: LongCase, folder: Path) -> Inputs:
+    file, log = file_of(case), folder / "fitted.parquet"
+    return Inputs((log,), case.robot, (("model", file),), file, (), None, LogOptions())
 
 
 def fitted_and_found(case: LongCase, folder: Path) -> tuple[Gathered, EarlierLogs]:
@@ -93,11 +87,10 @@ def fitted_and_found(case: LongCase, folder: Path) -> tuple[Gathered, EarlierLog
     paths = [case.written(folder / f"{name}.parquet") for name in ("fitted", "other")]
     other = case.with_torque(lambda t: np.full((len(t), 2), 0.1)).written(paths[1])
     fitted = gather(
-        Files(paths[:1], case.robot),
+        LogSet(paths[:1], case.robot),
         case.robot,
         case.stages,
         options=InertiaOptions(),
-        paths=paths[:1],
         aside=False,
     )
     digests = [read_recording(path, case.robot).sha256 for path in (paths[0], other)]
@@ -112,7 +105,7 @@ def fitted_and_found(case: LongCase, folder: Path) -> tuple[Gathered, EarlierLog
 def test_trials_are_read_whole_and_other_logs_in_pieces(tmp_path: Path) -> None:
     case = long_case()
     fitted, found = fitted_and_found(case, tmp_path)
-    earlier = read_earlier(job_of(case, tmp_path), found, fitted, InertiaOptions())
+    earlier = read_earlier(inputs_of(case, tmp_path), found, fitted, InertiaOptions())
     assert not earlier.notes
     whole = earlier.by_stage["friction"]
     assert [len(log.t) for log in whole] == [len(case.log.t)] * 2
@@ -127,7 +120,7 @@ def test_trials_beyond_what_is_held_are_left_aside(
     monkeypatch.setattr(earlier_logs, "MOST_OF_TRIALS", MOST)
     case = long_case()
     fitted, found = fitted_and_found(case, tmp_path)
-    earlier = read_earlier(job_of(case, tmp_path), found, fitted, InertiaOptions())
+    earlier = read_earlier(inputs_of(case, tmp_path), found, fitted, InertiaOptions())
     assert list(earlier.by_stage["friction"]) == []
     assert list(earlier.by_stage["inertia"]) == list(fitted.recordings)
     (note,) = earlier.notes

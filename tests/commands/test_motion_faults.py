@@ -135,7 +135,7 @@ class Bench:
         def read(path: Path, robot: Robot, **options: object) -> Screened:
             return Screened(recording, ())
 
-        self.monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", read)
+        self.monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", read)
 
 
 @pytest.fixture

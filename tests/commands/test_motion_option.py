@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from seqid_cli.commands.render import Screen
-from seqid_cli.commands.show_motion import announced, motion_line, show_motion
+from seqid_cli.commands.show_motion import motion_line, show_motion
+from seqid_cli.identify.functions import announcement
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
@@ -62,7 +63,7 @@ def test_inertia_passes_it_on(
     rig: Rig, reader: Reader, identified: Replace, given: list[str], passed: str
 ) -> None:
     before = rig.params("p.json", full_file())
-    calls = identified("inertia", "identify_inertia", rigid_stage("kg m^2"))
+    calls = identified("inertia_stage", "identify_inertia", rigid_stage("kg m^2"))
     assert rig.run("inertia", *LOGS, "-p", before, *given).code == 0
     assert calls[3] == InertiaOptions(MotionOptions(), passed)
 
@@ -71,7 +72,7 @@ def test_simultaneous_takes_calibrations_and_keeps_them(
     rig: Rig, reader: Reader, identified: Replace
 ) -> None:
     before = rig.params("p.json", full_file())
-    calls = identified("simultaneous", "identify_simultaneous", (friction_stage(), rigid_stage()))
+    calls = identified("one_step", "identify_simultaneous", (friction_stage(), rigid_stage()))
     done = rig.run("simultaneous", *LOGS, "-p", before, "--motion", "fused", "-o", "out.json")
     assert done.code == 0
     assert isinstance(calls[3], ImuStage)
@@ -106,8 +107,8 @@ def bench(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Bench:
     def held(*given: object, **options: object) -> None:
         """No log is long."""
 
-    monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", read)
-    monkeypatch.setattr("seqid_cli.identify.predict.open_if_long", held)
+    monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", read)
+    monkeypatch.setattr("seqid_cli.identify.predict_logs.open_if_long", held)
     return made
 
 
@@ -181,16 +182,13 @@ def test_a_simultaneous_fit_says_its_motion(bench: Bench) -> None:
     assert "motion: fused" in err
 
 
-def test_long_logs_are_announced(capsys: pytest.CaptureFixture[str]) -> None:
+def test_long_logs_are_announced() -> None:
     s = scene("two")
     times = np.arange(0.0, 700.0, 1.0 / s.recording.rate_hz)
     long = replace(s.recording, t=times)
-    screen = Screen("inertia")
     for imu, source, told in ((s.stage, "auto", 1), (None, "auto", 0), (s.stage, "encoder", 0)):
-        assert list(announced([long], screen, imu, source)) == [long]
-        assert capsys.readouterr().err.count("smoothing 12 min") == told
-    list(announced([s.recording], screen, s.stage, "auto"))
-    assert capsys.readouterr().err == ""
+        assert announcement(imu, source)(long).count("smoothing 12 min") == told
+    assert announcement(s.stage, "auto")(s.recording) == ""
 
 
 def test_nothing_is_said_of_arms_without_imus(capsys: pytest.CaptureFixture[str]) -> None:

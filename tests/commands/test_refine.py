@@ -12,11 +12,11 @@ from types import ModuleType, SimpleNamespace
 
 import jsonschema
 import pytest
+from msgspec import structs
 
-from seqid_cli.commands.log_sets import find_earlier, held_out_logs
 from seqid_cli.discover.heldout import WholeLogs
+from seqid_cli.discover.log_sets import find_earlier, held_out_logs
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import ClosedLoop, LoopError, Round
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.screening import Screened
@@ -26,10 +26,13 @@ from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import (
     SCHEMA,
+    ClosedLoop,
     EffectOfJoint,
     InputLog,
+    JointRmse,
     Parameter,
     ParameterFile,
+    RefinementRound,
     Stages,
 )
 from seqid_cli.robot.types import Robot
@@ -39,25 +42,38 @@ from tests.params.documents import friction_file, inertia_file
 BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 
 
-def error(rmse: float) -> LoopError:
-    return LoopError(rmse, 0.9 * rmse, 2.0 * rmse, 0.1)
+def error(rmse: float) -> JointRmse:
+    return JointRmse(rmse=rmse, rmse_inside=0.9 * rmse, rmse_outside=2.0 * rmse, share_outside=0.1)
 
 
-ADDED = Round("stribeck", "elbow", True, 0.62, (0.55, 0.64), "", 0.6, (0.5, 0.63), True)
+ADDED = RefinementRound(
+    effect="stribeck",
+    joint="elbow",
+    training_gain=0.62,
+    training_interval=[0.55, 0.64],
+    held_out_gain=0.6,
+    interval=[0.5, 0.63],
+    confirmed=True,
+)
+REFUSED = RefinementRound(
+    effect="payload",
+    accepted=False,
+    training_gain=0.01,
+    training_interval=[-0.01, 0.03],
+    reason="the interval holds zero",
+)
 LOOP = ClosedLoop(
-    rounds=(
-        ADDED,
-        Round("payload", None, False, 0.01, (-0.01, 0.03), "the interval holds zero"),
-    ),
+    rounds=[ADDED],
+    refused=[REFUSED],
     before={"shoulder": error(0.2), "elbow": error(0.4)},
     after={"shoulder": error(0.2), "elbow": error(0.2)},
     noise_floor={"shoulder": 0.15, "elbow": 0.18},
-    noise_floor_interval={"shoulder": (0.14, 0.16), "elbow": (0.17, 0.19)},
-    gain_interval={"shoulder": (-0.01, 0.01), "elbow": (0.7, 0.8)},
-    evaluated_on=("b.parquet",),
-    notes=("a remark",),
+    noise_floor_interval={"shoulder": [0.14, 0.16], "elbow": [0.17, 0.19]},
+    gain_interval={"shoulder": [-0.01, 0.01], "elbow": [0.7, 0.8]},
+    evaluated_on=["b.parquet"],
+    notes=["a remark"],
 )
-NOTHING = replace(LOOP, rounds=LOOP.rounds[1:], after=LOOP.before)
+NOTHING = structs.replace(LOOP, rounds=[], after=LOOP.before)
 EFFECT = EffectOfJoint(
     effect="stribeck",
     joint="elbow",
@@ -124,7 +140,7 @@ def replace_effects(stages: Stages, effects: list[EffectOfJoint] | None) -> Stag
 @pytest.fixture
 def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
-    module = ModuleType("seqid_cli.discover.refine")
+    module = ModuleType("seqid_cli.discover.refinement")
     module.refine = fake.refine  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
     other = ModuleType("seqid_cli.discover.confirm")
@@ -138,7 +154,7 @@ def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.Monke
         digest = sha256(path.read_bytes())
         return replace(found, recording=replace(found.recording, sha256=digest))
 
-    monkeypatch.setattr("seqid_cli.inspect.screening.read_screened", digested)
+    monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", digested)
     for number, name in enumerate(("a.parquet", "b.parquet", "c.parquet", "d.parquet")):
         (rig.folder / name).write_bytes(content(number))
     rig.params("p.json", inertia_file())
@@ -238,13 +254,13 @@ def test_nothing_added_is_a_result(rig: Rig, library: Library) -> None:
     assert file.closed_loop is not None
     assert file.closed_loop.rounds == []
     assert rig.run(*BASE, "--strict").code == 1
-    library.loop = replace(NOTHING, rounds=())
+    library.loop = structs.replace(NOTHING, refused=[])
     assert rig.run(*BASE).out.startswith("Nothing was added: nothing was found.\n")
 
 
 def test_what_held_out_logs_do_not_confirm_is_poor(rig: Rig, library: Library) -> None:
-    doubtful = replace(ADDED, held_out_gain=0.02, interval=(-0.3, 0.34), confirmed=False)
-    library.loop = replace(LOOP, rounds=(doubtful,))
+    doubtful = structs.replace(ADDED, held_out_gain=0.02, interval=[-0.3, 0.34], confirmed=False)
+    library.loop = structs.replace(LOOP, verdict="poor", rounds=[doubtful], refused=[])
     done = rig.run(*BASE, "-o", "out.json")
     assert done.code == 0
     assert "verdict poor: the held-out logs do not confirm stribeck at elbow" in done.err

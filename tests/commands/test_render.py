@@ -60,12 +60,12 @@ class Clock:
 
 def test_progress_shows_after_a_second_and_vanishes() -> None:
     stream, clock = Terminal(), Clock()
-    line = ProgressLine(4, stream, enabled=True, clock=clock)
-    line.show(1, "a.mcap")
+    line = ProgressLine(stream, enabled=True, clock=clock)
+    line.show(1, 4, "a.mcap")
     line.clear()
     assert stream.getvalue() == ""
     clock.now = 1.5
-    line.show(2, "b.mcap")
+    line.show(2, 4, "b.mcap")
     assert "[##########..........] 2/4 b.mcap" in stream.getvalue()
     line.clear()
     assert stream.getvalue().endswith("\x1b[2K")
@@ -74,9 +74,9 @@ def test_progress_shows_after_a_second_and_vanishes() -> None:
 @pytest.mark.parametrize(("stream", "enabled"), [(Terminal(), False), (io.StringIO(), True)])
 def test_progress_is_silent_where_nobody_watches(stream: io.StringIO, enabled: bool) -> None:
     clock = Clock()
-    line = ProgressLine(4, stream, enabled=enabled, clock=clock)
+    line = ProgressLine(stream, enabled=enabled, clock=clock)
     clock.now = 5.0
-    line.show(2, "b.mcap")
+    line.show(2, 4, "b.mcap")
     line.clear()
     assert stream.getvalue() == ""
 

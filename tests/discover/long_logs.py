@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from seqid_cli.identify.parts import PartOf
-from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.scale.work import Item, Task
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.trajectories import join
 from tests.plants.trials import Drill, run_drill
@@ -75,23 +71,3 @@ def long_case(*effects: tuple[str, int, float], seed: int = 1, rounds: int = ROU
     log = replace(recording_of(declared, "long", run_drill(plant, long, 1000 * seed)), start=0.0)
     robot = robot_of(RIG, declared)
     return LongCase(log, robot, simultaneous([log], robot))
-
-
-class Files:
-    """Logs as files, of which long ones are passed over; what commands give to typed functions."""
-
-    def __init__(self, paths: Sequence[Path], robot: Robot) -> None:
-        self.paths, self.robot = tuple(paths), robot
-
-    def __iter__(self) -> Iterator[Recording]:
-        """Read the logs one after the other."""
-        return (read_recording(path, self.robot) for path in self.paths)
-
-    def reduced(self, part: PartOf[Any, Any], merge: object) -> None:
-        """Not asked for."""
-        raise NotImplementedError
-
-    def mapped(self, part: PartOf[Any, Any]) -> Iterator[object]:
-        """What each log says."""
-        task = Task(self.robot, "header", part, Path.cwd())
-        return (task(Item(k, path)).part for k, path in enumerate(self.paths))

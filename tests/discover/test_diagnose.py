@@ -14,17 +14,17 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.diagnose import described, diagnose, share_above
+from seqid_cli.discover.diagnosis import described, diagnose, share_above
 from seqid_cli.discover.floor import NoiseFloor
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.loud import expected, louder_joints
 from seqid_cli.discover.notes import file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import Diagnosis
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.model.effects.scenes import friction_surface
@@ -49,7 +49,7 @@ class Given:
     robot: Robot
     stages: Stages
 
-    def diagnosed(self, options: DiscoverOptions = OPTIONS) -> Diagnosis:
+    def diagnosed(self, options: DiscoverOptions = OPTIONS) -> DiagnosisFile:
         """Diagnose all logs."""
         return diagnose(self.logs, self.robot, self.stages, options=options)
 
@@ -74,7 +74,7 @@ def clean() -> Given:
 
 
 @lru_cache(maxsize=4)
-def clean_diagnosis() -> Diagnosis:
+def clean_diagnosis() -> DiagnosisFile:
     return clean().diagnosed()
 
 
@@ -84,7 +84,7 @@ def humped() -> Given:
 
 
 @lru_cache(maxsize=4)
-def humped_diagnosis() -> Diagnosis:
+def humped_diagnosis() -> DiagnosisFile:
     return humped().diagnosed()
 
 
@@ -204,7 +204,7 @@ def test_a_log_without_torque() -> None:
 
 
 @lru_cache(maxsize=1)
-def biased_short() -> Diagnosis:
+def biased_short() -> DiagnosisFile:
     """A constant torque in logs of 18 s together: too short to see whether it lasts."""
     logs = given(("torque_bias", 0, 1.0))
     few = tuple(part(log, 2.0, 8.0) for log in logs.logs[:3])

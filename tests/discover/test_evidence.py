@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.diagnose import described
+from seqid_cli.discover.diagnosis import described
 from seqid_cli.discover.investigate import investigate
-from seqid_cli.discover.results import Diagnosis, Evidence, Finding
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
+from seqid_cli.params.evidence_schema import EvidenceEntry
 from tests.discover.test_diagnose import OPTIONS, clean, given, humped_diagnosis, plain
 
 Array = NDArray[np.float64]
@@ -19,17 +20,17 @@ ELBOW = 1
 
 
 @lru_cache(maxsize=4)
-def planted(effect: str, joint: int = ELBOW) -> Diagnosis:
+def planted(effect: str, joint: int = ELBOW) -> DiagnosisFile:
     return given((effect, joint, 1.0)).diagnosed()
 
 
-def only(found: Diagnosis) -> tuple[Finding, Evidence]:
+def only(found: DiagnosisFile) -> tuple[FindingEntry, EvidenceEntry]:
     (finding,) = found.findings
     assert finding.evidence is not None
     return finding, finding.evidence
 
 
-def flat(shown: Evidence) -> None:
+def flat(shown: EvidenceEntry) -> None:
     """Assert that nothing is left over the quantity: means within spreads, far below before."""
     after, before = np.array(shown.after), np.array(shown.before)
     assert np.all(np.abs(after) < np.array(shown.after_spread))

@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover import gather as gathering
 from seqid_cli.discover import look_over as looking
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.gather import Gathered, gather, one_each
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import Diagnosis
+from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict import predict
+from seqid_cli.identify.predict_logs import predict
 from seqid_cli.motion.blocks import open_surveyed
-from tests.discover.long_logs import BEGUN, Files, LongCase, long_case
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from tests.discover.long_logs import BEGUN, LongCase, long_case
 
 Array = NDArray[np.float64]
 
@@ -37,12 +38,12 @@ def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def gathered(case: LongCase, folder: Path, most: int = MOST) -> Gathered:
     path = case.written(folder / "long.parquet")
-    files = Files([path], case.robot)
+    files = LogSet([path], case.robot)
     options = OPTIONS.motion
-    return gather(files, case.robot, case.stages, options=options, paths=[path], most_values=most)
+    return gather(files, case.robot, case.stages, options=options, most_values=most)
 
 
-def diagnosed(case: LongCase, pieces: Gathered) -> Diagnosis:
+def diagnosed(case: LongCase, pieces: Gathered) -> DiagnosisFile:
     return diagnose(pieces.recordings, case.robot, case.stages, options=OPTIONS, aside=pieces.aside)
 
 
@@ -60,7 +61,7 @@ def clean_pieces(folder: Path) -> Gathered:
 
 
 @cache
-def clean_diagnosis(folder: Path) -> Diagnosis:
+def clean_diagnosis(folder: Path) -> DiagnosisFile:
     return diagnosed(long_case(), clean_pieces(folder))
 
 
@@ -163,10 +164,8 @@ def test_a_slow_drift_is_found(folder: Path) -> None:
 def test_logs_that_fit_are_held_as_they_are(folder: Path) -> None:
     case = long_case()
     path = case.written(folder / "fits.parquet")
-    files, most = Files([path], case.robot), 4 * len(case.log.t)
-    held = gather(
-        files, case.robot, case.stages, options=OPTIONS.motion, paths=[path], most_values=most
-    )
+    files, most = LogSet([path], case.robot), 4 * len(case.log.t)
+    held = gather(files, case.robot, case.stages, options=OPTIONS.motion, most_values=most)
     assert not held.looks
     assert not held.aside
     assert held.notes(case.robot) == ()

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import Diagnosis
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect
 from tests.plants.injections_friction import clear
@@ -30,7 +30,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Logs, Path]:
     return logs_of(CASE, cache), cache
 
 
-def diagnosed(logs: tuple[Logs, Path], *own: OwnEffect) -> Diagnosis:
+def diagnosed(logs: tuple[Logs, Path], *own: OwnEffect) -> DiagnosisFile:
     recorded, cache = logs
     robot = replace(recorded.robot, effects=own)
     stages = stages_of(CASE, cache)

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import Diagnosis, Finding
 from seqid_cli.errors import InputError
+from seqid_cli.identify.one_step import identify_simultaneous
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.simultaneous import identify_simultaneous
 from seqid_cli.logs.checks.echo import WARNING
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
 
@@ -41,7 +41,7 @@ def diagnosed(
     most: int,
     fitted: Sequence[str] = (),
     cutoff_hz: float | None = None,
-) -> Diagnosis:
+) -> DiagnosisFile:
     """Diagnose logs with the classical model that they, or `fitted`, give."""
     folder = folder_of(name)
     robot = load_robot(folder / "robot.toml")
@@ -53,13 +53,13 @@ def diagnosed(
     return diagnose(given, robot, Stages(friction=friction, inertia=inertia), options=options)
 
 
-def named(found: Diagnosis, effect: str, joint: str) -> Finding:
+def named(found: DiagnosisFile, effect: str, joint: str) -> FindingEntry:
     """The only finding of this effect at this joint."""
     (finding,) = [f for f in found.findings if (f.effect, f.joint) == (effect, joint)]
     return finding
 
 
-def value(finding: Finding, name: str) -> float:
+def value(finding: FindingEntry, name: str) -> float:
     return next(p.value for p in finding.parameters if p.name == name)
 
 

@@ -14,14 +14,14 @@ from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.gather import Gathered, gather
 from seqid_cli.discover.heldout import WholeLogs, held_out_error
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refine import on_the_same_samples, refine
-from seqid_cli.discover.results import ClosedLoop
+from seqid_cli.discover.refinement import on_the_same_samples, refine
 from seqid_cli.identify import predict_long
+from seqid_cli.identify.log_set import LogSet
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
 from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.schema import ParameterFile, Stages
-from tests.discover.long_logs import Files, LongCase, long_case
+from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages
+from tests.discover.long_logs import LongCase, long_case
 
 OPTIONS = DiscoverOptions(max_effects=1)
 MOST = 68_000
@@ -53,13 +53,12 @@ def file_of(case: LongCase) -> ParameterFile:
 
 
 def pieces(case: LongCase, path: Path) -> Gathered:
-    files = Files([case.written(path)], case.robot)
+    files = LogSet([case.written(path)], case.robot)
     return gather(
         files,
         case.robot,
         case.stages,
         options=OPTIONS.motion,
-        paths=[path],
         most_values=MOST,
         aside=False,
     )

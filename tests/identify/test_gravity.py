@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.gravity import GROUP, GravityRows, _stage
-from seqid_cli.identify.inertia import gravity_prior
+from seqid_cli.identify.gravity_stage import GROUP, GravityRows, _stage
+from seqid_cli.identify.inertia_stage import gravity_prior
 from seqid_cli.identify.least_squares import Accumulator, solve
 from seqid_cli.identify.posterior import friction_covariance
 from seqid_cli.identify.trials import Ramps, Trial

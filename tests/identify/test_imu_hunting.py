@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli import api
+from seqid_cli import identify
 from seqid_cli.identify.imu_segments import Segment, segments_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.motion import estimate_motion
@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def calibration(folder: Path) -> ImuCalibration:
-    stages = api.imu_calib(str(folder / "imu"), folder / "robot.toml").stages
+    stages = identify.imu_calib(str(folder / "imu"), folder / "robot.toml").stages
     assert stages.imu is not None
     return stages.imu.imus["imu_b"]
 

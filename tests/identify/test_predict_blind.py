@@ -12,7 +12,7 @@ import pytest
 
 from seqid_cli.identify import predict_long
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict import LogPrediction, predict
+from seqid_cli.identify.predict_logs import LogPrediction, predict
 from seqid_cli.identify.predict_long import LongPrediction
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.fitted import fitted_effects

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.excitation import missing_pairs
-from seqid_cli.identify.friction import identify_friction
-from seqid_cli.identify.gravity import identify_gravity
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import identify_gravity
 from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.inertia import identify_inertia
+from seqid_cli.identify.inertia_stage import identify_inertia
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions

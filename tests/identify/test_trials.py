@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
-from seqid_cli.identify.friction import identify_friction
+from seqid_cli.identify.friction_stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.trials import (
     Ramps,

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.inspect.inspect import inspect_logs
-from seqid_cli.inspect.report import InspectReport
+from seqid_cli.inspect.inspection import inspect_logs
+from seqid_cli.params.inspection_schema import InspectionFile
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.inspect.faults import (
@@ -31,7 +31,7 @@ SEED = 5
 
 def inspect_planted(
     faults: Sequence[Fault], folder: Path, *, planted: bool = True
-) -> InspectReport:
+) -> InspectionFile:
     """Plant faults into a copy of the log that they share, or not, and inspect that."""
     first = faults[0]
     (base,) = {_base(fault) for fault in faults}

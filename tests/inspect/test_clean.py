@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from seqid_cli.inspect.inspect import inspect_log, inspect_logs
+from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.file import load_robot
 from tests.inspect.faults import SAMPLES
@@ -58,7 +58,7 @@ def name_of(path: Path) -> str:
 def test_sample_logs_are_good(rig: str, stage: str) -> None:
     robot = load_robot(SAMPLES / rig / "robot.toml")
     report = inspect_logs(logs_of(SAMPLES / rig / stage), robot)
-    assert report.findings == ()
+    assert report.findings == []
     served = {"friction": "friction", "gravity": "gravity", "imu": "imu-calib"}.get(
         stage, "inertia"
     )
@@ -68,7 +68,7 @@ def test_sample_logs_are_good(rig: str, stage: str) -> None:
 @pytest.mark.parametrize("rig", RIGS)
 def test_sample_logs_are_good_without_a_robot_file(rig: str) -> None:
     report = inspect_logs(logs_of(SAMPLES / rig / "validation", SAMPLES / rig / "imu"))
-    assert report.findings == ()
+    assert report.findings == []
     assert {len(log.joints) for log in report.logs} == {1 + RIGS.index(rig) + 3 * (rig[0] == "s")}
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.inspect.inspect import inspect_log
+from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.robot.file import load_robot
 from tests.inspect import planting as p
 from tests.inspect.faults import write_columns

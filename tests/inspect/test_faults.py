@@ -37,7 +37,7 @@ def test_a_planted_fault_is_found_and_nothing_else(
 )
 def test_the_same_logs_without_the_fault_are_good(fault: Fault, tmp_path: Path) -> None:
     report = inspect_planted([fault], tmp_path, planted=False)
-    assert report.findings == ()
+    assert report.findings == []
     assert report.verdict == "good"
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.inspect.inspect import inspect_log
+from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.robot.file import load_robot
 from tests.inspect.faults import SAMPLES, SIX, read_columns
 from tests.logs.writers import Message, imu_messages, joint_messages, write_messages

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.identify.streaming import open_if_long
-from seqid_cli.inspect.inspect import inspect_log
+from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.file import load_robot

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.segmentation import (
     SCALES_S,
     SMALLEST_STEP,
     Stretch,
     constant_velocity,
-    driven,
     moving_mask,
     noise_step,
     standing,

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli import api
+from seqid_cli import discover, identify
+from seqid_cli.errors import SeqidWarning
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from tests.logs.writers import write_mcap, write_parquet
 from tests.outside import motions
@@ -84,7 +85,7 @@ def run_case(
     case = drawn(seed, coarser)
     start, found, row = time.process_time(), None, _truth(case)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", api.SeqidWarning)
+        warnings.simplefilter("ignore", SeqidWarning)
         try:
             row["stages"], found = _answer(case, folder)
             row |= told(found)
@@ -148,14 +149,14 @@ def _answer(case: Case, folder: Path) -> tuple[str, DiagnosisFile]:
     else:
         file, poor = _sequential(case, robot, recorder, folder)
         logs = recorder.moves(2, 18.0, case.effects)
-    return poor, api.diagnose(logs, robot, file)
+    return poor, discover.diagnose(logs, robot, file)
 
 
 def _one_step(case: Case, robot: Path, logs: list[Path], folder: Path) -> tuple[Path, str]:
     file, imu = folder / "simultaneous.json", folder / "imu.json"
     if case.arm.imus:
-        api.imu_calib(logs, robot, output=imu)
-    stages = api.simultaneous(logs, robot, [imu] if case.arm.imus else [], output=file).stages
+        identify.imu_calib(logs, robot, output=imu)
+    stages = identify.simultaneous(logs, robot, [imu] if case.arm.imus else [], output=file).stages
     return file, _poor(stages)
 
 
@@ -164,13 +165,13 @@ def _sequential(case: Case, robot: Path, recorder: Recorder, folder: Path) -> tu
     more = recorder.trials(FEWER, case.before)
     moves = recorder.moves(2, 18.0, case.before)
     files = [folder / f"{stage}.json" for stage in ("friction", "gravity", "imu", "inertia")]
-    api.friction(trials, robot, output=files[0])
-    api.gravity([*trials, *more], robot, files[0], output=files[1])
+    identify.friction(trials, robot, output=files[0])
+    identify.gravity([*trials, *more], robot, files[0], output=files[1])
     known = files[1:2]
     if case.arm.imus:
-        api.imu_calib([*more, *moves], robot, files[1], output=files[2])
+        identify.imu_calib([*more, *moves], robot, files[1], output=files[2])
         known = files[2:3]
-    return files[3], _poor(api.inertia(moves, robot, known, output=files[3]).stages)
+    return files[3], _poor(identify.inertia(moves, robot, known, output=files[3]).stages)
 
 
 def _poor(stages: Any) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from seqid_cli import api
+from seqid_cli import identify
 from seqid_cli.inspect.screening import read_screened
 from seqid_cli.robot.file import load_robot
 from tests.outside import motions
@@ -150,9 +150,9 @@ def test_a_clean_pendulum_is_identified_to_within_its_errors(tmp_path: Path, suf
         logs.append(tmp_path / f"{name}.{suffix}")
         write(logs[-1], arm, log, log.t + 5.0)
     files = [tmp_path / f"{k}.json" for k in range(2)]
-    api.friction(logs[:1], robot, output=files[0])
-    gravity = api.gravity(logs[:1], robot, files[0], output=files[1]).stages.gravity
-    inertia = api.inertia(logs[1:], robot, files[1]).stages.inertia
+    identify.friction(logs[:1], robot, output=files[0])
+    gravity = identify.gravity(logs[:1], robot, files[0], output=files[1]).stages.gravity
+    inertia = identify.inertia(logs[1:], robot, files[1]).stages.inertia
     assert gravity is not None
     assert inertia is not None
     weight = max(gravity.parameters, key=lambda p: abs(p.value))

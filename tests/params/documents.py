@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from seqid_cli.params.diagnosis_schema import (
     DIAGNOSIS_SCHEMA,
     DiagnosisFile,
+    DiagnosisVerdict,
     EffectParameter,
     EventEntry,
     FindingEntry,
@@ -232,4 +235,33 @@ def diagnosis_file() -> DiagnosisFile:
         events=[EventEntry(log="v", start=1.5, end=2.0, joints=["elbow"])],
         hidden=[HiddenEntry(effect="payload", joint=None, visible=0.02)],
         notes=["another remark"],
+    )
+
+
+def diagnosis_of(
+    verdict: DiagnosisVerdict,
+    findings: Sequence[FindingEntry] = (),
+    unexplained: Sequence[UnexplainedPart] = (),
+    joints: Mapping[str, ResidualEntry] | None = None,
+    *,
+    events: Sequence[EventEntry] = (),
+    hidden: Sequence[HiddenEntry] = (),
+    notes: Sequence[str] = (),
+) -> DiagnosisFile:
+    """Return a diagnosis that says no more than this."""
+    return DiagnosisFile(
+        schema=DIAGNOSIS_SCHEMA,
+        created="2026-01-01T00:00:00Z",
+        tool=tool(),
+        robot=robot(),
+        inputs=[],
+        parameters=[],
+        stages=[],
+        verdict=verdict,
+        findings=list(findings),
+        unexplained=list(unexplained),
+        joints=dict(joints or {}),
+        events=list(events),
+        hidden=list(hidden),
+        notes=list(notes),
     )

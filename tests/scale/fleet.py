@@ -19,13 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli import api
+from seqid_cli import identify
 from seqid_cli.commands.render import plain_table
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import ParameterFile
+from seqid_cli.scale.executors import cores, processes
 from seqid_cli.scale.fleet import Fleet, judge_fleet
-from seqid_cli.scale.local import ordered
-from seqid_cli.scale.options import cores
 from tests.logs.writers import write_parquet
 from tests.plants.experiments import Trial, friction_trials, inertia_trials
 from tests.plants.friction import SurfaceFriction
@@ -43,8 +42,8 @@ DRIFTS["bearing of joint_1"] = (2.5, 1.0, 1.0)  # about to seize: for fleets of 
 FEW = 12  # robots say little of how much robots differ
 REACH, TOP = 2.0, np.array([2.5, 3.0])  # rad to either side, rad/s: a short program
 EVERY = 4  # control periods per row: 250 Hz
-ORDERS = {"position_order": 5, "velocity_order": 1}
-PRELOAD = ("seqid_cli.api", "seqid_cli.identify.inertia", "tests.plants.simulate")
+ORDERS = identify.FrictionOptions(position_order=5, velocity_order=1)
+ENCODER = identify.RigidOptions(source="encoder")
 WIDTH = 2
 
 
@@ -129,22 +128,20 @@ class Night:
             write_parquet(path, log.t, plant.arm.names, log.q, current=log.current)
         start = time.process_time()
         steps = [place / f"{name}.json" for name in ("friction", "gravity", "inertia")]
-        api.friction(place / "friction", robot, output=steps[0], **ORDERS)
-        api.gravity(place / "friction", robot, steps[0], output=steps[1])
-        api.inertia(place / "inertia", robot, steps[1], output=steps[2], motion="encoder")
+        identify.friction(place / "friction", robot, ORDERS, output=steps[0])
+        identify.gravity(place / "friction", robot, steps[0], output=steps[1])
+        identify.inertia(place / "inertia", robot, steps[1], ENCODER, output=steps[2])
         return time.process_time() - start
 
 
-def identify(folder: Path, members: Sequence[Member], jobs: int) -> dict[str, float]:
+def identified(folder: Path, members: Sequence[Member], jobs: int) -> dict[str, float]:
     """Record and identify every robot; returns the CPU seconds of each identification."""
     folder.mkdir(parents=True, exist_ok=True)
     text = robot_toml("two_joint", replace(two_joint(), imus=()))
     (folder / "robot.toml").write_text(text, encoding="ascii")
-    seconds = {}
-    replies = ordered(Night(folder), members, jobs=jobs, preload=PRELOAD)
-    for member, reply in zip(members, replies, strict=True):
-        seconds[member.name] = reply.get()
-    return seconds
+    with processes(jobs) as executor:
+        seconds = executor.map(Night(folder), members)
+        return {member.name: found for member, found in zip(members, seconds, strict=True)}
 
 
 def results(folder: Path) -> dict[str, ParameterFile]:
@@ -197,7 +194,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--jobs", type=int, default=cores())
     given = parser.parse_args(arguments)
     members = fleet(given.robots, given.drifting)
-    seconds = identify(given.folder, members, given.jobs)
+    seconds = identified(given.folder, members, given.jobs)
     found = judge_fleet(results(given.folder))
     faults = {member.name: member.fault for member in members if member.fault}
     sys.stdout.write(table(found, faults, most=10))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ pytest.importorskip("distributed", reason="Dask is not installed (seqid[dask])")
 
 from seqid_cli.commands.app import run
 from seqid_cli.errors import UsageError
-from seqid_cli.scale.dask_engine import connected
-from seqid_cli.scale.options import Workers
+from seqid_cli.identify import RigidOptions, inertia
+from seqid_cli.scale.executors import dask_cluster
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed"),
@@ -93,12 +94,24 @@ def test_a_log_that_fails_stops_the_command_by_name(
 
 
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("seqid_cli.scale.dask_engine.PATIENCE_S", 0.2)
-    workers = Workers(engine="dask", scheduler="tcp://127.0.0.1:9")
-    with pytest.raises(UsageError, match="no Dask scheduler answers"), connected(workers):
-        raise AssertionError
-    with (
-        pytest.raises(UsageError, match="no Dask scheduler answers"),
-        connected(Workers(engine="dask", scheduler="nonsense://x")),
-    ):
-        raise AssertionError
+    monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
+    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with (
+            pytest.raises(UsageError, match="no Dask scheduler answers"),
+            dask_cluster(address),
+        ):
+            raise AssertionError
+
+
+def test_any_executor_will_do(scheduler: str, logs: list[str]) -> None:
+    """A thread pool and a client's own executor give what this process gives, bit by bit."""
+    from distributed import Client
+
+    good = [log for k, log in enumerate(logs) if k != 2]
+    arm, before, options = RIG / "robot.toml", RIG / "golden.json", RigidOptions(source="encoder")
+    here = inertia(good, arm, before, options)
+    with ThreadPoolExecutor(2) as threads:
+        assert inertia(good, arm, before, options, executor=threads).stages == here.stages
+    with Client(scheduler, set_as_default=False) as client:
+        executor = client.get_executor()
+        assert inertia(good, arm, before, options, executor=executor).stages == here.stages

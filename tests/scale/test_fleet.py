@@ -111,7 +111,7 @@ def test_what_cannot_be_compared_is_said() -> None:
 def test_a_recorded_fleet_gives_away_its_worn_bearing(tmp_path: Path) -> None:
     members = fleet.fleet(6, 1)
     (worn,) = [member.name for member in members if member.fault]
-    seconds = fleet.identify(tmp_path, members, jobs=2)
+    seconds = fleet.identified(tmp_path, members, jobs=2)
     assert set(seconds) == {member.name for member in members}
     judged = judge_fleet(fleet.results(tmp_path), alpha=0.05)
     assert judged.drifting == (worn,)

@@ -20,7 +20,7 @@ import numpy as np
 from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.heldout import held_out_error
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refine import on_the_same_samples, refine
+from seqid_cli.discover.refinement import on_the_same_samples, refine
 from seqid_cli.discover.reidentify import Material
 from tests.study.loop_logs import KINDS, Case, case_of, recorded
 from tests.study.tables import number, table

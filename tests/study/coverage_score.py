@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import seqid_cli
-from seqid_cli import api
-from seqid_cli.errors import SeqidError
+from seqid_cli import identify
+from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, ImuStage, RigidStage, Stages
 from tests.plants.simulate import Plant
@@ -62,7 +62,7 @@ def score(case: Case) -> Result:
         folder = Path(name)
         record(case, drawn, folder)
         start = time.process_time()
-        stages, problem = identify(folder)
+        stages, problem = identified(folder)
         result["cpu_s"] = round(time.process_time() - start, 2)
     if problem:
         result["failed"] = problem
@@ -75,7 +75,7 @@ def score(case: Case) -> Result:
     return result
 
 
-def identify(folder: Path) -> tuple[Stages, str]:
+def identified(folder: Path) -> tuple[Stages, str]:
     """The stages in their order by the package's own functions, and what stopped them."""
     robot = folder / "robot.toml"
     logs = {name: str(folder / name) for name in ("friction", "gravity", "imu", "inertia")}
@@ -86,17 +86,17 @@ def identify(folder: Path) -> tuple[Stages, str]:
     name = "friction"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", api.SeqidWarning)
-            stages = api.friction(there[name], robot, output=out[name]).stages
+            warnings.simplefilter("ignore", SeqidWarning)
+            stages = identify.friction(there[name], robot, output=out[name]).stages
             last, name = out[name], "gravity"
-            stages = api.gravity(slow, robot, last, output=out[name]).stages
+            stages = identify.gravity(slow, robot, last, output=out[name]).stages
             last = out[name]
             if "imu" in there:
                 name = "imu"
-                stages = api.imu_calib(there[name], robot, last, output=out[name]).stages
+                stages = identify.imu_calib(there[name], robot, last, output=out[name]).stages
                 last = out[name]
             name = "inertia"
-            stages = api.inertia(there[name], robot, last, output=out[name]).stages
+            stages = identify.inertia(there[name], robot, last, output=out[name]).stages
     except SeqidError as error:
         return stages, f"{name}: {error.message}"
     return stages, ""

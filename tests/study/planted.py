@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli import api
-from seqid_cli.errors import SeqidError
+from seqid_cli import identify
+from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.params.schema import FrictionStage, ImuStage, RigidStage, Verdict
 from tests.inspect.faults import write_columns
 from tests.inspect.planting import Columns
@@ -182,20 +182,20 @@ def stage_verdicts(
     paths = list(logs)
     if stage == "predict":
         assert before is not None
-        said = api.predict(paths, robot, before)
+        said = identify.predict(paths, robot, before)
         return said.verdicts, said.notes
     if stage == "friction":
-        return _told(api.friction(paths, robot, output=out, **ORDERS).stages.friction)
+        return _told(identify.friction(paths, robot, ORDERS, output=out).stages.friction)
     if stage == "simultaneous":
-        found = api.simultaneous(paths, robot, output=out).stages
+        found = identify.simultaneous(paths, robot, output=out).stages
         parts = _told(found.friction), _told(found.inertia)
         return [*parts[0][0], *parts[1][0]], [*parts[0][1], *parts[1][1]]
     assert before is not None
     if stage == "gravity":
-        return _told(api.gravity(paths, robot, before, output=out).stages.gravity)
+        return _told(identify.gravity(paths, robot, before, output=out).stages.gravity)
     if stage == "imu-calib":
-        return _told(api.imu_calib(paths, robot, parameters=before, output=out).stages.imu)
-    return _told(api.inertia(paths, robot, before, output=out).stages.inertia)
+        return _told(identify.imu_calib(paths, robot, parameters=before, output=out).stages.imu)
+    return _told(identify.inertia(paths, robot, before, output=out).stages.inertia)
 
 
 def _told(stage: FrictionStage | RigidStage | ImuStage | None) -> Told:
@@ -203,7 +203,7 @@ def _told(stage: FrictionStage | RigidStage | ImuStage | None) -> Told:
     return stage.verdicts, stage.notes
 
 
-ORDERS: Mapping[str, int] = {"position_order": 4, "velocity_order": 4}  # of all, for speed
+ORDERS = identify.FrictionOptions(position_order=4, velocity_order=4)  # of all, for speed
 BEFORE = {
     "gravity": "friction",
     "imu-calib": "gravity",
@@ -266,7 +266,7 @@ def bench_answers(
     """Answers by fault and stage, the sound logs first; `kept` is a file that they are kept in."""
     found = _known(kept)
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
-        warnings.simplefilter("ignore", api.SeqidWarning)
+        warnings.simplefilter("ignore", SeqidWarning)
         clean = Path(name) / "clean"
         if all(fault.name in found for fault in faults):
             return found

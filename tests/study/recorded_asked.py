@@ -7,16 +7,16 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import ClosedLoop, Diagnosis, Finding
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.errors import InputError
+from seqid_cli.identify.one_step import identify_simultaneous
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
+from seqid_cli.params.schema import ClosedLoop, Stages
 from seqid_cli.robot.types import Robot
 from tests.study.tables import number, table
 
@@ -55,7 +55,7 @@ class Proved:
 
     name: str
     robot: Robot
-    named: Diagnosis
+    named: DiagnosisFile
     loop: ClosedLoop
     seconds: float
 
@@ -79,7 +79,9 @@ class Proved:
         met = not there and not any(r.joint == name for r in kept)
         return Answer(self.name, asked, _told(there), met, seconds=self.seconds)
 
-    def _judged(self, asked: str, there: Sequence[Finding], joint: int, limit: float) -> Answer:
+    def _judged(
+        self, asked: str, there: Sequence[FindingEntry], joint: int, limit: float
+    ) -> Answer:
         name = self.robot.joint_names[joint]
         before, after = self.loop.before[name].rmse, self.loop.after[name].rmse
         met = bool(there) and after < before and not after > limit
@@ -87,7 +89,7 @@ class Proved:
         return Answer(self.name, asked, told, met, before, after, limit, self.seconds)
 
 
-def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> Diagnosis:
+def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> DiagnosisFile:
     """What the classical fit of these logs lacks on them."""
     motion = MotionOptions()
     friction, inertia = identify_simultaneous(logs, robot, options=motion, offset=True)
@@ -118,7 +120,7 @@ def ripple(
     return Answer(data, asked, _told(near), met, *sizes, seconds=seconds)
 
 
-def _width(finding: Finding) -> float:
+def _width(finding: FindingEntry) -> float:
     """Cycles per motor turn that count as the same line: of 72 per turn half of one."""
     return LINES if finding.settings["order"] < 10.0 else 0.5
 
@@ -146,12 +148,12 @@ def rendered(answers: Sequence[Answer]) -> str:
     return table(HEADER, [answer.row() for answer in answers])
 
 
-def _told(findings: Sequence[Finding]) -> str:
+def _told(findings: Sequence[FindingEntry]) -> str:
     """Findings with their confidence; of ripples the order and the lag."""
     return "; ".join(f"{f.effect}{_at(f)} ({f.confidence:.2f})" for f in findings) or "-"
 
 
-def _at(finding: Finding) -> str:
+def _at(finding: FindingEntry) -> str:
     if finding.effect not in RIPPLE:
         return f" at {finding.joint}"
     lag = 1e3 * finding.settings["lag"]

@@ -9,14 +9,21 @@ from pathlib import Path
 
 from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refine import refine
-from seqid_cli.discover.results import ClosedLoop, Diagnosis, Round
-from seqid_cli.identify.simultaneous import identify_simultaneous
+from seqid_cli.discover.refinement import refine
+from seqid_cli.identify.one_step import identify_simultaneous
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.schema import EffectOfJoint, InputLog, ParameterFile, Stages
+from seqid_cli.params.schema import (
+    ClosedLoop,
+    EffectOfJoint,
+    InputLog,
+    ParameterFile,
+    RefinementRound,
+    Stages,
+)
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.study.recorded import CASES, DATA, Case
@@ -40,7 +47,7 @@ class Closed:
 
     case: Case
     robot: Robot
-    named: Diagnosis
+    named: DiagnosisFile
     stages: Stages
     loop: ClosedLoop
     seconds: float
@@ -197,5 +204,5 @@ def _gain(loop: ClosedLoop, joint: str) -> str:
     return f"{100 * gain:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def _tried(tried: Round) -> str:
+def _tried(tried: RefinementRound) -> str:
     return f"{tried.effect} at {tried.joint or 'the whole arm'}"

@@ -14,7 +14,7 @@ from tests.plants.rigs import plain
 from tests.study import coverage
 from tests.study.coverage import TUNING, key_of, read, seeds_of, summary
 from tests.study.coverage_cases import Case, case_of, draw, record
-from tests.study.coverage_score import Result, compare, identify, program, row, z_of
+from tests.study.coverage_score import Result, compare, identified, program, row, z_of
 from tests.study.coverage_tables import coverage as coverage_of
 from tests.study.coverage_tables import decision, independent, tables_of, wilson
 
@@ -94,7 +94,7 @@ def test_identification_without_noise_recovers_the_truths(seed: int, tmp_path: P
     plant = replace(drawn.plant, friction=plain(drawn.plant.friction))  # type: ignore[arg-type]
     plant = replace(plant, encoder_step=plant.encoder_step / 64)
     record(case, replace(drawn, plant=plant), tmp_path, noisy=False)
-    stages, problem = identify(tmp_path)
+    stages, problem = identified(tmp_path)
     assert not problem
     arm, length = plant.arm, float(plant.arm.dh[1, 1])
     truth = {

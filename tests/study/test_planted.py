@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from seqid_cli import api
+from seqid_cli import identify
 from tests.study.planted import FAULTS, Cell, answers, excused, new_reasons, tabulated
 from tests.study.planted_arms import ARMS
 
@@ -26,7 +26,7 @@ def clean(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.filterwarnings("ignore::seqid_cli.api.SeqidWarning")
+@pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 @pytest.mark.parametrize(
     "name", ["none", "wrong sign of a current", "amperes as torque", "degrees", "one spike"]
 )
@@ -42,15 +42,15 @@ def test_the_stage_says_it(name: str, clean: Path, tmp_path: Path) -> None:
             assert cell.answer == "refused" or any("joint_1" in r for r in cell.reasons)
 
 
-@pytest.mark.filterwarnings("ignore::seqid_cli.api.SeqidWarning")
+@pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 def test_a_spike_does_not_spoil_the_prediction(tmp_path: Path) -> None:
     """One damaged sample used to make the error seven times as large."""
     logs = sorted((BENCH.folder / "validation").glob("*.parquet"))
     robot, golden = BENCH.folder / "robot.toml", BENCH.folder / "golden.json"
-    sound = api.predict(logs, robot, golden)
+    sound = identify.predict(logs, robot, golden)
     shutil.copy(robot, tmp_path)
     spiked = answers_of_spike(logs, tmp_path)
-    found = api.predict(spiked, robot, golden)
+    found = identify.predict(spiked, robot, golden)
     assert found.joints["joint_1"].rmse == pytest.approx(sound.joints["joint_1"].rmse, rel=0.03)
     assert not any(verdict.good for verdict in found.verdicts if not verdict.joint)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pytest
+from msgspec import structs
 
-from seqid_cli.discover.results import Diagnosis, Finding, Unexplained
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry, UnexplainedPart
+from tests.params.documents import diagnosis_of
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY
 from tests.study.undeclared_cases import (
     RIG_NAMES,
@@ -33,13 +34,24 @@ BUMP = Truth("outside.bump", None, ("elbow",), ("position", "direction"))
 
 def finding(
     effect: str, joint: str | None, confidence: float = 0.9, also: tuple[str, ...] = ()
-) -> Finding:
-    return Finding(effect, joint, confidence, 0.8, also, "", 0.5, confidence)
+) -> FindingEntry:
+    return FindingEntry(
+        effect=effect,
+        joint=joint,
+        confidence=confidence,
+        name_confidence=confidence,
+        explains=0.8,
+        confusable_with=list(also),
+        separate_by="",
+        gain=0.5,
+    )
 
 
-def diagnosis(*findings: Finding, unexplained: Sequence[Unexplained] = ()) -> Diagnosis:
+def diagnosis(
+    *findings: FindingEntry, unexplained: Sequence[UnexplainedPart] = ()
+) -> DiagnosisFile:
     verdict = "effect_found" if findings else "unexplained" if unexplained else "nothing_missing"
-    return Diagnosis(verdict, findings, tuple(unexplained), {})  # type: ignore[arg-type]
+    return diagnosis_of(verdict, findings, unexplained)  # type: ignore[arg-type]
 
 
 def test_right_is_kind_and_joint_of_the_first_finding() -> None:
@@ -73,8 +85,8 @@ def test_arm_effects_have_no_joint_and_pairs_of_joints_have_two() -> None:
 def test_only_confident_errors_count_as_such() -> None:
     drift = finding("drift", "elbow", 0.8)
     assert not score(diagnosis(drift), [SPRING]).sure_and_wrong
-    assert score(diagnosis(replace(drift, confidence=0.81)), [SPRING]).sure_and_wrong
-    assert score(diagnosis(replace(drift, confidence=0.81)), []).sure_and_wrong
+    assert score(diagnosis(structs.replace(drift, confidence=0.81)), [SPRING]).sure_and_wrong
+    assert score(diagnosis(structs.replace(drift, confidence=0.81)), []).sure_and_wrong
     both = diagnosis(finding("spring", "elbow"), finding("payload", None))
     assert score(both, [SPRING]).sure_and_wrong
     assert not score(both, [SPRING, PAYLOAD]).sure_and_wrong
@@ -85,7 +97,9 @@ def test_clean_runs_are_judged_by_silence() -> None:
     assert silent.quiet
     assert not silent.alarm
     assert score(diagnosis(finding("spring", "elbow")), []).alarm
-    unknown = diagnosis(unexplained=[Unexplained("elbow", ("position",), 0.4)])
+    unknown = diagnosis(
+        unexplained=[UnexplainedPart(joint="elbow", depends_on=["position"], share=0.4)]
+    )
     assert not score(unknown, []).quiet
     assert not score(unknown, []).alarm
 
@@ -94,7 +108,7 @@ def test_unexplained_needs_the_joint_and_a_quantity() -> None:
     def judge(joint: str, *quantities: str, named: bool = False) -> tuple[bool, bool]:
         found = diagnosis(
             *([finding("drift", "elbow")] if named else []),
-            unexplained=[Unexplained(joint, quantities, 0.4)],
+            unexplained=[UnexplainedPart(joint=joint, depends_on=list(quantities), share=0.4)],
         )
         result = score(found, [BUMP])
         return result.explained_away, result.all_quantities

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import ClosedLoop, Diagnosis, Round
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.schema import ClosedLoop, ParameterFile, RefinementRound, Stages
 from seqid_cli.robot.types import Robot
 from tests.study import __main__ as program
 from tests.study import undeclared, undeclared_refine, undeclared_run
@@ -37,15 +37,15 @@ SHORT = 8.0  # s, of the logs of the cheap cases
 # ---- the store
 
 
-def stub(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Diagnosis:
+def stub(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> DiagnosisFile:
     return diagnosis(finding("spring", robot.joint_names[1]))
 
 
-def broken(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Diagnosis:
+def broken(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> DiagnosisFile:
     raise ValueError("no such luck")
 
 
-def record(condition: Condition, found: Diagnosis | None, *, more: float = 0.5) -> Record:
+def record(condition: Condition, found: DiagnosisFile | None, *, more: float = 0.5) -> Record:
     seconds = {} if found is None else {"diagnose": 2.0}
     shares = tuple((more, 0.0) for _ in condition.effects)
     return Record(key_of(condition), "now", condition, found, shares, seconds, "" if found else "x")
@@ -255,8 +255,14 @@ def test_refinement_is_compared_with_the_arm_without_the_effect(cache: Path) -> 
         earlier: object,
     ) -> tuple[Stages, ClosedLoop]:
         assert {log.sha256 for log in file.inputs} == {r.sha256 for r in training}
-        tried = Round("spring", "elbow", False, 0.0, (-0.1, 0.1))
-        return file.stages, ClosedLoop((tried,), {}, {}, {}, {}, {}, ())
+        tried = RefinementRound(
+            effect="spring",
+            joint="elbow",
+            accepted=False,
+            training_gain=0.0,
+            training_interval=[-0.1, 0.1],
+        )
+        return file.stages, ClosedLoop(rounds=[], refused=[tried])
 
     found = undeclared_refine.refine_case(case, cache, "now", idle)
     assert found.after == found.before

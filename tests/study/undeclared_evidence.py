@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from seqid_cli.discover.results import Finding
+from seqid_cli.params.diagnosis_schema import FindingEntry
 from tests.study.undeclared_score import named, right
 from tests.study.undeclared_tables import Judged
 
@@ -58,7 +58,7 @@ def evidence(cases: Sequence[Judged]) -> Iterator[Evidence]:
             yield _of(case, rank, finding)
 
 
-def _of(case: Judged, rank: int, finding: Finding) -> Evidence:
+def _of(case: Judged, rank: int, finding: FindingEntry) -> Evidence:
     condition, diagnosis = case.condition, case.diagnosis
     others = [f for f in diagnosis.findings if f is not finding]
     shares = [u.share for u in diagnosis.unexplained if finding.joint in (None, u.joint)]

@@ -22,7 +22,6 @@ from seqid_cli.discover.candidates import Stage, candidates_of
 from seqid_cli.discover.loop import with_effects
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.reidentify import Material, Refitted, refitted
-from seqid_cli.discover.results import ClosedLoop, Round
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
@@ -30,7 +29,7 @@ from seqid_cli.discover.select.tuning import Tuner
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.schema import InputLog, ParameterFile, Stages
+from seqid_cli.params.schema import ClosedLoop, InputLog, ParameterFile, RefinementRound, Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.undeclared import CATALOGUE
 from tests.study.tables import number, table
@@ -82,7 +81,7 @@ def standard(
 ) -> tuple[Stages, ClosedLoop]:
     """Refine with the options that a user has who sets none."""
     from seqid_cli.discover.confirm import confirm
-    from seqid_cli.discover.refine import refine
+    from seqid_cli.discover.refinement import refine
 
     found = refine(training, robot, file, earlier=earlier, options=DiscoverOptions())
     return found.stages, confirm(found, held_out)
@@ -112,7 +111,7 @@ def refine_case(condition: Condition, cache: Path, sources: str, refine: Refine)
     before = errors(logs.held_out, robot, stages).band
     earlier = {stage: list(x) for stage, x in earlier_logs(condition, cache).items()}
     clock, after, error = time.monotonic(), before, ""
-    rounds: tuple[Round, ...] = ()
+    rounds: tuple[RefinementRound, ...] = ()
     told: tuple[float, ...] = ()
     try:
         file = file_of(robot, stages, earlier)

@@ -19,10 +19,10 @@ import msgspec
 import numpy as np
 
 import seqid_cli
-from seqid_cli.discover.diagnose import diagnose
+from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import Diagnosis
 from seqid_cli.logs.recording import Recording
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.study.undeclared_cases import Condition
@@ -38,7 +38,7 @@ from tests.study.undeclared_logs import (
 PACKAGE = Path(seqid_cli.__file__).parent
 PARTS = ("discover", "identify", "model", "motion", "robot")  # what a diagnosis depends on
 
-Diagnose = Callable[[Sequence[Recording], Robot, Stages], Diagnosis]
+Diagnose = Callable[[Sequence[Recording], Robot, Stages], DiagnosisFile]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Record:
     key: str
     sources: str
     condition: Condition
-    diagnosis: Diagnosis | None
+    diagnosis: DiagnosisFile | None
     excess: tuple[tuple[float, ...], ...]
     seconds: Mapping[str, float]
     error: str = ""
@@ -86,7 +86,7 @@ def package_sources() -> str:
     return sources_hash([PACKAGE / part for part in PARTS]) + plant_sources()
 
 
-def standard(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Diagnosis:
+def standard(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> DiagnosisFile:
     """Diagnose with the options that a user has who sets none."""
     return diagnose(recordings, robot, stages, options=DiscoverOptions())
 
@@ -118,9 +118,9 @@ def _lap(seconds: dict[str, float], name: str, since: float) -> float:
     return now
 
 
-def finite(diagnosis: Diagnosis) -> Diagnosis:
+def finite(diagnosis: DiagnosisFile) -> DiagnosisFile:
     """The diagnosis as the results' file gives it back: numbers that are none are an error."""
-    return msgspec.json.decode(encoded(diagnosis), type=Diagnosis)
+    return msgspec.json.decode(encoded(diagnosis), type=DiagnosisFile)
 
 
 def encoded(value: object) -> bytes:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
-from seqid_cli.discover.results import Diagnosis, Finding, Unexplained
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry, UnexplainedPart
 from tests.study.undeclared_cases import Truth
 
 SURE = 0.8  # confidence from which a wrong mechanism counts as a confident error
@@ -14,27 +14,27 @@ INVISIBLE = 0.02  # share by which an effect must raise some joint's held-out RM
 LOOSE = 0.5  # the same for backlash, whose impacts do not repeat
 
 
-def named(finding: Finding, truth: Truth) -> bool:
+def named(finding: FindingEntry, truth: Truth) -> bool:
     """Whether the finding is of the true kind, or says that it might be."""
     return truth.kind is not None and truth.kind in (finding.effect, *finding.confusable_with)
 
 
-def right(finding: Finding, truth: Truth) -> bool:
+def right(finding: FindingEntry, truth: Truth) -> bool:
     """Whether it is of the true kind at the right joint; None is the whole arm's."""
     return named(finding, truth) and finding.joint in truth.joints
 
 
-def wrong(finding: Finding, truths: Sequence[Truth]) -> bool:
+def wrong(finding: FindingEntry, truths: Sequence[Truth]) -> bool:
     """Whether it is none of the true effects."""
     return not any(right(finding, truth) for truth in truths)
 
 
-def quantity_named(entry: Unexplained, truth: Truth) -> bool:
+def quantity_named(entry: UnexplainedPart, truth: Truth) -> bool:
     """Whether it is at a right joint and names something that the effect depends on."""
     return entry.joint in truth.joints and bool(set(entry.depends_on) & set(truth.depends_on))
 
 
-def quantities_named(entry: Unexplained, truth: Truth) -> bool:
+def quantities_named(entry: UnexplainedPart, truth: Truth) -> bool:
     """Whether it is at a right joint and names everything that the effect depends on."""
     return entry.joint in truth.joints and set(truth.depends_on) <= set(entry.depends_on)
 
@@ -71,7 +71,7 @@ class Score:
     sure_and_wrong: bool
 
 
-def score(diagnosis: Diagnosis, truths: Sequence[Truth], number: int = 0) -> Score:
+def score(diagnosis: DiagnosisFile, truths: Sequence[Truth], number: int = 0) -> Score:
     """Judge a diagnosis by true effect `number`; the others only keep findings from being wrong."""
     truth = truths[number] if truths else Truth("clean", None, (), ())
     first = diagnosis.findings[0] if diagnosis.findings else None
@@ -89,7 +89,7 @@ def score(diagnosis: Diagnosis, truths: Sequence[Truth], number: int = 0) -> Sco
     )
 
 
-def both_found(diagnosis: Diagnosis, truths: Sequence[Truth]) -> bool:
+def both_found(diagnosis: DiagnosisFile, truths: Sequence[Truth]) -> bool:
     """Whether every true effect is some finding's, and no finding stands for two of them."""
     return any(
         all(right(f, t) for f, t in zip(chosen, truths, strict=True))

@@ -9,7 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.discover.results import Diagnosis
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from tests.params.documents import diagnosis_of
 from tests.plants.drawn import JOINTS
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE
 from tests.study.tables import number, table
@@ -37,7 +38,7 @@ from tests.study.undeclared_score import (
 )
 
 _RIGS = ("two", "six")
-FAILED = Diagnosis("effect_found", (), (), {})  # neither quiet nor right
+FAILED = diagnosis_of("effect_found")  # neither quiet nor right
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 
@@ -47,7 +48,7 @@ class Judged:
 
     record: Record
     condition: Condition
-    diagnosis: Diagnosis
+    diagnosis: DiagnosisFile
     truths: tuple[Truth, ...]
     scores: tuple[Score, ...]
 

@@ -54,6 +54,13 @@ class StoredLog(_LocalPath):
         scheme, *rest = self.parts
         return f"{scheme}//{'/'.join(rest)}"
 
+    def fetch(self, copy: Path) -> None:
+        """Write the log's content to a local file."""
+        url = str(self)
+        system, root = _opened(url)
+        with _explained(url):
+            system.get_file(root, str(copy))
+
 
 def is_url(text: str) -> bool:
     """Whether an argument names something on object storage."""
@@ -116,11 +123,9 @@ def local_copy(path: Path) -> Iterator[Path]:
     import tempfile
 
     url = str(path)
-    system, root = _opened(url)
     with tempfile.TemporaryDirectory(prefix="seqid-") as folder:
         copy = Path(folder) / path.name
-        with _explained(url):
-            system.get_file(root, str(copy))
+        path.fetch(copy)
         try:
             yield copy
         except SeqidError as error:

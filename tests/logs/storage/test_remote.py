@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from seqid_cli import api
+from seqid_cli import identify
 from seqid_cli.commands.app import run
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.logs.storage.files import expand
@@ -79,8 +79,12 @@ def test_the_result_is_that_of_local_logs_under_other_names(
         for key in ("notes", "verdicts"):  # they name the logs
             stage[key] = re.sub(r"[^\s\"']+\.parquet", "", json.dumps(stage[key]))
     assert found[0] == found[1]
-    file = api.inertia(
-        store, RIG / "robot.toml", RIG / "golden.json", motion="encoder", output=tmp_path / "o"
+    file = identify.inertia(
+        store,
+        RIG / "robot.toml",
+        RIG / "golden.json",
+        identify.RigidOptions(source="encoder"),
+        output=tmp_path / "o",
     )
     assert file.inputs[-1].path == named[1]
 
@@ -99,7 +103,8 @@ def test_damage_is_told_under_the_name_of_the_object(
 def test_a_long_log_keeps_its_copy_until_it_is_done(
     store: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from seqid_cli.identify import inertia, streaming
+    from seqid_cli.identify import inertia_stage as inertia
+    from seqid_cli.identify import streaming
 
     passed: list[str] = []
     real = streaming.open_if_long

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from seqid_cli.commands.job import Account, Job
-from seqid_cli.commands.log_sets import EarlierLogs
-
-if TYPE_CHECKING:
-    from seqid_cli.discover.gather import Gathered
-    from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.logs.recording import Recording
+from seqid_cli.discover.gather import Gathered, by_digest, gather, values_of
+from seqid_cli.discover.log_sets import EarlierLogs
+from seqid_cli.identify.inputs import Inputs
+from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
 
 # Stages that need their logs as they are: moves of one joint, of which a piece may hold half.
 TRIALS = ("friction", "gravity", "imu")
@@ -23,15 +21,14 @@ MOST_OF_TRIALS = 8_000_000
 
 @dataclass(frozen=True)
 class Earlier:
-    """Logs, or pieces of them, by stage; what was read, and what is to be said of it."""
+    """Logs, or pieces of them, by stage; and what is to be said of them."""
 
     by_stage: Mapping[str, Sequence[Recording]]
-    accounts: Sequence[Account] = ()
     notes: Sequence[str] = ()
 
 
 def read_earlier(
-    job: Job, found: EarlierLogs, fitted: Gathered, options: InertiaOptions
+    inputs: Inputs, found: EarlierLogs, fitted: Gathered, options: InertiaOptions
 ) -> Earlier:
     """Read the logs of earlier stages; one that is fitted anyway is not read a second time.
 
@@ -40,31 +37,26 @@ def read_earlier(
     InputError
         A log cannot be read.
     """
-    from seqid_cli.discover.gather import by_digest, gather, values_of
-
     at_hand = by_digest(fitted.recordings)
     held = {sha256 for sha256, some in at_hand.items() if some[0].whole is None}
     trials = {sha256 for stage in TRIALS for sha256 in found.by_stage.get(stage, ())}
     needed = {x: path for x, path in found.paths.items() if x in trials and x not in held}
     others = {x: path for x, path in found.paths.items() if x not in trials and x not in at_hand}
     notes = []
-    if values_of(needed.values(), job.robot) > MOST_OF_TRIALS:
+    if values_of(needed.values(), inputs.robot) > MOST_OF_TRIALS:
         notes.append(
             f"the {len(needed)} logs of earlier stages are too long to be held together;"
             " the model is fitted again without them"
         )
         needed = {}
-    accounts = [_account(job, needed.values()), _account(job, others.values())]
-    whole = {x.sha256: [x] for x in accounts[0]} if needed else {}
+    whole = {x.sha256: [x] for x in _logs(inputs, needed.values())} if needed else {}
     rest: dict[str, list[Recording]] = {}
     if others:
         pieces = gather(
-            accounts[1],
-            job.robot,
-            job.stages,
+            _logs(inputs, others.values()),
+            inputs.robot,
+            inputs.stages,
             options=options,
-            paths=list(others.values()),
-            time_source=job.time_source,
             aside=False,
         )
         rest = by_digest(pieces.recordings)
@@ -76,7 +68,7 @@ def read_earlier(
         ]
         for stage, logs in found.by_stage.items()
     }
-    return Earlier(by_stage, accounts, notes)
+    return Earlier(by_stage, notes)
 
 
 def _some(
@@ -92,5 +84,5 @@ def _some(
     return pieces.get(sha256) or whole.get(sha256, ())
 
 
-def _account(job: Job, paths: Iterable[Path]) -> Account:
-    return Account(replace(job, files=tuple(paths)))
+def _logs(inputs: Inputs, paths: Iterable[Path]) -> LogSet:
+    return LogSet.of(replace(inputs, logs=tuple(paths), missing=()))

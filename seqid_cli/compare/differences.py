@@ -15,16 +15,16 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.params.comparison import (
+from seqid_cli.compare.rule import (
     Comparison,
-    Difference,
     Rule,
     judged,
     missing,
     unlike,
 )
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.model.friction import SLIDES, FrictionSurface
+from seqid_cli.params.comparison_schema import Difference
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import present
 from seqid_cli.params.prediction_schema import PredictionFile

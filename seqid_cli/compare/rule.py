@@ -12,17 +12,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from seqid_cli.params.comparison_schema import Difference, RuleEntry
+
 DEFAULT_SIGMA = 4.0  # one false alarm in 160 comparisons of 100 parameters each
 DEFAULT_RTOL = 0.01
 ROUNDING = 1e-6  # share of a number's size that other machines and threads may change
 
 
-@dataclass(frozen=True)
-class Rule:
+class Rule(RuleEntry, frozen=True):
     """Limits of a change: `sigma` standard errors (None: not used) and `rtol`."""
-
-    sigma: float | None
-    rtol: float
 
     @classmethod
     def of(cls, sigma: float | None, rtol: float | None) -> Rule:
@@ -31,8 +29,8 @@ class Rule:
         Of one alone, it alone decides, down to rounding.
         """
         if sigma is None and rtol is None:
-            return cls(DEFAULT_SIGMA, DEFAULT_RTOL)
-        return cls(sigma, ROUNDING if rtol is None else rtol)
+            return cls(sigma=DEFAULT_SIGMA, rtol=DEFAULT_RTOL)
+        return cls(sigma=sigma, rtol=ROUNDING if rtol is None else rtol)
 
     def broken(self, sigmas: float | None, relative: float | None) -> bool:
         """Return whether a difference is a change; it is where `relative` is None."""
@@ -41,28 +39,6 @@ class Rule:
         if sigmas is not None and self.sigma is not None and sigmas <= self.sigma:
             return False
         return relative > self.rtol
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One number in both results.
-
-    `a`, `b` are None where a file does not have it; `std_error` combines those of both, and
-    `sigmas`, `relative` are the difference in units of it and of the number's size. Numbers that
-    are None do not apply. `remark` says where or what else.
-    """
-
-    stage: str
-    name: str
-    joint: str
-    unit: str
-    a: float | None
-    b: float | None
-    std_error: float | None
-    sigmas: float | None
-    relative: float | None
-    different: bool
-    remark: str = ""
 
 
 @dataclass(frozen=True)
@@ -125,4 +101,4 @@ def missing(stage: str, name: str, *, joint: str = "", there: bool) -> Differenc
 
 def unlike(stage: str, name: str, joint: str, remark: str) -> Difference:
     """Return a change that has no numbers."""
-    return Difference(stage, name, joint, "", None, None, None, None, None, True, remark)
+    return Difference(stage=stage, name=name, joint=joint, remark=remark)

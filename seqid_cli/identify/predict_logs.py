@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.parts import mapped
 from seqid_cli.identify.predict_long import LongPrediction, local_effects
 from seqid_cli.identify.prediction import LogPrediction, notes_on, slides_from
 from seqid_cli.identify.streaming import open_if_long, streams

@@ -7,17 +7,23 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from seqid_cli.errors import InputError, SeqidError, UsageError
-from seqid_cli.logs.storage.files import check_log, expand
+from seqid_cli.logs.given import Logs, expanded, listed
+from seqid_cli.logs.in_memory import TableLog
+from seqid_cli.logs.storage.files import check_log
 from seqid_cli.params.schema import InputLog
+
+if TYPE_CHECKING:
+    from seqid_cli.logs.recording import Recording
 
 # Stages whose logs determine the model; "effects" are those of an earlier refinement.
 FITTED_STAGES = ("friction", "gravity", "imu", "inertia", "effects")
 _NAMED = 3  # logs that a note names
 
 
-def held_out_logs(logs: Sequence[str], held_out: Sequence[str]) -> tuple[Path, ...]:
+def held_out_logs(logs: Logs, held_out: Logs) -> tuple[Path | Recording, ...]:
     """Return the held-out logs, after making sure that none of them is to be fitted.
 
     None is opened: by its place alone a log is known until the last decision has been made.
@@ -29,12 +35,19 @@ def held_out_logs(logs: Sequence[str], held_out: Sequence[str]) -> tuple[Path, .
     InputError
         A path stands for no log.
     """
-    files = expand(held_out)
-    fitted = {file.resolve(): file for file in expand(logs)}
+    files = expanded(listed(held_out))
+    fitted = {_place(file): file for file in expanded(listed(logs))}
     for file in files:
-        if file.resolve() in fitted:
-            raise _in_both(file, fitted[file.resolve()])
+        if _place(file) in fitted:
+            raise _in_both(file, fitted[_place(file)])
     return tuple(files)
+
+
+def _place(log: Path | Recording) -> object:
+    """What tells logs from each other: the place of a file, the very table or recording."""
+    if isinstance(log, TableLog):
+        return id(log.content)
+    return log.resolve() if isinstance(log, Path) else id(log)
 
 
 def check_unseen(held_out: Mapping[str, Path], fitted: Mapping[str, Path]) -> None:
@@ -50,8 +63,9 @@ def check_unseen(held_out: Mapping[str, Path], fitted: Mapping[str, Path]) -> No
             raise _in_both(path, fitted[sha256])
 
 
-def _in_both(file: Path, other: Path) -> UsageError:
-    where = str(file) if file == other else f"{file} ({other})"
+def _in_both(file: Path | Recording, other: Path | Recording) -> UsageError:
+    name, same = (str(log if isinstance(log, Path) else log.path) for log in (file, other))
+    where = name if name == same else f"{name} ({same})"
     hint = "A held-out log must never be fitted: leave it out of one of the lists."
     return UsageError("is given both to fit and to hold out", where=where, hint=hint)
 

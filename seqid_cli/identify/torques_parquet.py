@@ -1,89 +1,22 @@
-"""Errors of predicted torques, added up log by log, and the torques as Parquet.
-
-Imports numpy and pyarrow: only for use inside a command's body.
-"""
+"""Measured, predicted and residual torque as Parquet, with what it is looked at over."""
 
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
-from seqid_cli.identify.predict import LogPrediction
+from seqid_cli.identify.prediction import LogPrediction
 from seqid_cli.params.files import replacing, writing
 
 _ROWS = 65536  # per row group
 _KINDS = ("torque", "predicted", "residual")
 _REST = ("low", "high")
 _MOTION = ("position", "velocity")
-
-
-@dataclass(frozen=True)
-class ErrorSums:
-    """Sums per joint (n,) over the samples that count; they add up over logs."""
-
-    count: NDArray[np.int64]
-    squared_error: NDArray[np.float64]  # (N m)^2
-    squared_torque: NDArray[np.float64]  # (N m)^2
-    max_abs: NDArray[np.float64]  # N m
-
-    @classmethod
-    def none(cls, n: int) -> ErrorSums:
-        """Return the sums over no sample of n joints."""
-        return cls(np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n), np.zeros(n))
-
-    @classmethod
-    def of(cls, log: LogPrediction, *, sliding: bool) -> ErrorSums:
-        """Return the sums over one log.
-
-        Over the samples that slide, or over all that count: at rest friction takes any value up to
-        its limit, and the error is the distance to that interval.
-        """
-        counts = log.sliding if sliding else np.broadcast_to(log.used[:, None], log.tau.shape)
-        error = np.where(counts, log.residual if sliding else log.beyond, 0.0)
-        torque = np.where(counts, log.tau, 0.0)
-        return cls(
-            count=counts.sum(axis=0, dtype=np.int64),
-            squared_error=np.square(error).sum(axis=0),
-            squared_torque=np.square(torque).sum(axis=0),
-            max_abs=np.abs(error).max(axis=0, initial=0.0),
-        )
-
-    def __add__(self, other: ErrorSums) -> ErrorSums:
-        """Return the sums over both."""
-        return ErrorSums(
-            self.count + other.count,
-            self.squared_error + other.squared_error,
-            self.squared_torque + other.squared_torque,
-            np.maximum(self.max_abs, other.max_abs),
-        )
-
-    def samples(self, joint: int) -> int:
-        """Return how many samples count."""
-        return int(self.count[joint])
-
-    def rmse(self, joint: int) -> float | None:
-        """Return the RMS error in N m; None without samples."""
-        if self.count[joint] == 0:
-            return None
-        return math.sqrt(self.squared_error[joint] / self.count[joint])
-
-    def relative_rmse(self, joint: int) -> float | None:
-        """Return the RMS error over the RMS torque; None without torque."""
-        if self.squared_torque[joint] == 0.0:
-            return None
-        return math.sqrt(self.squared_error[joint] / self.squared_torque[joint])
-
-    def largest(self, joint: int) -> float | None:
-        """Return the largest error in N m; None without samples."""
-        return float(self.max_abs[joint]) if self.count[joint] else None
 
 
 class TorqueWriter:

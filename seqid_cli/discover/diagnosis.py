@@ -8,9 +8,9 @@ better is not understood, and is said to be so.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from seqid_cli.discover.aside import EventAside, events_aside
@@ -29,16 +29,6 @@ from seqid_cli.discover.notes import (
     shown_offsets,
 )
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.results import (
-    Closest,
-    Diagnosis,
-    Event,
-    Finding,
-    Hidden,
-    JointResidual,
-    Unexplained,
-    Verdict,
-)
 from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.selection import Taken
@@ -49,6 +39,20 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.diagnosis_schema import (
+    DIAGNOSIS_SCHEMA,
+    ClosestEffect,
+    DiagnosisFile,
+    DiagnosisVerdict,
+    EffectParameter,
+    EventEntry,
+    FindingEntry,
+    HiddenEntry,
+    ResidualEntry,
+    UnexplainedPart,
+)
+from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
@@ -64,7 +68,7 @@ def diagnose(
     *,
     options: DiscoverOptions,
     aside: Iterable[Recording] = (),
-) -> Diagnosis:
+) -> DiagnosisFile:
     """Find what a model lacks on these logs.
 
     Parameters
@@ -97,10 +101,13 @@ def diagnose(
     investigation = investigate(logs, robot, stages, options)
     apart = events_aside(investigation, others, robot, stages, options)
     found = described(investigation, robot, apart)
-    return replace(found, notes=(*notes, *found.notes, *deflection_notes(stages, robot)))
+    said = [*notes, *found.notes, *deflection_notes(stages, robot)]
+    return structs.replace(found, notes=said)
 
 
-def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = ()) -> Diagnosis:
+def described(
+    found: Investigation, robot: Robot, aside: Sequence[EventAside] = ()
+) -> DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, taken) for taken in found.found.effects]
     rest = _largest_of_each([_unexplained(found, robot, taken) for taken in found.found.smooth])
@@ -115,34 +122,41 @@ def described(found: Investigation, robot: Robot, aside: Sequence[EventAside] = 
     offsets = shown_offsets(found)
     named_already = {part.joint for part in rest}
     named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in loud))}
-    return Diagnosis(
+    return DiagnosisFile(
+        schema=DIAGNOSIS_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(robot),
+        inputs=[],
+        parameters=[],
+        stages=[],
         verdict=_verdict(findings, rest),
-        findings=tuple(findings),
-        unexplained=tuple(rest),
+        findings=findings,
+        unexplained=rest,
         joints=_joints(found, robot),
-        events=(
+        events=[
             *(_event(found, robot, event) for event in found.events),
             *(one.event for one in aside),
-        ),
+        ],
         hidden=_hidden(found, robot),
-        notes=(
+        notes=[
             *offset_notes(offsets, robot),
             *loud_notes(loud, robot),
             *file_notes(found, robot, ordinary, named_already),
             *outside_notes(found, robot, ordinary),
             *free_base_notes(found, robot),
             *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joint_names),
-        ),
+        ],
     )
 
 
-def _largest_of_each(rest: Sequence[Unexplained]) -> list[Unexplained]:
+def _largest_of_each(rest: Sequence[UnexplainedPart]) -> list[UnexplainedPart]:
     """One entry per joint, the largest share first."""
     ordered = sorted(rest, key=lambda u: -u.share)
     return list({u.joint: u for u in reversed(ordered)}.values())[::-1]
 
 
-def _contact(found: Investigation, robot: Robot, aside: Sequence[EventAside]) -> Finding:
+def _contact(found: Investigation, robot: Robot, aside: Sequence[EventAside]) -> FindingEntry:
     """The finding that stands for all events."""
     effect = CATALOGUE["external_contact"]
     energies = _event_energies(found)
@@ -151,13 +165,13 @@ def _contact(found: Investigation, robot: Robot, aside: Sequence[EventAside]) ->
     ratios = [event.score / GATE for event in found.events]
     ratio = max([*ratios, *(one.ratio for one in aside)])
     confidence = (1.0 - 0.5**ratio**2) * _apart(found, energies)
-    return Finding(
+    return FindingEntry(
         effect=effect.name,
         joint=None,
         confidence=confidence,
         name_confidence=confidence,
         explains=float(inside / max(inside + gained, 1e-300)),
-        confusable_with=(),
+        confusable_with=[],
         separate_by=effect.separate_by,
         gain=0.0,
         note=f"{len(found.events) + len(aside)} interval(s), left out of the search",
@@ -187,40 +201,43 @@ def _apart(found: Investigation, energies: Sequence[float]) -> float:
     return float(max(shares))
 
 
-def _event(found: Investigation, robot: Robot, event: Interval) -> Event:
+def _event(found: Investigation, robot: Robot, event: Interval) -> EventEntry:
     log = found.logs[event.scene]
-    return Event(
+    return EventEntry(
         log=str(log.path),
         start=log.offset + event.start,
         end=log.offset + event.end,
-        joints=tuple(robot.joint_names[j] for j in event.joints),
+        joints=[robot.joint_names[j] for j in event.joints],
     )
 
 
-def _verdict(findings: Sequence[Finding], rest: Sequence[Unexplained]) -> Verdict:
+def _verdict(findings: Sequence[FindingEntry], rest: Sequence[UnexplainedPart]) -> DiagnosisVerdict:
     if findings:
         return "effect_found"
     return "unexplained" if rest else "nothing_missing"
 
 
-def _finding(found: Investigation, robot: Robot, taken: Taken) -> Finding:
+def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
     """Describe one effect that was taken."""
     what, model = taken.term.what, found.model
     assert isinstance(what, Candidate)
     name, effect = named(taken), what.effect
     found_there = model.coefficients(taken.term), model.covariance(taken.term)
     values = effect.reported(robot, what.joint, what.settings, *found_there)
-    return Finding(
+    return FindingEntry(
         effect=effect.name,
         joint=None if what.joint is None else robot.joint_names[what.joint],
         confidence=name.confidence,
         name_confidence=name.by_itself,
         explains=_explains(found, taken),
-        confusable_with=name.others,
+        confusable_with=list(name.others),
         separate_by=effect.separate_by,
         gain=taken.one.foretold.share,
-        parameters=tuple(values),
-        settings=what.settings,
+        parameters=[
+            EffectParameter(name=v.name, value=v.value, std_error=v.std_error, unit=v.unit)
+            for v in values
+        ],
+        settings=dict(what.settings),
         note=effect.lacking(robot, what.joint),
         log_gain=taken.one.foretold.total,
         evidence=evidence_of(found, robot, taken),
@@ -246,7 +263,7 @@ def share_above(before: Array, after: Array, floor: Array) -> float:
     return float(np.clip(gone / max(above, 1e-300), 0.0, 1.0))
 
 
-def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplained:
+def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> UnexplainedPart:
     """Describe a smooth function that was taken."""
     what = taken.term.what
     assert isinstance(what, SmoothFunction)
@@ -255,10 +272,11 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     closest = None
     if effects:
         share = effects[0].foretold.total / max(told.total, 1e-300)
-        closest = Closest(effects[0].term.name, float(np.clip(share, 0.0, 1.0)))
-    return Unexplained(
+        nearest = effects[0].term.name
+        closest = ClosestEffect(effect=nearest, share=float(np.clip(share, 0.0, 1.0)))
+    return UnexplainedPart(
         joint=robot.joint_names[what.joint],
-        depends_on=what.quantities,
+        depends_on=list(what.quantities),
         share=float(np.clip(told.share, 0.0, 1.0)),
         closest=closest,
         log_gain=told.total,
@@ -267,34 +285,52 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     )
 
 
-def _loud(found: Investigation, robot: Robot, loud: Loud) -> Unexplained:
+def _loud(found: Investigation, robot: Robot, loud: Loud) -> UnexplainedPart:
     """Describe what is left at a joint that is louder than noise."""
     name, what = robot.joint_names[loud.joint], looks_like(found, loud.joint)
     if what is None:
-        return Unexplained(name, (), loud.share)
-    return Unexplained(name, what.quantities, loud.share, evidence=left_over(found, robot, what))
+        return UnexplainedPart(joint=name, depends_on=[], share=loud.share)
+    return UnexplainedPart(
+        joint=name,
+        depends_on=list(what.quantities),
+        share=loud.share,
+        evidence=left_over(found, robot, what),
+    )
 
 
-def _joints(found: Investigation, robot: Robot) -> dict[str, JointResidual]:
+def _joints(found: Investigation, robot: Robot) -> dict[str, ResidualEntry]:
     model, rows = found.model, found.ground.stage.rows
     rms, whites = model.rms(), white(rows.scenes, rows, model.left())
     return {
-        name: JointResidual(
-            rmse=float(found.start[j]),
-            noise_floor=float(found.floor.rms[j]),
-            noise_floor_interval=found.floor.interval(j),
-            white=bool(whites[j]),
-            rmse_explained=float(rms[j]),
-            samples=rows.count(j),
-            tried=tried_at(found, robot, j),
-        )
+        name: _residual(found, j, float(rms[j]), bool(whites[j]), tried_at(found, robot, j))
         for j, name in enumerate(robot.joint_names)
     }
 
 
-def _hidden(found: Investigation, robot: Robot) -> tuple[Hidden, ...]:
-    return tuple(
-        Hidden(name, None if joint is None else robot.joint_names[joint], share)
+def _residual(
+    found: Investigation, j: int, rms: float, is_white: bool, tried: list[RivalEntry]
+) -> ResidualEntry:
+    """The residual of one joint; without a sample there is nothing to compute numbers from."""
+    samples = found.ground.stage.rows.count(j)
+    counted = samples > 0
+    return ResidualEntry(
+        rmse=float(found.start[j]) if counted else None,
+        noise_floor=float(found.floor.rms[j]) if counted else None,
+        noise_floor_interval=list(found.floor.interval(j)) if counted else [],
+        white=is_white,
+        rmse_explained=rms if counted else None,
+        samples=samples,
+        tried=tried,
+    )
+
+
+def _hidden(found: Investigation, robot: Robot) -> list[HiddenEntry]:
+    return [
+        HiddenEntry(
+            effect=name,
+            joint=None if joint is None else robot.joint_names[joint],
+            visible=share,
+        )
         for (name, joint), share in sorted(found.found.visible.items(), key=lambda item: item[1])
         if share < HIDDEN
-    )
+    ]

@@ -28,7 +28,6 @@ from seqid_cli.discover.left_out import FOLDS, STRETCH_S, Folds
 from seqid_cli.discover.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of
-from seqid_cli.discover.results import Round
 from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.selection import Options, Taken
@@ -38,7 +37,7 @@ from seqid_cli.identify.prediction import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.params.schema import ParameterFile, RefinementRound, Stages
 from seqid_cli.robot.types import Robot
 
 ALL_ALONG = "was there all along"
@@ -58,7 +57,7 @@ class Refinement:
 
     material: Material
     came: Stages
-    rounds: tuple[Round, ...]
+    rounds: tuple[RefinementRound, ...]
     steps: tuple[Refitted, ...]
     without: Refitted
     notes: tuple[str, ...] = ()
@@ -266,23 +265,25 @@ def _outcome(loop: Loop, account: Account, channels: frozenset[int]) -> Outcome:
     return Outcome(change, gain(before, after, range(n)), losing)
 
 
-def _told(loop: Loop, candidate: Candidate, account: Account, outcome: Outcome) -> Round:
+def _told(loop: Loop, candidate: Candidate, account: Account, outcome: Outcome) -> RefinementRound:
     names, change = loop.material.robot.joint_names, outcome.change
-    return Round(
+    return RefinementRound(
         effect=candidate.effect.name,
         joint=None if candidate.joint is None else names[candidate.joint],
         accepted=outcome.accepted,
         training_gain=change.value,
-        training_interval=(change.low, change.high),
+        training_interval=change.limits,
         reason=_reason(names, candidate, account, outcome),
     )
 
 
-def _shown(loop: Loop, told: Round, found: Investigation, taken: Taken) -> Round:
+def _shown(
+    loop: Loop, told: RefinementRound, found: Investigation, taken: Taken
+) -> RefinementRound:
     """A round with what it rests on."""
     robot, alike = loop.material.robot, () if taken.term.smooth else named(taken).others
     shown = evidence_of(found, robot, taken)
-    return replace(told, evidence=shown, rivals=rivals_of(robot, taken, alike))
+    return msgspec.structs.replace(told, evidence=shown, rivals=rivals_of(robot, taken, alike))
 
 
 def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcome: Outcome) -> str:
@@ -313,15 +314,15 @@ def _add_smooth(loop: Loop) -> None:
             loop.steps.append(replace(model, effects=(*model.effects, term)))
 
 
-def _told_smooth(loop: Loop, taken: Taken) -> Round:
+def _told_smooth(loop: Loop, taken: Taken) -> RefinementRound:
     told, joint = taken.one.foretold, taken.term.joint
     assert joint is not None
     change = gain_of(told.loss, told.loss - told.squares)
-    return Round(
+    return RefinementRound(
         effect="unexplained",
         joint=loop.material.robot.joint_names[joint],
         accepted=change.certain,
         training_gain=change.value,
-        training_interval=(change.low, change.high),
+        training_interval=change.limits,
         reason="" if change.certain else "does not certainly predict left-out blocks better",
     )

@@ -29,9 +29,9 @@ from seqid_cli.identify.equations import blocks, cutoff_note, filtered_regressor
 from seqid_cli.identify.excitation import missing_pairs
 from seqid_cli.identify.grouped_blocks import GroupedBlocks
 from seqid_cli.identify.least_squares import Accumulator, Prior, Solution, solve, whitened
+from seqid_cli.identify.log_set import reduced
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.parts import reduced
 from seqid_cli.identify.posterior import (
     Posterior,
     as_lists,

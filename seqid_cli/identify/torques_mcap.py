@@ -25,7 +25,7 @@ from seqid_cli import __version__
 from seqid_cli.params.files import replacing, writing
 
 if TYPE_CHECKING:
-    from seqid_cli.identify.predict import LogPrediction
+    from seqid_cli.identify.predict_logs import LogPrediction
 
 Array = NDArray[np.float64]
 

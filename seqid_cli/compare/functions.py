@@ -1,0 +1,51 @@
+"""Comparing two results as a function: two files in, the document out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from seqid_cli.logs.given import PathLike
+from seqid_cli.params.comparison_schema import COMPARISON_SCHEMA, ComparisonFile
+from seqid_cli.params.document import now, tool
+from seqid_cli.params.read_any import read_any
+
+
+def compare(
+    first: PathLike, second: PathLike, *, rtol: float | None = None, sigma: float | None = None
+) -> ComparisonFile:
+    """Compare two parameter, prediction or diagnosis files of one robot.
+
+    Parameters
+    ----------
+    first, second : path
+        What was, or what should be, and what is now.
+    rtol : float, optional
+        Share of a number's size beyond which it has changed; alone it decides.
+    sigma : float, optional
+        Combined standard errors beyond which it has changed; alone it decides.
+
+    Returns
+    -------
+    ComparisonFile
+        `changed` counts the numbers that moved by more than both (without limits: 4 standard
+        errors and 0.01 of the size).
+    """
+    a, b = read_any([Path(first), Path(second)])
+    from seqid_cli.compare.differences import compare as compared
+    from seqid_cli.compare.rule import Rule
+
+    found = compared(a, b, rule=Rule.of(sigma, rtol))
+    return ComparisonFile(
+        schema=COMPARISON_SCHEMA,
+        created=now(),
+        tool=tool(),
+        kind=found.kind,
+        a=str(first),
+        b=str(second),
+        rule=found.rule,
+        different=bool(found.changed),
+        compared=len(found.differences),
+        changed=len(found.changed),
+        differences=list(found.differences),
+        notes=list(found.notes),
+    )

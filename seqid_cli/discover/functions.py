@@ -1,0 +1,234 @@
+"""Diagnosis and refinement as functions: logs, a robot file and a model in, the document out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import structs
+
+from seqid_cli.discover.log_sets import check_unseen, find_earlier, held_out_logs
+from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
+from seqid_cli.identify.functions import announcement
+from seqid_cli.identify.inputs import Inputs, Models, OnProgress, imu_stage_for, prepare
+from seqid_cli.logs.given import Logs, PathLike, optional
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.document import present, refined, robot_id
+from seqid_cli.params.files import check_output
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.schema import ParameterFile
+
+if TYPE_CHECKING:
+    from seqid_cli.discover.gather import Gathered
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.logs.recording import Recording
+    from seqid_cli.robot.types import Robot
+
+
+def diagnose(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: DiagnoseOptions = DiagnoseOptions(),
+    *,
+    output: PathLike | None = None,
+    on_progress: OnProgress | None = None,
+) -> DiagnosisFile:
+    """Find out which physical effects a model lacks; nothing is changed.
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Any logs with torque or current; long ones are looked at in pieces (see `gather`).
+    robot : path or Robot
+    parameters : path or ParameterFile, or a sequence of them
+        With the stages friction and inertia; effects that are in it are not missing.
+    options : DiagnoseOptions
+    output : path, optional
+        Where the diagnosis goes.
+    on_progress : callable, optional
+        Given a `Progress` before and after each log.
+
+    Raises
+    ------
+    SeqidError
+        Where the command would exit with 1 or 2.
+    """
+    inputs = _prepared(logs, robot, parameters, options, output, on_progress)
+    from seqid_cli.discover.diagnosis import diagnose as diagnosed
+    from seqid_cli.discover.gather import one_each
+    from seqid_cli.identify.judge import physics_verdicts
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.motion_use import motion_uses
+
+    search = _search(inputs, options)
+    given = LogSet.of(inputs)
+    gathered = _gathered(inputs, given, search)
+    kept, apart = gathered.recordings, gathered.aside
+    found = diagnosed(kept, inputs.robot, inputs.stages, options=search, aside=apart)
+    stages, arm = inputs.stages, inputs.robot
+    said = [*gathered.notes(arm), *found.notes]
+    file = structs.replace(
+        found,
+        robot=robot_id(arm),
+        inputs=given.inputs(),
+        parameters=inputs.ids(),
+        stages=list(present(stages)),
+        motion=motion_uses(one_each(gathered), arm, stages.imu, options=search.motion),
+        verdicts=[*physics_verdicts(stages, arm), *given.verdicts()],
+        notes=[*said, *given.notes(said)],
+    )
+    if inputs.output is not None:
+        write_json_atomic(inputs.output, file, inputs=inputs.sources)
+    return file
+
+
+def refine(
+    logs: Logs,
+    holdout: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: RefineOptions = RefineOptions(),
+    *,
+    output: PathLike | None = None,
+    on_progress: OnProgress | None = None,
+) -> ParameterFile:
+    """Add the effects that a model lacks, as long as left-out blocks are predicted better.
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Logs to fit; effects are chosen on left-out blocks of them.
+    holdout : path, table, recording, or a sequence of them
+        Logs that are opened after the last decision, and only reported on.
+    robot, parameters, output, on_progress
+        As in `diagnose`; logs of earlier stages are read again where they are still there.
+    options : RefineOptions
+
+    Returns
+    -------
+    ParameterFile
+        With `stages.effects` and `closed_loop`.
+    """
+    held_out, target = held_out_logs(logs, holdout), optional(output)
+    files = [log for log in held_out if isinstance(log, Path)]
+    if target is not None:
+        check_output(target, files)
+    inputs = _prepared(logs, robot, parameters, options, target, on_progress, stored=False)
+    search = replace(
+        _search(inputs, options),
+        max_effects=options.rounds,
+        with_unexplained=options.with_unexplained,
+    )
+    file = _refined(inputs, held_out, search)
+    if target is not None:
+        sources = [*inputs.sources, *files]
+        write_json_atomic(target, file, inputs=sources)
+    return file
+
+
+def _prepared(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: DiagnoseOptions,
+    output: PathLike | None,
+    on_progress: OnProgress | None,
+    *,
+    stored: bool = True,
+) -> Inputs:
+    return prepare(
+        logs,
+        robot,
+        parameters,
+        options,
+        output=output,
+        needs=("friction", "inertia", *imu_stage_for(options.source)),
+        stored=stored,
+        on_progress=on_progress,
+    )
+
+
+def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
+    from seqid_cli.identify.one_cutoff import inherited
+    from seqid_cli.identify.options import InertiaOptions
+
+    filtering = inherited(inputs.stages, options.cutoff_hz)
+    return DiscoverOptions(InertiaOptions(filtering, source=options.source_for_effects))
+
+
+def _gathered(
+    inputs: Inputs, logs: LogSet, search: DiscoverOptions, *, aside: bool = True
+) -> Gathered:
+    from seqid_cli.discover.gather import gather
+
+    logs.before = announcement(inputs.stages.imu, search.motion.source)
+    return gather(logs, inputs.robot, inputs.stages, options=search.motion, aside=aside)
+
+
+def _refined(
+    inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
+) -> ParameterFile:
+    from seqid_cli.discover.confirm import confirm
+    from seqid_cli.discover.earlier_logs import read_earlier
+    from seqid_cli.discover.gather import one_each
+    from seqid_cli.discover.heldout import WholeLogs
+    from seqid_cli.discover.refinement import refine as decide
+    from seqid_cli.identify.judge import physics_verdicts
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.motion_use import motion_uses
+
+    assert inputs.previous is not None
+    robot, previous = inputs.robot, inputs.previous
+    training = LogSet.of(inputs)
+    fitted = _gathered(inputs, training, search, aside=False)
+    at_hand = _places(fitted.recordings)
+    files = [log for log in held_out if isinstance(log, Path)]
+    folders = [path.parent for path in inputs.parameters]
+    found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=files)
+    earlier = read_earlier(inputs, found, fitted, search.motion)
+    count = sum(map(len, earlier.by_stage.values()))
+    told = f"{len(fitted.recordings)} logs to fit, {count} of earlier stages"
+    training.tell("detail", text=told)
+    decided = decide(fitted.recordings, robot, previous, earlier=earlier.by_stage, options=search)
+
+    # Nothing is decided any more: now the held-out logs are opened.
+    rest = replace(inputs, logs=tuple(held_out), missing=())
+    kept_out = LogSet.of(rest)
+    unseen = _gathered(rest, kept_out, search, aside=False)
+    check_unseen(_places(unseen.recordings), {**found.paths, **at_hand})
+    clock = inputs.options.time_source
+    whole = WholeLogs(tuple(files), robot, clock) if unseen.looks else None
+    loop = confirm(decided, unseen.recordings, whole)
+    verdicts = [
+        *physics_verdicts(inputs.stages, robot),
+        *training.verdicts(),
+        *kept_out.verdicts(),
+    ]
+    both = [*one_each(fitted), *one_each(unseen)]
+    loop = structs.replace(
+        loop,
+        verdict="poor" if verdicts else loop.verdict,
+        held_out=kept_out.inputs(),
+        motion=motion_uses(both, robot, inputs.stages.imu, options=search.motion),
+        verdicts=verdicts,
+        notes=[
+            *(f"fitted: {note}" for note in fitted.notes(robot)),
+            *(f"held out: {note}" for note in unseen.notes(robot)),
+            *found.notes,
+            *earlier.notes,
+            *training.notes(),
+            *kept_out.notes(),
+            *loop.notes,
+        ],
+    )
+    return refined(previous, robot_id(robot), training.inputs("effects"), decided.stages, loop)
+
+
+def _places(recordings: Sequence[Recording]) -> dict[str, Path]:
+    """Where each log is, by its SHA-256."""
+    from seqid_cli.discover.gather import by_digest
+
+    return {sha256: some[0].path for sha256, some in by_digest(recordings).items()}

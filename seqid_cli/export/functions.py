@@ -1,0 +1,107 @@
+"""Exporting an arm as a function: parameters and a robot file in, one file of another form out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from seqid_cli.export.formats import export as written
+from seqid_cli.export.formats import format_of
+from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
+from seqid_cli.logs.given import PathLike, listed
+from seqid_cli.params.document import join, now, present, robot_id, tool
+from seqid_cli.params.export_schema import (
+    EXPORT_SCHEMA,
+    ExportedFriction,
+    ExportedLink,
+    ExportedParameter,
+    ExportFile,
+)
+from seqid_cli.params.files import check_output, write_text_atomic
+from seqid_cli.params.schema import ParameterFile
+from seqid_cli.robot.toml_read import read_robot_file
+from seqid_cli.robot.urdf_text import read_urdf_text
+
+if TYPE_CHECKING:
+    from seqid_cli.export.model import ExportModel
+
+
+def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
+    """Write a model as URDF, MJCF, ROS 2 parameters or C header, by the suffix of `output`.
+
+    Links get inertial parameters that a body can have, with the identified torque, as near as
+    possible to those of the URDF.
+
+    Parameters
+    ----------
+    parameters : path or ParameterFile, or a sequence of them
+        Whatever was identified.
+    robot : path
+        The robot file, whose URDF is edited where it names one.
+    output : path
+        Where the file goes.
+    """
+    place, target, given = Path(robot), Path(output), listed(parameters)
+    kind = format_of(target)
+    models = read_models(given)
+    previous = join(models)
+    content = read_robot_file(place).content
+    source = None if content.urdf is None else place.parent / content.urdf
+    files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
+    check_output(target, [*files, place, *([source] if source else [])])
+    arm = robot_of(place, models)
+    raw = None if source is None else read_urdf_text(source).raw
+
+    done = written(arm, previous.stages, kind=kind, urdf=raw)
+    write_text_atomic(target, done.text)
+    model = done.model
+    return ExportFile(
+        schema=EXPORT_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(arm),
+        format=kind,
+        path=str(target),
+        parameters=[model_id(name, file, files) for name, file in models],
+        stages=list(present(previous.stages)),
+        exact=model.exact,
+        largest_deviation=model.largest_deviation,
+        base_parameters=[
+            ExportedParameter(
+                name=d.name,
+                unit=d.unit,
+                identified=d.identified,
+                exported=d.exported,
+                std_error=d.std_error,
+                std_errors=d.std_errors,
+            )
+            for d in model.deviations
+        ],
+        joints={name: _link(model, k) for k, name in enumerate(arm.joint_names)},
+        notes=list(model.notes),
+    )
+
+
+def _link(model: ExportModel, k: int) -> ExportedLink:
+    from seqid_cli.model.bodies.pseudo_inertia import Body
+
+    body, fit = Body.of(model.bodies[k]), model.friction[k]
+    friction = None
+    if fit is not None:
+        friction = ExportedFriction(
+            coulomb=fit.coulomb,
+            viscous=fit.viscous,
+            offset=fit.offset,
+            rms_misfit=fit.misfit,
+            rms=fit.size,
+            speed_range=list(fit.speeds),
+        )
+    return ExportedLink(
+        mass=body.mass,
+        center_of_mass=body.center.tolist(),
+        inertia=body.inertia.tolist(),
+        rotor_inertia=float(model.rotor[k]),
+        armature=float(model.armature[k]),
+        prior="urdf" if model.from_cad[k] else "guessed",
+        friction=friction,
+    )

@@ -1,0 +1,408 @@
+"""Every stage as a function: logs and a robot file in, the document out.
+
+Logs are paths, folders, globs, URLs of object storage, tables in memory or recordings; parameters
+are files or documents. Nothing is printed: what may be wrong comes as `SeqidWarning`, what cannot
+be done as a subclass of `SeqidError`. Cheap checks come before anything heavy is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.identify.inputs import (
+    Inputs,
+    Models,
+    OnProgress,
+    imu_stage_for,
+    prepare,
+)
+from seqid_cli.identify.options import (
+    FrictionOptions,
+    LogOptions,
+    PredictOptions,
+    RigidOptions,
+    SimultaneousOptions,
+)
+from seqid_cli.logs.given import Logs, PathLike, optional, warn
+from seqid_cli.params.document import present, robot_id, stale_stages, with_stage
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.params.schema import ImuStage, ParameterFile, Stages
+
+if TYPE_CHECKING:
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.logs.recording import Recording
+    from seqid_cli.motion.options import MotionOptions
+    from seqid_cli.robot.types import Robot
+
+LONG_S = 300.0  # of a log whose smoothing is announced
+
+
+def friction(
+    logs: Logs,
+    robot: PathLike | Robot,
+    options: FrictionOptions = FrictionOptions(),
+    *,
+    output: PathLike | None = None,
+    executor: Executor | None = None,
+    on_progress: OnProgress | None = None,
+) -> ParameterFile:
+    """Identify joint friction over position and velocity (Eq. 7-11).
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Moves of one joint at a time at constant velocity.
+    robot : path or Robot
+        The robot file.
+    options : FrictionOptions
+        Orders of the surface, and how logs are read.
+    output : path, optional
+        Where the parameter file goes.
+    executor : concurrent.futures.Executor, optional
+        Who reads and reduces the logs (see `seqid_cli.scale.executors`); this process by default.
+    on_progress : callable, optional
+        Given a `Progress` before and after each log.
+
+    Returns
+    -------
+    ParameterFile
+        With the friction stage.
+
+    Raises
+    ------
+    SeqidError
+        Where the command would exit with 1 or 2: it has `message`, `hint` and `where`.
+    """
+    inputs = prepare(
+        logs, robot, (), options, output=output, executor=executor, on_progress=on_progress
+    )
+    from seqid_cli.identify.friction_stage import identify_friction
+
+    def identify(given: LogSet) -> Stages:
+        return Stages(friction=identify_friction(given, inputs.robot, options=options))
+
+    return _stage(inputs, identify)
+
+
+def gravity(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: LogOptions = LogOptions(),
+    *,
+    output: PathLike | None = None,
+    executor: Executor | None = None,
+    on_progress: OnProgress | None = None,
+) -> ParameterFile:
+    """Identify the gravity parameters, given the friction (Eq. 12-19).
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Moves of one joint at a time at constant velocity, others locked in several configurations.
+    robot, output, executor, on_progress
+        As in `friction`.
+    parameters : path or ParameterFile, or a sequence of them
+        With the friction stage.
+    options : LogOptions
+    """
+    inputs = prepare(
+        logs,
+        robot,
+        parameters,
+        options,
+        output=output,
+        needs=("friction",),
+        executor=executor,
+        on_progress=on_progress,
+    )
+    from seqid_cli.identify.gravity_stage import identify_gravity
+
+    def identify(given: LogSet) -> Stages:
+        filtering = _filtering(options)
+        stage = identify_gravity(given, inputs.robot, inputs.stages, options=filtering)
+        return Stages(gravity=stage)
+
+    return _stage(inputs, identify)
+
+
+def imu_calib(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models = (),
+    options: LogOptions = LogOptions(),
+    *,
+    output: PathLike | None = None,
+    executor: Executor | None = None,
+    on_progress: OnProgress | None = None,
+) -> ParameterFile:
+    """Find how IMUs sit on their links and what they are like (Eq. 29-38).
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Rotations of the first joint with the others locked in several configurations.
+    robot, output, executor, on_progress
+        As in `friction`; the robot file names the IMUs.
+    parameters : path or ParameterFile, or a sequence of them
+        What the stage is added to.
+    options : LogOptions
+    """
+    inputs = prepare(
+        logs, robot, parameters, options, output=output, executor=executor, on_progress=on_progress
+    )
+    if not inputs.robot.imus:
+        hint = "Add an [[imu]] table with its accelerometers."
+        where = str(inputs.robot.source)
+        raise ConfigError("the robot file names no IMU", where=where, hint=hint)
+    from seqid_cli.identify.imu import calibrate_imus
+    from seqid_cli.motion.imu.array import layout_report
+
+    def identify(given: LogSet) -> Stages:
+        for imu in inputs.robot.imus:
+            for text in layout_report(imu).statements:
+                given.tell("note", text=f"{imu.name}: {text}")
+        earlier = inputs.previous.stages if inputs.previous else None
+        filtering = _filtering(options)
+        return Stages(imu=calibrate_imus(given, inputs.robot, earlier, options=filtering))
+
+    return _stage(inputs, identify, imus=True)
+
+
+def inertia(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: RigidOptions = RigidOptions(),
+    *,
+    output: PathLike | None = None,
+    executor: Executor | None = None,
+    on_progress: OnProgress | None = None,
+) -> ParameterFile:
+    """Identify the inertia parameters, given friction and gravity (Eq. 22-26).
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Moves of two joints (or more) at a time.
+    robot, output, executor, on_progress
+        As in `friction`.
+    parameters : path or ParameterFile, or a sequence of them
+        With the stages friction and gravity; with imu to use IMUs.
+    options : RigidOptions
+    """
+    needs = ("friction", "gravity", *imu_stage_for(options.source))
+    inputs = prepare(
+        logs,
+        robot,
+        parameters,
+        options,
+        output=output,
+        needs=needs,
+        executor=executor,
+        on_progress=on_progress,
+    )
+    from seqid_cli.identify.consistency import made_consistent
+    from seqid_cli.identify.inertia_stage import identify_inertia
+    from seqid_cli.identify.options import InertiaOptions
+
+    def identify(given: LogSet) -> Stages:
+        rigid = InertiaOptions(_chosen(inputs, options), options.source)
+        given.before = announcement(inputs.stages.imu, options.source)
+        stage = identify_inertia(given, inputs.robot, inputs.stages, options=rigid, compare=True)
+        if options.consistent:
+            stage = made_consistent(stage, inputs.stages, inputs.robot)
+        return Stages(inertia=stage)
+
+    return _stage(inputs, identify)
+
+
+def simultaneous(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models = (),
+    options: SimultaneousOptions = SimultaneousOptions(),
+    *,
+    output: PathLike | None = None,
+    on_progress: OnProgress | None = None,
+) -> ParameterFile:
+    """Identify everything in one classical least squares (Eq. 5-6).
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Any; they are read one after the other.
+    robot, output, on_progress
+        As in `friction`.
+    parameters : path or ParameterFile, or a sequence of them
+        With the imu stage to use IMUs.
+    options : SimultaneousOptions
+    """
+    needs = imu_stage_for(options.source)
+    inputs = prepare(
+        logs, robot, parameters, options, output=output, needs=needs, on_progress=on_progress
+    )
+    from seqid_cli.identify.consistency import made_consistent
+    from seqid_cli.identify.one_step import identify_simultaneous
+
+    def identify(given: LogSet) -> Stages:
+        imu = inputs.stages.imu
+        given.before = announcement(imu, options.source)
+        friction, inertia = identify_simultaneous(
+            given,
+            inputs.robot,
+            options=_chosen(inputs, options),
+            imu=imu,
+            source=options.source,
+            offset=options.offset,
+        )
+        if options.consistent:
+            inertia = made_consistent(inertia, Stages(), inputs.robot)
+        return Stages(friction=friction, inertia=inertia)
+
+    return _stage(inputs, identify)
+
+
+def predict(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: PredictOptions = PredictOptions(),
+    *,
+    output: PathLike | None = None,
+    torques: PathLike | None = None,
+    executor: Executor | None = None,
+    on_progress: OnProgress | None = None,
+) -> PredictionFile:
+    """Predict joint torques and compare them with the measured ones.
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Any logs with torque or current.
+    robot, output, executor, on_progress
+        As in `friction`.
+    parameters : path or ParameterFile, or a sequence of them
+        Whatever has been identified.
+    options : PredictOptions
+    torques : path, optional
+        Where the torques themselves go: as MCAP if it ends so, else Parquet.
+    """
+    target, table = optional(output), optional(torques)
+    if target is not None and table is not None and target.resolve() == table.resolve():
+        message = "-o and --torques name the same file"
+        raise UsageError(message, where=str(target), hint="Give them different names.")
+    inputs = prepare(
+        logs,
+        robot,
+        parameters,
+        options,
+        output=target,
+        more_outputs=[table] if table else [],
+        needs=imu_stage_for(options.source),
+        executor=executor,
+        on_progress=on_progress,
+    )
+    if not present(inputs.stages):
+        where = inputs.models[0][0] if inputs.models else ""
+        raise ConfigError("holds no stage at all", where=where, hint="Run seqid friction first.")
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.one_cutoff import inherited
+    from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.identify.predict_logs import predict as predicted
+    from seqid_cli.identify.prediction_file import prediction_file
+
+    rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
+    given = LogSet.of(inputs)
+    given.before = announcement(inputs.stages.imu, options.source)
+    unexplained = options.with_unexplained
+    found = predicted(given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained)
+    file = prediction_file(
+        inputs,
+        given,
+        found,
+        torques=table,
+        cutoff_origin=rigid.motion.origin,
+        unexplained=unexplained,
+    )
+    if target is not None:
+        write_json_atomic(target, file, inputs=inputs.sources)
+    return file
+
+
+def announcement(imu: ImuStage | None, source: str) -> Callable[[Recording], str]:
+    """Return what says that a log is smoothed that takes long."""
+
+    def announce(log: Recording) -> str:
+        length = len(log.t) / log.rate_hz
+        smoothed = imu is not None and source not in ("encoder", "imu") and log.accelerometers
+        if not smoothed or length <= LONG_S:
+            return ""
+        return (
+            f"{log.path}: smoothing {length / 60:.0f} min of encoders and IMUs"
+            " (--motion encoder does without)"
+        )
+
+    return announce
+
+
+def _stage(
+    inputs: Inputs, identify: Callable[[LogSet], Stages], *, imus: bool | None = None
+) -> ParameterFile:
+    """Identify new stages, judge them and add them to the stages before."""
+    from seqid_cli.identify.judge import judged
+    from seqid_cli.identify.log_set import LogSet
+
+    logs = LogSet.of(inputs, imus=imus)
+    found = _with_notes(identify(logs), logs)
+    found = judged(found, inputs.previous, inputs.robot, logs.findings)
+    names = tuple(present(found))
+    for name in stale_stages(inputs.previous, names):
+        warn(f"the {name} stage rested on the old result and is left out: redo it")
+    file = with_stage(
+        inputs.previous,
+        robot_id(inputs.robot),
+        logs.inputs(names[0]),
+        friction=found.friction,
+        gravity=found.gravity,
+        imu=found.imu,
+        inertia=found.inertia,
+    )
+    if inputs.output is not None:
+        write_json_atomic(inputs.output, file, inputs=inputs.sources)
+    return file
+
+
+def _with_notes(found: Stages, logs: LogSet) -> Stages:
+    stages = {
+        name: replace(stage, notes=[*stage.notes, *logs.notes(stage.notes)])
+        for name in ("friction", "gravity", "imu", "inertia")
+        if (stage := getattr(found, name)) is not None
+    }
+    return replace(found, **stages)
+
+
+def _chosen(inputs: Inputs, options: RigidOptions) -> MotionOptions:
+    """How all logs of an identification are filtered."""
+    from seqid_cli.identify.one_cutoff import identification_options
+
+    return identification_options(
+        inputs.logs,
+        inputs.robot,
+        cutoff_hz=options.cutoff_hz,
+        imu=inputs.stages.imu,
+        source=options.source,
+        time_source=options.time_source,
+    )
+
+
+def _filtering(options: LogOptions) -> MotionOptions:
+    from seqid_cli.motion.options import MotionOptions
+
+    return MotionOptions(cutoff_hz=options.cutoff_hz)

@@ -1,0 +1,192 @@
+"""What a function works on, checked before anything heavy is imported."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from seqid_cli.errors import ConfigError, InputError
+from seqid_cli.identify.options import LogOptions
+from seqid_cli.logs.given import Log, Logs, PathLike, expanded, is_place, listed, optional, warn
+from seqid_cli.logs.storage.files import check_log, expand
+from seqid_cli.logs.storage.remote import StoredLog
+from seqid_cli.params.document import join, present
+from seqid_cli.params.encode import encode
+from seqid_cli.params.files import check_output
+from seqid_cli.params.io import check_robot, file_sha256, read_parameters
+from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.robot.file import load_robot
+
+if TYPE_CHECKING:
+    from seqid_cli.inspect.progress import Progress
+    from seqid_cli.logs.recording import Recording
+    from seqid_cli.robot.types import Robot
+
+
+Model: TypeAlias = "PathLike | ParameterFile"
+Models: TypeAlias = "Model | Sequence[Model]"
+OnProgress: TypeAlias = "Callable[[Progress], None]"
+
+_WRITTEN_BY = {
+    "friction": "friction",
+    "gravity": "gravity",
+    "imu": "imu-calib",
+    "inertia": "inertia",
+}
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a function works on, checked; nothing heavy has been imported yet.
+
+    `logs` are files or recordings, `missing` says which arguments stand for no log, where that is
+    no reason to stop; `models` are the parameter files, `previous` what they hold together (None
+    where none was given).
+    """
+
+    logs: tuple[Path | Recording, ...]
+    robot: Robot
+    models: tuple[tuple[str, ParameterFile], ...]
+    previous: ParameterFile | None
+    parameters: tuple[Path, ...]
+    output: Path | None
+    options: LogOptions
+    missing: tuple[InputError, ...] = ()
+    executor: Executor | None = None
+    on_progress: OnProgress | None = None
+
+    @property
+    def stages(self) -> Stages:
+        """What had been identified before."""
+        return self.previous.stages if self.previous else Stages()
+
+    @property
+    def sources(self) -> list[Path]:
+        """Files that no output may replace."""
+        return [*(log for log in self.logs if isinstance(log, Path)), *self.parameters]
+
+    def ids(self) -> list[FileId]:
+        """The parameter files, as documents list them."""
+        return [model_id(name, file, self.parameters) for name, file in self.models]
+
+
+def prepare(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models = (),
+    options: LogOptions | None = None,
+    *,
+    output: PathLike | None = None,
+    more_outputs: Sequence[Path] = (),
+    needs: Sequence[str] = (),
+    stored: bool = True,
+    executor: Executor | None = None,
+    on_progress: OnProgress | None = None,
+) -> Inputs:
+    """Check all that can be checked before numpy is imported.
+
+    `needs` names the stages that `parameters` must hold; `stored` says whether logs on object
+    storage are welcome.
+
+    Raises
+    ------
+    SeqidError
+        A path, the robot file or a parameter file is wrong.
+    """
+    options = options or LogOptions()
+    found, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)
+    target = optional(output)
+    given = listed(parameters)
+    files = tuple(Path(model) for model in given if not isinstance(model, ParameterFile))
+    place = Path(robot) if isinstance(robot, str | os.PathLike) else robot.source
+    paths = [*(log for log in found if isinstance(log, Path)), place, *files]
+    for path in [target, *more_outputs]:
+        if path is not None:
+            check_output(path, paths)
+    models = read_models(given)
+    previous = join(models) if models else None
+    _require(needs, previous, models)
+    loaded = robot_of(robot, models)
+    named = (found, loaded, models, previous, files, target, options, missing)
+    return Inputs(*named, executor, on_progress)
+
+
+def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:
+    """Return parameter files with the names to use in messages."""
+    return tuple(
+        ("the given parameters", model)
+        if isinstance(model, ParameterFile)
+        else (str(model), read_parameters(Path(model)))
+        for model in given
+    )
+
+
+def robot_of(robot: PathLike | Robot, models: Sequence[tuple[str, ParameterFile]]) -> Robot:
+    """Return the robot, after making sure that the parameter files are of it; warns of changes."""
+    loaded = load_robot(Path(robot)) if isinstance(robot, str | os.PathLike) else robot
+    for name, file in models:
+        for warning in check_robot(file, loaded, where=name):
+            warn(warning)
+    return loaded
+
+
+def model_id(name: str, file: ParameterFile, paths: Sequence[Path]) -> FileId:
+    """A parameter file as documents list it."""
+    for path in paths:
+        if str(path) == name:
+            return FileId(path=name, sha256=file_sha256(path))
+    return FileId(path="", sha256=hashlib.sha256(encode(file).encode()).hexdigest())
+
+
+def _logs(
+    given: Sequence[Log], *, go_on: bool, stored: bool
+) -> tuple[tuple[Path | Recording, ...], tuple[InputError, ...]]:
+    """Return the logs that are meant, and what stands for none where that is no reason to stop."""
+    missing: list[InputError] = []
+    if go_on:
+        given, missing = _there(given, stored=stored)
+        if not given and missing:
+            raise missing[0]
+    files = expanded(given, stored=stored)
+    for file in files:
+        if not go_on and isinstance(file, Path) and not isinstance(file, StoredLog):
+            check_log(file)
+    return tuple(files), tuple(missing)
+
+
+def _there(given: Sequence[Log], *, stored: bool) -> tuple[list[Log], list[InputError]]:
+    found: list[Log] = []
+    missing = []
+    for log in given:
+        try:
+            if is_place(log):
+                expand([os.fspath(log)], stored=stored)  # type: ignore[arg-type]
+            found.append(log)
+        except InputError as error:
+            missing.append(error)
+            warn(f"left out: {error}")
+    return found, missing
+
+
+def _require(
+    needs: Sequence[str],
+    previous: ParameterFile | None,
+    models: Sequence[tuple[str, ParameterFile]],
+) -> None:
+    there = present(previous.stages) if previous else {}
+    for name in needs:
+        if name not in there:
+            message = f"there is no {name} stage, which this command builds on"
+            hint = f"Run seqid {_WRITTEN_BY[name]} first and give its result with -p."
+            raise ConfigError(message, where=", ".join(name for name, _ in models), hint=hint)
+
+
+def imu_stage_for(source: str) -> tuple[str, ...]:
+    """Return the stages that a source of motion insists on."""
+    return ("imu",) if source in ("imu", "fused") else ()

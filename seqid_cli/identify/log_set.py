@@ -1,0 +1,362 @@
+"""The logs of one call: read, checked, worked on one by one by whoever is asked to, accounted for.
+
+Parts of different logs are independent of each other, so an executor may make them. They are merged
+in one binary tree whose shape depends on the number of logs alone; the result is the same to the
+last bit, whoever made the parts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
+from seqid_cli.identify.inputs import Inputs
+from seqid_cli.identify.log_verdicts import notes_of_logs, said, verdicts_of_logs
+from seqid_cli.identify.tree import Tree, or_none
+from seqid_cli.inspect.findings import located
+from seqid_cli.inspect.progress import LogNote, Progress
+from seqid_cli.inspect.screening import read_screened, screened_long
+from seqid_cli.logs.given import warn
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.schema import InputLog, Verdict
+from seqid_cli.robot.types import Robot
+from seqid_cli.scale.executors import Reply, answer, ordered
+
+L = TypeVar("L")  # a Recording, or a log that is passed over
+P = TypeVar("P")
+PartOf = Callable[[L, int], P]
+Merge = Callable[[P, P], P]
+
+
+@runtime_checkable
+class LogOpener(Protocol):
+    """A part that passes over some logs instead of having them read."""
+
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over; None for others."""
+
+
+@dataclass
+class LogSet:
+    """Logs to be read and worked on.
+
+    Iterate over it once, or have it `reduced` or `mapped` once; what was `read`, the `findings`,
+    what is `partial` or `left_out` is complete afterwards. Warnings come as the logs are read.
+
+    Parameters
+    ----------
+    logs : sequence of Path or Recording
+        A recording is taken as it is, without checks.
+    robot : Robot
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+    imus : bool
+        Whether the readings of IMUs are used, and hence checked.
+    skip_failed : bool
+        Whether logs that cannot be used are left out.
+    executor : Executor, optional
+        Who reads and reduces the logs; None does it here.
+    on_progress : callable, optional
+    left_out : list of str
+        What was left out before.
+    before : callable, optional
+        Says what a user should know before this process begins the long part of a log; nothing
+        where it returns an empty text.
+    """
+
+    logs: Sequence[Path | Recording]
+    robot: Robot
+    time_source: TimeSource = "header"
+    imus: bool = True
+    skip_failed: bool = False
+    executor: Executor | None = None
+    on_progress: Callable[[Progress], None] | None = None
+    left_out: list[str] = field(default_factory=list)
+    before: Callable[[Recording], str] | None = None
+    findings: list[InspectionFinding] = field(default_factory=list)
+    partial: list[str] = field(default_factory=list)
+    read: list[LogNote] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, inputs: Inputs, *, imus: bool | None = None) -> LogSet:
+        """The logs of a function; `imus` where the stages before do not say it."""
+        options = inputs.options
+        logs = cls(
+            inputs.logs,
+            inputs.robot,
+            options.time_source,
+            inputs.stages.imu is not None if imus is None else imus,
+            options.skip_failed,
+            inputs.executor,
+            inputs.on_progress,
+        )
+        for error in inputs.missing:
+            logs.left_out.append(str(error))
+            logs.tell("failed", log=error.where, error=error)
+        return logs
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Read the logs one after the other."""
+        self._next()
+        for item in self._items():
+            log, findings = _Task(self.robot, self.time_source, None, self.imus).read(item)
+            assert isinstance(log, Recording)
+            self._done(replace(note_of(log), findings=findings))
+            self._about_to_work(log)
+            yield log
+            self._next()
+
+    def reduced(self, part: PartOf[Any, P], merge: Merge[P]) -> P | None:
+        """Merge the parts of all logs; see `reduced`."""
+        tree: Tree[P | None] = Tree(or_none(merge))
+        for found in self._parts(part):
+            tree.push(None if found is None else found.part)
+        return tree.root()
+
+    def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
+        """Yield the parts of all logs in their order."""
+        for found in self._parts(part):
+            if found is not None:
+                yield found.part
+
+    def again(self, *, imus: bool) -> Iterator[Recording]:
+        """Read the logs once more, without account."""
+        for log in self.logs:
+            if isinstance(log, Recording):
+                yield log
+            else:
+                clock = self.time_source
+                yield read_screened(log, self.robot, time_source=clock, imus=imus).recording
+
+    def inputs(self, stage: str = "") -> list[InputLog]:
+        """Return the logs read so far, as documents list them."""
+        return [
+            InputLog(path=str(log.path), sha256=log.sha256, samples=log.samples, stage=stage)
+            for log in self.read
+        ]
+
+    def notes(self, known: Sequence[str] = ()) -> list[str]:
+        """Return what the result must say of its logs, but for what it says already (`known`)."""
+        left = [f"left out: {text}" for text in self.left_out]
+        return [*left, *notes_of_logs(self.findings, known)]
+
+    def verdicts(self) -> list[Verdict]:
+        """Return a poor verdict for each error of the logs."""
+        return verdicts_of_logs(self.findings)
+
+    def tell(self, state: Any, **about: Any) -> None:
+        """Tell whoever listens how far it is."""
+        if self.on_progress is not None:
+            count = len(self.read) + len(self.left_out)
+            self.on_progress(Progress(state, count, len(self.logs), **about))
+
+    def _parts(self, part: PartOf[Any, P]) -> Iterator[_Done[P] | None]:
+        """The part of every log in their order, None where it failed and that is no reason to stop.
+
+        Raises
+        ------
+        SeqidError
+            A log cannot be used, the first of them in the order given; or none can.
+        """
+        self._next()
+        errors: list[Exception] = []
+        items = self._items()
+        for item, reply in zip(items, self._replies(part, items), strict=True):
+            error = reply.error
+            if error is None:
+                found = reply.get()
+                self._done(found.note)
+                yield found
+                continue
+            if isinstance(error, UsageError | ConfigError) or not self.skip_failed:
+                raise error  # also where it is no matter of one log
+            errors.append(error)
+            self._failed(str(item), error)
+            yield None
+        if items and len(errors) == len(items):
+            first = errors[0]
+            hint = first.hint if isinstance(first, SeqidError) else ""
+            raise InputError(f"none of the {len(items)} logs can be used: {first}", hint=hint)
+
+    def _replies(self, part: PartOf[Any, P], items: Sequence[_Item]) -> Iterator[Reply[_Done[P]]]:
+        task = _Task(self.robot, self.time_source, part, self.imus, Path.cwd())
+        if self.executor is not None:
+            return ordered(self.executor, task, items)
+
+        def here(item: _Item) -> _Done[P]:
+            return task.work(item, self._about_to_work)
+
+        return (answer(here, i) if self.skip_failed else Reply(here(i)) for i in items)
+
+    def _items(self) -> list[_Item]:
+        return [_Item(number, log) for number, log in enumerate(self.logs)]
+
+    def _next(self) -> None:
+        done = len(self.read) + len(self.left_out)
+        if done < len(self.logs):
+            self.tell("reading", log=str(_Item(done, self.logs[done])))
+
+    def _about_to_work(self, log: Recording | SurveyedLog) -> None:
+        if self.before is not None and isinstance(log, Recording):
+            text = self.before(log)
+            if text:
+                self.tell("note", log=str(log.path), text=text)
+
+    def _done(self, note: LogNote) -> None:
+        """Take account of a log that was read, and warn of what cannot wait for the result."""
+        self.read.append(note)
+        self.findings += note.findings
+        self.tell("done", log=str(note.path), note=note)
+        for finding in note.findings:
+            if finding.severity == "error":
+                about = " ".join(part for part in (finding.joint, finding.channel) if part)
+                text = f"{about}: {finding.message}" if about else finding.message
+                warn(f"{note.path}: [{finding.code}] {text}")
+            elif finding.message in note.warnings:
+                warn(said(finding))
+        known = {finding.message for finding in note.findings}
+        for warning in note.warnings:
+            if warning not in known:
+                warn(f"{note.path}: {warning}")
+        if note.partial:
+            self.partial.append(f"{note.path}: {note.partial}")
+            warn(f"{note.path}: only partly read: {note.partial}")
+
+    def _failed(self, log: str, error: Exception) -> None:
+        """Take account of a log that is left out because the user wants to go on."""
+        text = str(error) if log in str(error) else f"{log}: {error}"
+        self.left_out.append(text)
+        self.tell("failed", log=log, error=error)
+        warn(f"left out: {text}")
+
+
+def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
+    """Merge what every log says.
+
+    Parameters
+    ----------
+    logs : LogSet, or iterable of Recording and of logs to be passed over
+    part : callable
+        From a log and its number to a part. To be sent elsewhere it must be an object of a class,
+        or a function, of a module.
+    merge : callable
+        From two neighbouring parts to one.
+
+    Returns
+    -------
+    part or None
+        None without logs.
+    """
+    if isinstance(logs, LogSet):
+        return logs.reduced(part, merge)
+    tree: Tree[P] = Tree(merge)
+    for found in mapped(logs, part):
+        tree.push(found)
+    return tree.root()
+
+
+def mapped(logs: Iterable[L], part: PartOf[L, P]) -> Iterator[P]:
+    """Yield what every log says, in their order; see `reduced`."""
+    if isinstance(logs, LogSet):
+        yield from logs.mapped(part)
+        return
+    for number, log in enumerate(logs):
+        yield part(log, number)
+
+
+def note_of(log: Recording | SurveyedLog) -> LogNote:
+    """Return what is to be told of a log."""
+    if isinstance(log, SurveyedLog):
+        return LogNote(log.path, log.sha256, log.samples, log.rate_hz, log.warnings, log.partial)
+    return LogNote(
+        log.path,
+        log.sha256,
+        len(log.t),
+        log.rate_hz,
+        log.health.warnings,
+        log.partial,
+        mended=log.health.mended,
+    )
+
+
+@dataclass(frozen=True)
+class _Item:
+    """One log and its number."""
+
+    number: int
+    log: Path | Recording
+
+    def __str__(self) -> str:
+        return str(self.log.path if isinstance(self.log, Recording) else self.log)
+
+
+@dataclass(frozen=True)
+class _Done(Generic[P]):
+    """What one log says, and what is to be told of it."""
+
+    note: LogNote
+    part: P
+
+
+@dataclass(frozen=True)
+class _Task(Generic[P]):
+    """Reads a log and takes its part; relative paths start from `folder`."""
+
+    robot: Robot
+    time_source: TimeSource
+    part: PartOf[Any, P] | None
+    imus: bool
+    folder: Path | None = None
+
+    def __call__(self, item: _Item) -> _Done[P]:
+        """Work on one log.
+
+        Raises
+        ------
+        SeqidError
+            The log cannot be read or is of no use.
+        """
+        return self.work(item, None)
+
+    def work(
+        self, item: _Item, before: Callable[[Recording | SurveyedLog], None] | None
+    ) -> _Done[P]:
+        """Work on one log, of which someone in this process hears before the long part."""
+        # Those that pass over a log read it again and again: a stored one's copy must last.
+        with contextlib.ExitStack() as stack:
+            file = None
+            if isinstance(item.log, Path):
+                file = stack.enter_context(local_copy(item.log))
+            log, findings = self.read(item, file)
+            if before is not None:
+                before(log)
+            assert self.part is not None
+            return _Done(replace(note_of(log), findings=findings), self.part(log, item.number))
+
+    def read(
+        self, item: _Item, file: Path | None = None
+    ) -> tuple[Recording | SurveyedLog, tuple[InspectionFinding, ...]]:
+        """Read and check one log, from a local copy where there is one."""
+        name = item.log
+        if isinstance(name, Recording):
+            return name, ()
+        place = name if file is None else file
+        if self.folder is not None and not place.is_absolute() and self.folder != Path.cwd():
+            place = self.folder / place
+        opened = None
+        if isinstance(self.part, LogOpener):
+            opened = self.part.open_log(place, self.robot, self.time_source)
+        if opened is not None:
+            found = screened_long(replace(opened, path=name), self.robot)
+            return found.log, found.findings
+        held = read_screened(place, self.robot, time_source=self.time_source, imus=self.imus)
+        return replace(held.recording, path=name), located(held.findings, name)

@@ -1,0 +1,62 @@
+"""Inspection as a function: logs in, the document out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from seqid_cli.errors import UsageError
+from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
+from seqid_cli.params.files import check_output
+from seqid_cli.params.inspection_schema import InspectionFile
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.robot.file import load_robot
+
+if TYPE_CHECKING:
+    from seqid_cli.inspect.progress import Progress
+    from seqid_cli.logs.raw import TimeSource
+    from seqid_cli.robot.types import Robot
+
+
+def inspect(
+    logs: Logs,
+    robot: PathLike | Robot | None = None,
+    *,
+    time_source: TimeSource = "header",
+    output: PathLike | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> InspectionFile:
+    """Tell what is in logs and what is wrong with them.
+
+    Parameters
+    ----------
+    logs : path or table, or a sequence of them
+        Logs of any format that can be read.
+    robot : path or Robot, optional
+        Torque and IMUs are compared with its geometry; joints are guessed without it.
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+    output : path, optional
+        Where the inspection goes.
+    on_progress : callable, optional
+        Given a `Progress` before each log.
+
+    Returns
+    -------
+    InspectionFile
+        A log that cannot be read is in it with the finding `unreadable`.
+    """
+    found, target = expanded(listed(logs)), optional(output)
+    files = [log for log in found if isinstance(log, Path)]
+    if len(files) < len(found):
+        raise UsageError("a recording has been read already", hint="Give its path or its table.")
+    if target is not None:
+        check_output(target, [*files, *([Path(robot)] if is_place(robot) else [])])  # type: ignore[arg-type]
+    arm = load_robot(Path(robot)) if is_place(robot) else robot  # type: ignore[arg-type]
+    from seqid_cli.inspect.inspection import inspect_logs
+
+    report = inspect_logs(files, arm, time_source=time_source, on_progress=on_progress)  # type: ignore[arg-type]
+    if target is not None:
+        write_json_atomic(target, report, inputs=files)
+    return report

@@ -1,0 +1,253 @@
+"""Inspecting logs: the one function that the command and Python users call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from msgspec import structs
+
+from seqid_cli.errors import InputError
+from seqid_cli.inspect.channels import missing_imus, missing_joints
+from seqid_cli.inspect.checks import check
+from seqid_cli.inspect.findings import found, located, verdict_of
+from seqid_cli.inspect.guess import guess, stand_in
+from seqid_cli.inspect.imus import layout_findings
+from seqid_cli.inspect.material import LogData, read_log
+from seqid_cli.inspect.moves import (
+    imu_summaries,
+    joint_summaries,
+    moves_of,
+    serves,
+    stretches_of,
+    together,
+)
+from seqid_cli.inspect.progress import Progress
+from seqid_cli.logs.contents import Survey, survey
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.params.document import now, tool
+from seqid_cli.params.inspection_schema import (
+    INSPECTION_SCHEMA,
+    InspectedLog,
+    InspectionFile,
+    InspectionFinding,
+)
+from seqid_cli.robot.types import Robot
+
+_STAGES = ("friction", "gravity", "imu-calib", "inertia")
+
+
+class Inspected(NamedTuple):
+    """One log, and what is wrong with it."""
+
+    log: InspectedLog
+    findings: tuple[InspectionFinding, ...]
+
+
+def inspect_logs(
+    paths: Sequence[Path],
+    robot: Robot | None = None,
+    *,
+    time_source: TimeSource = "header",
+    on_progress: Callable[[Progress], None] | None = None,
+) -> InspectionFile:
+    """Look through logs and say what is in them and what is wrong with them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Logs of any format that can be read.
+    robot : Robot, optional
+        The robot file; without it the joints are guessed, and nothing is compared with geometry.
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+    on_progress : callable, optional
+        Told before each log.
+
+    Returns
+    -------
+    InspectionFile
+        A log that cannot be read is in it with the finding `unreadable`. The findings are those of
+        the robot file and of the set of logs, then each log's.
+    """
+    inspected = []
+    for done, path in enumerate(paths):
+        if on_progress is not None:
+            on_progress(Progress("reading", done, len(paths), str(path)))
+        inspected.append(_inspect_copy(path, robot, time_source))
+    logs = [one.log for one in inspected]
+    common = [*layout_findings(robot)] if robot is not None else []
+    common += _duplicates(logs)
+    findings = [*common, *(finding for one in inspected for finding in one.findings)]
+    return InspectionFile(
+        schema=INSPECTION_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot.name if robot else "",
+        verdict=verdict_of(findings),
+        logs=logs,
+        findings=findings,
+        advice=_advice(logs, findings, robot),
+    )
+
+
+def _inspect_copy(path: Path, robot: Robot | None, time_source: TimeSource) -> Inspected:
+    with local_copy(path) as file:
+        found = inspect_log(file, robot, time_source=time_source)
+    if file is path:
+        return found
+    return Inspected(structs.replace(found.log, path=str(path)), located(found.findings, path))
+
+
+def inspect_log(
+    path: Path, robot: Robot | None = None, *, time_source: TimeSource = "header"
+) -> Inspected:
+    """Inspect one log; see `inspect_logs`."""
+    try:
+        surveyed = survey(path)
+    except InputError as error:
+        return _unreadable(path, error)
+    names = [channel.name for channel in surveyed.channels]
+    problem: InputError | None = None
+    if robot is not None:
+        try:
+            data = read_log(path, robot, modelled=True, time_source=time_source)
+        except InputError as error:
+            problem = error
+        else:
+            missing, findings = missing_imus(robot, surveyed)
+            return _with(_report(path, surveyed, data, findings), channels=names, missing=missing)
+    return _with(_guessed(path, surveyed, robot, problem, time_source), channels=names)
+
+
+def _with(found: Inspected, **known: Any) -> Inspected:
+    return found._replace(log=structs.replace(found.log, **known))
+
+
+def _guessed(
+    path: Path,
+    surveyed: Survey,
+    robot: Robot | None,
+    problem: InputError | None,
+    time_source: TimeSource,
+) -> Inspected:
+    """Inspect a log without a robot file, or one that the robot file does not fit."""
+    guessed = guess(surveyed)
+    missing: dict[str, str] = {}
+    findings: list[InspectionFinding] = []
+    if robot is not None and problem is not None:
+        missing, findings = missing_joints(robot, guessed.joints)
+        findings = [structs.replace(f, remedy=problem.hint or f.remedy) for f in findings]
+        if not findings:
+            text = problem.message
+            findings = [structs.replace(found("channel_missing", text), remedy=problem.hint)]
+    try:
+        if not guessed.joints:
+            raise InputError(
+                "no joint positions were found by the names in it: "
+                + (", ".join(channel.name for channel in surveyed.channels[:12]) or "nothing"),
+                hint="Give a robot file with -r, its [channels] naming the columns.",
+            )
+        alone = stand_in(guessed, source=path)
+        data = read_log(path, alone, modelled=False, time_source=time_source)
+    except InputError as error:
+        kept = [f for f in findings if f.joint]
+        unreadable = _unreadable(path, problem or error, surveyed.format, kept)
+        return _with(unreadable, missing=missing)
+    return _with(_report(path, surveyed, data, findings), missing=missing)
+
+
+def _report(
+    path: Path, surveyed: Survey, data: LogData, found_before: list[InspectionFinding]
+) -> Inspected:
+    recording = data.recording
+    checked = check(data)
+    stretches = stretches_of(data)
+    health = recording.health
+    findings = located((*found_before, *checked.findings), path)
+    log = InspectedLog(
+        path=str(path),
+        sha256=recording.sha256,
+        format=surveyed.format,
+        verdict=verdict_of(findings),
+        samples=len(recording.t),
+        seconds=float(recording.t[-1]),
+        rate_hz=health.rate_hz,
+        jitter=health.jitter,
+        gaps=[list(gap) for gap in health.gaps],
+        non_monotonic=health.non_monotonic,
+        duplicates=health.duplicates,
+        log_minus_header_s=health.log_minus_header_s,
+        channels=[],
+        missing={},
+        joints=joint_summaries(data),
+        imus=imu_summaries(data, checked.following),
+        moves=moves_of(data, stretches),
+        moving_together=list(together(data)),
+        serves=list(serves(data, stretches)) if data.modelled else [],
+        partial=recording.partial,
+    )
+    return Inspected(log, findings)
+
+
+def _unreadable(
+    path: Path, error: InputError, form: str = "", known: Sequence[InspectionFinding] = ()
+) -> Inspected:
+    finding = found("unreadable", error.message)
+    if error.hint:
+        finding = structs.replace(finding, remedy=error.hint)
+    log = InspectedLog(
+        path=str(path),
+        sha256="",
+        format=form,
+        verdict="unreadable",
+        samples=0,
+        seconds=0.0,
+        rate_hz=0.0,
+        jitter=0.0,
+        gaps=[],
+        non_monotonic=0,
+        duplicates=0,
+        log_minus_header_s=None,
+        channels=[],
+        missing={},
+        joints=[],
+        imus=[],
+        moves=[],
+        moving_together=[],
+        serves=[],
+        partial="",
+    )
+    return Inspected(log, located((*known, finding), path))
+
+
+def _duplicates(logs: Sequence[InspectedLog]) -> list[InspectionFinding]:
+    first: dict[str, str] = {}
+    findings = []
+    for log in logs:
+        if log.sha256 and first.setdefault(log.sha256, log.path) != log.path:
+            text = f"has the same content as {first[log.sha256]}"
+            findings.append(structs.replace(found("duplicate_log", text), log=log.path))
+    return findings
+
+
+def _advice(
+    logs: Sequence[InspectedLog], findings: Sequence[InspectionFinding], robot: Robot | None
+) -> list[str]:
+    """Say what to do next."""
+    errors = [finding for finding in findings if finding.severity == "error"]
+    if errors:
+        first = errors[0]
+        place = f"{first.joint}: " if first.joint else ""
+        return [f"first [{first.code}] {place}{first.remedy}"]
+    if robot is None:
+        return ["seqid init LOG --urdf FILE -o robot.toml, then inspect again with -r robot.toml"]
+    there = {stage for log in logs for stage in log.serves}
+    by_stage = [
+        f"{stage}: {sum(stage in log.serves for log in logs)} logs"
+        for stage in _STAGES
+        if stage in there
+    ]
+    return ["logs for " + ", ".join(by_stage)] if by_stage else []

@@ -1,0 +1,41 @@
+"""What a function tells of the logs that it works on, while it does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from seqid_cli.params.inspection_schema import InspectionFinding
+
+
+@dataclass(frozen=True)
+class LogNote:
+    """What is to be told of a log that was read."""
+
+    path: Path
+    sha256: str
+    samples: int
+    rate_hz: float
+    warnings: tuple[str, ...]
+    partial: str
+    findings: tuple[InspectionFinding, ...] = ()
+    mended: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a function is; told before a log is read and after it was worked on.
+
+    `done` of `total` logs are finished. `state` is "reading" (`log` comes next), "done" (`note` is
+    what was read), "failed" (`error` says why `log` is left out), or "note" and "detail" (`text`
+    says what the function is about).
+    """
+
+    state: Literal["reading", "done", "failed", "note", "detail"]
+    done: int = 0
+    total: int = 0
+    log: str = ""
+    note: LogNote | None = None
+    error: Exception | None = None
+    text: str = ""

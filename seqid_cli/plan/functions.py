@@ -1,0 +1,115 @@
+"""Planning as a function: a robot file and what is known in, the moves to record out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from msgspec import structs
+
+from seqid_cli.errors import UsageError
+from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
+from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
+from seqid_cli.params.document import join
+from seqid_cli.params.files import check_output, writing
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.plan_schema import PlanFile
+from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.plan.options import PlanOptions
+
+if TYPE_CHECKING:
+    from seqid_cli.robot.types import Robot
+
+What = Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"]
+
+
+def plan(
+    what: What,
+    robot: PathLike | Robot,
+    parameters: Models = (),
+    options: PlanOptions = PlanOptions(),
+    *,
+    have: Logs = (),
+    output: PathLike | None = None,
+    trajectories: PathLike | None = None,
+) -> PlanFile:
+    """Plan the moves to record next, and the standard errors that they will give.
+
+    Parameters
+    ----------
+    what : {"friction", "gravity", "imu-calib", "inertia", "validation", "all"}
+        The stage to record for, or a whole session.
+    robot : path or Robot
+        Limits are the tighter of the robot file's and its URDF's.
+    parameters : path or ParameterFile, or a sequence of them
+        What is identified already: torque and noise are taken from it.
+    options : PlanOptions
+    have : path, table, recording, or a sequence of them
+        Logs that the inertia stage will get as well.
+    output, trajectories : path, optional
+        Where the plan goes, and the folder for a CSV file of each move.
+
+    Raises
+    ------
+    SeqidError
+        Where the command would exit with 2.
+    """
+    given, logs = listed(parameters), listed(have)
+    target, folder = optional(output), optional(trajectories)
+    files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
+    inputs = [*([Path(robot)] if is_place(robot) else []), *files]  # type: ignore[arg-type]
+    _check(what, options, logs, target, folder, inputs)
+    found = expanded(logs)
+    # The robot file comes first: what is wrong with it is told before a parameter file's faults.
+    arm = robot_of(robot, ())
+    models = read_models(given)
+    robot_of(arm, models)
+    stages = join(models).stages if models else Stages()
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.plan.limits import limits_of
+    from seqid_cli.plan.make import make_plan
+
+    limits = limits_of(arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked)
+    ids = [model_id(name, file, files) for name, file in models]
+    recorded = LogSet(found, arm).again(imus=False)
+    made = make_plan(what, arm, limits, stages, options, ids, recorded)
+    if folder is not None:
+        made = _with_trajectories(made, folder, options.speed_scale)
+    if target is not None:
+        write_json_atomic(target, made, inputs=inputs)
+    return made
+
+
+def _check(
+    what: str,
+    options: PlanOptions,
+    have: Sequence[object],
+    output: Path | None,
+    trajectories: Path | None,
+    inputs: Sequence[Path],
+) -> None:
+    """Find out at once what cannot be written, and what cannot be meant."""
+    if output is not None:
+        check_output(output, inputs)
+    if trajectories is not None:
+        if trajectories.exists() and not trajectories.is_dir():
+            hint = "Name a folder for the files of the moves."
+            raise UsageError("is a file, not a folder", where=str(trajectories), hint=hint)
+        check_output(trajectories.parent / f"{trajectories.name}.csv")
+    if options.duration_s < options.length_s:
+        total, length = options.duration_s, options.length_s
+        message = f"--duration {total:g} s is shorter than one move of {length:g} s"
+        raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
+    if have and what not in ("inertia", "all"):
+        hint = "Leave it out, or plan the inertia stage."
+        raise UsageError(f"--have counts for the inertia stage, not for {what}", hint=hint)
+
+
+def _with_trajectories(plan: PlanFile, folder: Path, speed_scale: float) -> PlanFile:
+    from seqid_cli.plan.trajectories import write_csv
+
+    with writing(folder):
+        folder.mkdir(exist_ok=True)
+    moves = write_csv(folder, plan.moves, plan.robot.joints, speed_scale)
+    return structs.replace(plan, moves=moves)

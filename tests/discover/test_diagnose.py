@@ -6,9 +6,10 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -90,9 +91,9 @@ def humped_diagnosis() -> DiagnosisFile:
 
 def plain(value: object, where: str = "diagnosis") -> None:
     """Assert that JSON can hold a value as it is, without numpy's types."""
-    if is_dataclass(value):
-        for field in fields(value):
-            plain(getattr(value, field.name), f"{where}.{field.name}")
+    if isinstance(value, msgspec.Struct):
+        for name in value.__struct_fields__:
+            plain(getattr(value, name), f"{where}.{name}")
     elif isinstance(value, Mapping):
         for key, item in value.items():
             assert type(key) is str, where

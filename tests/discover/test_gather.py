@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.typing import NDArray
 
 from seqid_cli.discover import gather as gathering
@@ -45,7 +46,9 @@ def gathered(case: LongCase, folder: Path, most: int = MOST) -> Gathered:
 
 
 def diagnosed(case: LongCase, pieces: Gathered) -> DiagnosisFile:
-    return diagnose(pieces.recordings, case.robot, case.stages, options=OPTIONS, aside=pieces.aside)
+    logs, apart = pieces.recordings, pieces.aside
+    found = diagnose(logs, case.robot, case.stages, options=OPTIONS, aside=apart)
+    return structs.replace(found, created="")
 
 
 def push(size: float = 1.0) -> LongCase:

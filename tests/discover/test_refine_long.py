@@ -98,7 +98,7 @@ def test_errors_are_of_the_whole_log(folder: Path) -> None:
     after = held_out_error([log], robot, stages, options=motion)
     for told, error in ((loop.before, before), (loop.after, after)):
         np.testing.assert_allclose([x.rmse for x in told.values()], error.rmse(), rtol=1e-8)
-    assert loop.evaluated_on == (str(folder / "held.parquet"),)
+    assert loop.evaluated_on == [str(folder / "held.parquet")]
     assert any("errors are of the whole held-out logs" in note for note in loop.notes)
 
 

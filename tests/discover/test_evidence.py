@@ -129,7 +129,7 @@ def test_a_push_is_shown_over_time_and_nothing_comes_off() -> None:
     pushed = replace(honest, logs=(replace(log, tau=log.tau + push), *honest.logs[1:]))
     _, shown = only(pushed.diagnosed())
     assert (shown.joint, shown.quantity) == ("shoulder", "time")
-    assert (shown.after, shown.after_spread) == ((), ())
+    assert (shown.after, shown.after_spread) == ([], [])
     assert abs(shown.x[int(np.argmax(shown.before))] - at) < 0.1
     assert max(shown.before) > 10.0 * abs(shown.before[0])
 
@@ -145,7 +145,7 @@ def test_what_is_left_is_shown_though_nothing_is_taken() -> None:
     shown = rest.evidence
     assert shown is not None
     assert shown.joint == "elbow"
-    assert (shown.after, rest.rivals) == ((), ())
+    assert (shown.after, rest.rivals) == ([], [])
     elbow = found.joints["elbow"]
     spread = np.hypot(shown.before, shown.before_spread)
     assert np.sqrt(np.mean(spread**2)) > 2.0 * elbow.noise_floor

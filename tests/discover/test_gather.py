@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.typing import NDArray
 
 from seqid_cli.discover import gather as gathering
@@ -25,6 +26,7 @@ from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from tests.discover.long_logs import BEGUN, LongCase, long_case
 
 Array = NDArray[np.float64]
+pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 
 OPTIONS = DiscoverOptions()
 MOST = 68_000  # as MOST_VALUES counts: a good half of the log
@@ -44,7 +46,9 @@ def gathered(case: LongCase, folder: Path, most: int = MOST) -> Gathered:
 
 
 def diagnosed(case: LongCase, pieces: Gathered) -> DiagnosisFile:
-    return diagnose(pieces.recordings, case.robot, case.stages, options=OPTIONS, aside=pieces.aside)
+    logs, apart = pieces.recordings, pieces.aside
+    found = diagnose(logs, case.robot, case.stages, options=OPTIONS, aside=apart)
+    return structs.replace(found, created="")
 
 
 def push(size: float = 1.0) -> LongCase:

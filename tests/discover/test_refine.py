@@ -99,7 +99,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert low < loop.noise_floor["joint_1"] < high
     assert low < loop.after["joint_1"].rmse
     assert [r.confirmed for r in loop.rounds] == [True]
-    assert loop.confirmed
+    assert loop.verdict == "good"
     assert not any("doubtful" in note for note in loop.notes)
     left = np.array([loop.after["joint_1"].rmse])
     above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left, ("spectrum",))
@@ -118,7 +118,7 @@ def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
     assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, ALL_ALONG)]
     assert stages.gravity != file.stages.gravity
     assert stages.inertia != file.stages.inertia
-    assert loop.confirmed
+    assert loop.verdict == "good"
     assert loop.gain_interval["joint_1"][0] > 0.0
 
 

@@ -23,6 +23,7 @@ from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages
 from tests.discover.long_logs import LongCase, long_case
 
+pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 OPTIONS = DiscoverOptions(max_effects=1)
 MOST = 68_000
 HUMP = ("stribeck", 1, 1.0)
@@ -97,7 +98,7 @@ def test_errors_are_of_the_whole_log(folder: Path) -> None:
     after = held_out_error([log], robot, stages, options=motion)
     for told, error in ((loop.before, before), (loop.after, after)):
         np.testing.assert_allclose([x.rmse for x in told.values()], error.rmse(), rtol=1e-8)
-    assert loop.evaluated_on == (str(folder / "held.parquet"),)
+    assert loop.evaluated_on == [str(folder / "held.parquet")]
     assert any("errors are of the whole held-out logs" in note for note in loop.notes)
 
 

@@ -20,7 +20,8 @@ from seqid_cli.params import (
     prediction_schema,
     schema,
 )
-from seqid_cli.params.base import Struct
+from seqid_cli.params.base import FrozenStruct, Struct
+from seqid_cli.params.html import Document
 from tests.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"
@@ -36,7 +37,8 @@ STRUCTS: dict[str, type[msgspec.Struct]] = {
     name: kind
     for module in MODULES
     for name, kind in vars(module).items()
-    if isinstance(kind, type) and issubclass(kind, Struct) and kind is not Struct
+    if isinstance(kind, type) and issubclass(kind, Struct | FrozenStruct)
+    if kind not in (Struct, FrozenStruct, Document)
 }
 # Told where they stand: an object of one or two keys that needs no table.
 INLINE = ("Tool", "FileId", "JointRmse")

@@ -113,7 +113,7 @@ def test_a_stage_is_good_only_if_its_joints_are() -> None:
 
 
 def test_errors_of_logs_are_verdicts_and_warnings_are_notes() -> None:
-    from dataclasses import replace as but
+    from msgspec.structs import replace as but
 
     error = found("joints_swapped", "the torque of a is b's", joint="a, b", channel="torque")
     warning = found("torque_saturated", "is at 5 in 3 %", joint="a", channel="current")

@@ -25,6 +25,7 @@ EDGES = 2  # ends of a trial
 EXTRA = EDGES + 1  # columns beside those of position: the ends, and the inertia's error
 EDGE_S = 0.05  # s, in which what is left of an acceleration falls by e: half a window of its search
 COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
+EMPTY = 1e-12  # of an R factor: a row that says nothing, whose right side is a matter of rounding
 MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
 
 
@@ -112,9 +113,12 @@ def _reduced(data: SpeedData, scaling: Scaling) -> tuple[Array, Array, float, fl
     padded = np.zeros((max(len(y), size), size + 1))  # few slices: rows of zeros
     padded[: len(y)] = np.column_stack([A, y])
     factor: Array = np.asarray(np.linalg.qr(padded, mode="r"), dtype=np.float64)
+    R, z = factor[:size, :size], factor[:size, size]
     rest = float(factor[size, size] ** 2) if len(factor) > size else 0.0
+    empty = np.linalg.norm(R, axis=1) <= EMPTY * np.linalg.norm(R)
+    rest, z = rest + float(np.sum(z[empty] ** 2)), np.where(empty, 0.0, z)
     slices = float(np.count_nonzero(data.weight > COUNTS * data.weight.max(initial=0.0)))
-    return factor[:size, :size], factor[:size, size], rest, float(data.weight.sum()), slices
+    return R, z, rest, float(data.weight.sum()), slices
 
 
 def edges_of(t: Array, seconds: float) -> Array:

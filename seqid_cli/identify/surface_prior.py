@@ -46,7 +46,8 @@ DECAY = 3.0  # usual power of the degree with which the variance of a term falls
 DECAY_SPREAD = float(np.log(2.0))  # standard deviation of its logarithm
 USUAL = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1)  # of the RMS friction: sizes over position ... edge
 SPREAD = float(np.log(10.0))  # standard deviation of a size's logarithm about the usual one
-NEAR, STEP, NEWTON = 0.1, 1e-4, 4  # of the logarithms: farthest and trial step; how many steps
+NEAR, STEP, NEWTON = 0.1, 1e-4, 20  # of the logarithms: farthest and trial step; how many steps
+DONE = 1e-10  # of the logarithms: a step that is none
 LIMIT = 5.0  # spreads, beyond which no size is looked for
 
 
@@ -208,6 +209,8 @@ class Evidence:
             if np.abs(step).max() > NEAR:
                 break
             logs = logs - step
+            if np.abs(step).max() < DONE:
+                break
         return logs
 
     def _of_set(self, own: Reduced, sizes: Sizes) -> tuple[float, Array]:

@@ -41,7 +41,7 @@ def test_without_it_the_part_is_unexplained(logs: tuple[Logs, Path]) -> None:
     found = diagnosed(logs)
     assert not found.findings
     assert [(part.joint, part.depends_on) for part in found.unexplained] == [
-        ("elbow", ("acceleration",))
+        ("elbow", ["acceleration"])
     ]
 
 

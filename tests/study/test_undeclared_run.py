@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
@@ -103,10 +104,10 @@ def test_the_last_record_of_a_case_counts(tmp_path: Path) -> None:
 
 
 def test_numbers_of_numpy_are_numbers_and_nan_is_an_error() -> None:
-    odd = replace(finding("spring", "elbow"), gain=np.float64(0.25))
+    odd = structs.replace(finding("spring", "elbow"), gain=np.float64(0.25))
     assert undeclared_run.finite(diagnosis(odd)).findings[0].gain == 0.25
     with pytest.raises(ValueError, match="float"):
-        undeclared_run.finite(diagnosis(replace(odd, gain=float("nan"))))
+        undeclared_run.finite(diagnosis(structs.replace(odd, gain=float("nan"))))
 
 
 # ---- the choice

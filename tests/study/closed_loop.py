@@ -86,7 +86,7 @@ def run_case(case: Case, cache: Path) -> Result:
     error = held_out_error(logs.held_out, robot, told, options=options.motion)
     name = robot.joint_names[joint]
     after = loop.after[name]
-    rounds = [(f"{r.effect}@{r.joint}", r) for r in loop.rounds]
+    rounds = [(f"{r.effect}@{r.joint}", r) for r in (*loop.rounds, *loop.refused)]
     return Result(
         key=case.key,
         kind=str(case.kind),

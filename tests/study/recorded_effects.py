@@ -183,7 +183,7 @@ def rendered(found: Closed) -> str:
     lines.append("Held-out RMSE, N m; gain in mean square with its 95 % interval.")
     if whole:
         lines.append(f"Of the whole arm: {'; '.join(whole)}.")
-    refused = [_tried(r) for r in loop.rounds if not r.accepted]
+    refused = [_tried(r) for r in loop.refused]
     if refused:
         lines.append(f"Refused: {', '.join(refused)}.")
     lines.append(f"CPU time of refine {found.seconds:.0f} s.")

@@ -116,7 +116,8 @@ def refine_case(condition: Condition, cache: Path, sources: str, refine: Refine)
     try:
         file = file_of(robot, stages, earlier)
         refined, loop = refine(logs.training, logs.held_out, robot, file, earlier)
-        after, rounds = errors(logs.held_out, robot, refined).band, loop.rounds
+        after = errors(logs.held_out, robot, refined).band
+        rounds = (*loop.rounds, *loop.refused)
         material = Material(tuple(logs.training), earlier, robot, DiscoverOptions())
         told = _told(material, stages, condition, logs.held_out)
     except Exception as problem:  # whatever goes wrong is counted, and the study goes on

@@ -48,7 +48,7 @@ test: $(DEV) ## run the tests
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 docs-test: $(DEV) ## run every command of the documents, also those that take minutes
-	SEQID_DOCS=1 $(BIN)/python -m pytest tests/docs
+	SEQID_DOCS=1 $(BIN)/python -m pytest tests/unit/docs
 
 lint: $(DEV) ## check the style and the spelling
 	$(BIN)/ruff check .
@@ -59,35 +59,35 @@ types: $(DEV) ## check the types
 
 .PHONY: study
 study: $(DEV) ## measure against truth and bounds, rewrite the tables in docs/measured.md (minutes)
-	$(BIN)/python -m tests.study
+	$(BIN)/python -m tests.studies
 
 .PHONY: study-effects
 study-effects: $(DEV) ## how well undeclared effects are found, into docs/effects_study.md (hours)
-	$(BIN)/python -m tests.study --only undeclared --refine --processes $(WORKERS)
+	$(BIN)/python -m tests.studies --only undeclared --refine --processes $(WORKERS)
 
 .PHONY: study-coverage
 study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/coverage.md (hours)
-	$(BIN)/python -m tests.study --only coverage --processes $(WORKERS)
+	$(BIN)/python -m tests.studies --only coverage --processes $(WORKERS)
 
 .PHONY: study-planted
 study-planted: $(DEV) ## which stage says which planted fault, into docs/planted_faults.md (an hour)
-	$(BIN)/python -m tests.study --only planted
+	$(BIN)/python -m tests.studies --only planted
 
 .PHONY: study-outside
 study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20 s a case)
-	$(BIN)/python -m tests.outside --set tuning --seeds 0:110 --cache $(OUT)/outside --write
+	$(BIN)/python -m tests.studies.outside --set tuning --seeds 0:110 --cache $(OUT)/outside --write
 
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
-	$(BIN)/python -m tests.bench
+	$(BIN)/python -m tests.benchmarks
 
 .PHONY: fuzz
 fuzz: $(DEV) ## read damaged logs for FUZZ_SECONDS
-	$(BIN)/python -m tests.logs.fuzz --seconds $(FUZZ_SECONDS)
+	$(BIN)/python -m tests.unit.logs.fuzz --seconds $(FUZZ_SECONDS)
 
 .PHONY: fleet
 fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)
-	$(BIN)/python -m tests.scale.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
+	$(BIN)/python -m tests.unit.scale.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
 
 # ---- sample logs
 

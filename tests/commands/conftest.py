@@ -18,7 +18,7 @@ from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Robot
-from tests.params.documents import JOINTS
+from tests.unit.params.documents import JOINTS
 
 ROBOT_TOML = (
     'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n'

@@ -6,7 +6,7 @@ import pytest
 
 from seqid_cli.params.schema import ParameterFile
 from tests.commands.conftest import Rig
-from tests.params.documents import inertia_file
+from tests.unit.params.documents import inertia_file
 
 
 @pytest.fixture

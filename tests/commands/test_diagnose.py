@@ -35,7 +35,7 @@ from seqid_cli.params.generate import json_schema
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
-from tests.params.documents import (
+from tests.unit.params.documents import (
     diagnosis_file,
     diagnosis_of,
     friction_file,

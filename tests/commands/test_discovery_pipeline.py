@@ -14,8 +14,9 @@ from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA
+from tests import ROOT
 
-RIG = Path(__file__).parents[2] / "sample_logs" / "one_joint"
+RIG = ROOT / "sample_logs" / "one_joint"
 ROBOT = ["-r", str(RIG / "robot.toml")]
 FITTED = [RIG / "changed" / "fourier.parquet", RIG / "changed" / "trapezoids.parquet"]
 HELD_OUT = RIG / "changed" / "held_out.parquet"

@@ -14,7 +14,7 @@ import pytest
 
 from seqid_cli.errors import ConfigError, QualityError, SeqidError
 from tests.commands.conftest import Reader, Rig
-from tests.params.documents import friction_file, friction_stage, gravity_file
+from tests.unit.params.documents import friction_file, friction_stage, gravity_file
 
 Replace = Callable[[str, str, object], list[object]]
 FRICTION = ["friction", "a.parquet", "-r", "robot.toml", "-o", "out.json"]

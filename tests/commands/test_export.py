@@ -11,7 +11,7 @@ from seqid_cli.params.document import now, tool
 from seqid_cli.params.schema import SCHEMA, ParameterFile, RobotId, Stages
 from seqid_cli.robot.file import load_robot
 from tests.commands.conftest import Rig
-from tests.export.arms import SAMPLES, random_bodies, stages_of
+from tests.unit.export.arms import SAMPLES, random_bodies, stages_of
 
 
 def file_of(stages: Stages, robot: str = "two_joint") -> ParameterFile:

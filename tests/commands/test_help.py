@@ -8,7 +8,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -20,9 +19,10 @@ from seqid_cli.commands.completion import (
     parser_words,
     zsh_script,
 )
+from tests import ROOT
 from tests.commands.conftest import Rig
 
-SAMPLES = Path(__file__).parents[2] / "sample_logs"
+SAMPLES = ROOT / "sample_logs"
 EXAMPLES = [
     (name, example)
     for name, entry in COMMANDS.items()

@@ -16,7 +16,7 @@ from seqid_cli.inspect.guess import guess_channels
 from seqid_cli.inspect.propose import match_names
 from seqid_cli.robot.file import load_robot
 from tests.commands.conftest import Rig
-from tests.inspect.faults import SAMPLES, SIX, read_columns, write_columns
+from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 
 URDF = SAMPLES / "six_joint" / "six_joint.urdf"
 LOG = SAMPLES / "six_joint" / "validation" / "fourier_1.parquet"

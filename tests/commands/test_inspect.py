@@ -11,7 +11,7 @@ import pytest
 from seqid_cli.params.encode import encode
 from seqid_cli.params.inspection_schema import INSPECTION_SCHEMA, InspectionFile
 from tests.commands.conftest import Rig
-from tests.inspect.faults import SAMPLES, read_columns, write_columns
+from tests.unit.inspect.faults import SAMPLES, read_columns, write_columns
 
 TWO = SAMPLES / "two_joint"
 

@@ -23,9 +23,9 @@ from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from tests.commands.conftest import Rig
-from tests.discover.long_logs import RIG, LongCase, long_case
 from tests.plants.cases import RIGS
 from tests.plants.robotfile import robot_toml
+from tests.unit.discover.long_logs import RIG, LongCase, long_case
 
 Array = NDArray[np.float64]
 pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")

@@ -26,14 +26,14 @@ from seqid_cli.params.schema import SCHEMA, ImuStage, MotionUse
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
-from tests.motion.smoother.test_smooth import scene
-from tests.params.documents import (
+from tests.plants.robotfile import robot_toml
+from tests.unit.motion.smoother.test_smooth import scene
+from tests.unit.params.documents import (
     friction_stage,
     full_file,
     gravity_file,
     rigid_stage,
 )
-from tests.plants.robotfile import robot_toml
 
 Replace = Callable[[str, str, object], list[object]]
 LOGS = ["a.parquet", "-r", "robot.toml"]

@@ -11,9 +11,10 @@ import pytest
 
 from seqid_cli.params.generate import schema_path
 from seqid_cli.params.plan_schema import PLAN_SCHEMA
+from tests import ROOT
 from tests.commands.conftest import Rig
 
-SAMPLES = Path(__file__).parents[2] / "sample_logs"
+SAMPLES = ROOT / "sample_logs"
 TWO = str(SAMPLES / "two_joint" / "robot.toml")
 SHORT = ("--duration", "12", "--move-duration", "4")
 

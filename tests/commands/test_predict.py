@@ -18,7 +18,7 @@ from seqid_cli.params.generate import json_schema
 from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLES, Reader, Rig
-from tests.params.documents import friction_file, full_file
+from tests.unit.params.documents import friction_file, full_file
 
 BASE = ["predict", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 BOTH = [*BASE, "-o", "out.json", "--torques", "t.parquet"]

@@ -37,7 +37,7 @@ from seqid_cli.params.schema import (
 )
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
-from tests.params.documents import friction_file, inertia_file
+from tests.unit.params.documents import friction_file, inertia_file
 
 BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 

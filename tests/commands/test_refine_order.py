@@ -19,8 +19,9 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.schema import InputLog, ParameterFile
 from seqid_cli.robot.types import Robot
+from tests import ROOT
 
-SAMPLES = Path(__file__).parents[2] / "sample_logs" / "one_joint"
+SAMPLES = ROOT / "sample_logs" / "one_joint"
 HELD_OUT = "held_out.parquet"
 Opened = list[str]
 

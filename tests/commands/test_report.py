@@ -7,8 +7,8 @@ import pytest
 
 from seqid_cli.params.encode import encode
 from tests.commands.conftest import Rig
-from tests.params.documents import diagnosis_file, inertia_file
-from tests.report.pages import (
+from tests.unit.params.documents import diagnosis_file, inertia_file
+from tests.unit.report.pages import (
     all_documents,
     good_documents,
     made_with,

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.__main__ import main
+from tests import ROOT
 
-SAMPLES = Path(__file__).parents[2] / "sample_logs" / "one_joint"
+SAMPLES = ROOT / "sample_logs" / "one_joint"
 NAMES = ("friction", "gravity", "imu", "inertia", "prediction", "diagnosis")
 
 

@@ -16,7 +16,7 @@ from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA, RigidStage, Stages
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLES, Reader, Rig
-from tests.params.documents import (
+from tests.unit.params.documents import (
     friction_file,
     friction_stage,
     full_file,

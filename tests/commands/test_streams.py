@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests import ROOT
+
 SAMPLES = ROOT / "sample_logs" / "one_joint"
 FRICTION = SAMPLES / "friction"
 ROBOT = ("-r", str(SAMPLES / "robot.toml"))

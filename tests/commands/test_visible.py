@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from seqid_cli.__main__ import main
 from seqid_cli.commands.render import Screen
 from seqid_cli.commands.visible import visible, visible_cell
+from tests import ROOT
 
-SAMPLES = Path(__file__).parents[2] / "sample_logs" / "one_joint"
+SAMPLES = ROOT / "sample_logs" / "one_joint"
 EVIL = "a\x1b]0;owned\x07\x9b2J\u202etxt\x00b"
 STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
 

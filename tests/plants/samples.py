@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tests.logs.writers import write_mcap, write_parquet
 from tests.plants.experiments import (
     Trial,
     friction_trials,
@@ -29,6 +28,7 @@ from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.simulate import Log, Plant, simulate
 from tests.plants.trials import PERIODS, moves, waves, zigzags
 from tests.plants.undeclared import Injection, inject
+from tests.unit.logs.writers import write_mcap, write_parquet
 
 Array = NDArray[np.float64]
 Encoding = Literal["cdr", "json"]

@@ -1,0 +1,175 @@
+"""What the numerical kernels cost against the library calls that one would use instead.
+
+The two of a comparison take turns in one process; CPU time is the median of the turns.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from seqid_cli.identify.factors import triangular
+from seqid_cli.identify.least_squares import Accumulator
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.robot.base import base_regressor, free_basis
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.regressor import torque_regressor
+from tests.benchmarks.arm import write_arm
+from tests.studies.tables import table
+
+Array = NDArray[np.float64]
+Job = Callable[[], object]
+
+HEAD = ["", "CPU", "unit", "faster", "largest difference"]
+CHUNK = 65_536
+
+
+def study(*, quick: bool = False) -> str:
+    """Return the tables."""
+    rounds = 1 if quick else 9
+    parts = [_filter(rounds, quick=quick), _regressor(rounds), _least_squares(rounds, quick=quick)]
+    return table(HEAD, [row for part in parts for row in part])
+
+
+def _cpu(jobs: list[Job], rounds: int) -> list[float]:
+    """CPU seconds of jobs that take turns."""
+    spent: list[list[float]] = [[] for _ in jobs]
+    for _ in range(rounds):
+        for job, times in zip(jobs, spent, strict=True):
+            before = time.process_time()
+            job()
+            times.append(time.process_time() - before)
+    return [median(times) for times in spent]
+
+
+def _filter(rounds: int, *, quick: bool) -> list[list[str]]:
+    """Zero-phase low-pass, in chunks, of 14 channels and of 190 columns of a regressor."""
+    found = []
+    for channels, chunks in ((14, 8), (190, 1)):
+        found += _filter_of(rounds, channels, CHUNK if quick else chunks * CHUNK)
+    return found
+
+
+def _filter_of(rounds: int, channels: int, samples: int) -> list[list[str]]:
+    rows = np.cumsum(np.random.default_rng(0).normal(size=(channels, samples)), axis=1)
+    sos, lowpass = butter(4, 20.0, fs=1000.0, output="sos"), Lowpass(20.0, 1000.0)
+    reach = lowpass.memory
+
+    def whole() -> Array:
+        return np.asarray(sosfiltfilt(sos, rows, padtype="odd", padlen=6 * lowpass.settling))
+
+    out = np.empty_like(rows)
+
+    def chunks() -> Array:
+        for start in range(0, samples, CHUNK):
+            low = max(0, start - reach)
+            part = rows[:, low : start + CHUNK + reach].copy()
+            lowpass.filter_rows(part)
+            out[:, start : start + CHUNK] = part[:, start - low : start - low + CHUNK]
+        return out
+
+    of, unit = f"low-pass, {channels} signals", "ns/value"
+    theirs, ours = _cpu([whole, chunks], rounds)
+    per = 1e9 / rows.size
+    error = float(np.abs(whole() - chunks()).max() / np.abs(rows).max())
+    return [
+        [f"{of}: sosfiltfilt on all", f"{theirs * per:.1f}", unit, "1.0", ""],
+        _result(f"{of}: in chunks", ours * per, unit, theirs / ours, error),
+    ]
+
+
+def _regressor(rounds: int) -> list[list[str]]:
+    """Torque regressor of seven joints."""
+    rng = np.random.default_rng(1)
+    with TemporaryDirectory() as name:
+        robot = load_robot(write_arm(Path(name)))
+        model = pin.buildModelFromUrdf(str(Path(name) / "arm.urdf"))
+    data, basis = model.createData(), free_basis(robot)
+    q, dq, ddq = (rng.normal(size=(8192, 7)) for _ in range(3))
+
+    def loop() -> Array:
+        out = np.empty((len(q), 7, 70))
+        for i in range(len(q)):
+            out[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])
+        return out
+
+    def batch() -> Array:
+        return torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+
+    def needed() -> Array:
+        return base_regressor(robot, basis, q, dq, ddq)
+
+    def selected() -> Array:
+        return np.asarray(loop()[:, :, basis.columns])
+
+    one, chosen, every, base = _cpu([loop, selected, batch, needed], rounds)
+    per, unit = 1e6 / len(q), "us/sample"
+    error = float(np.abs(loop() - batch()).max() / np.abs(batch()).max())
+    return [
+        ["regressor: Pinocchio, sample by sample", f"{one * per:.2f}", unit, "1.0", ""],
+        _result("regressor: batched", every * per, unit, one / every, error),
+        _result("regressor: batched, base columns", base * per, unit, chosen / base, None),
+    ]
+
+
+def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
+    """64 columns, 7 rows per sample, those of a joint without the links before it."""
+    samples, width = (2_000 if quick else 20_000), 64
+    rng = np.random.default_rng(2)
+    theta = rng.normal(size=width)
+    columns = rng.normal(size=(7, width, samples))  # as the regressor comes
+    loaded = np.arange(width) >= 9 * np.arange(7)[:, None]
+    columns[~loaded] = 0.0
+    rows = columns.transpose(0, 2, 1)
+    y = np.einsum("jnp,p->jn", rows, theta) + 0.1 * rng.normal(size=(7, samples))
+    stacked = np.ascontiguousarray(rows).reshape(-1, width)
+
+    def theirs_job() -> Array:
+        return np.asarray(np.linalg.lstsq(stacked, y.ravel(), rcond=None)[0])
+
+    def ours_job() -> Array:
+        joints = [
+            _accumulated(rows[j], y[j], loaded=columns_of) for j, columns_of in enumerate(loaded)
+        ]
+        return triangular(np.vstack([joint.total for joint in joints]))
+
+    theirs, ours = _cpu([theirs_job, ours_job], max(1, rounds // 3))
+    per, name = 1e6 / samples, "least squares: R factors"
+    found = [
+        ["least squares: lstsq", f"{theirs * per:.1f}", "us/sample", "1.0", ""],
+        _result(name, ours * per, "us/sample", theirs / ours, None),
+    ]
+    for power in (3, 7):
+        spread = np.logspace(0, -power, width)
+        mixing = np.linalg.qr(rng.normal(size=(width, width)))[0]
+        dense = rng.normal(size=(7 * samples // 4, width)) * spread @ mixing
+        R = _accumulated(dense, dense @ theta).total
+        solved = np.linalg.solve(R[:-1, :-1], R[:-1, -1])
+        reference = np.linalg.lstsq(dense, dense @ theta, rcond=None)[0]
+        size = np.linalg.norm(theta)
+        errors = [float(np.linalg.norm(x - theta) / size) for x in (solved, reference)]
+        told = f"{errors[0]:.1e} (lstsq {errors[1]:.1e})"
+        found.append([f"{name}, condition 1e{power}", "", "", "", told])
+    return found
+
+
+def _accumulated(H: Array, y: Array, *, loaded: NDArray[np.bool_] | None = None) -> Accumulator:
+    """Rows added in blocks of a second."""
+    joint = Accumulator(H.shape[1])
+    for start in range(0, len(y), 1000):
+        part = slice(start, start + 1000)
+        joint.add(H[part], y[part], loaded=loaded)
+    return joint
+
+
+def _result(name: str, cpu: float, unit: str, faster: float, error: float | None) -> list[str]:
+    shown = "" if error is None else f"{error:.1e}"
+    return [name, f"{cpu:.2f}", unit, f"{faster:.1f}", shown]

@@ -1,0 +1,188 @@
+"""Long logs for the measurements, with the bytes that the formats' own writers make.
+
+The first message of every topic is written by the library of its encoding; the others are copies
+of it with other stamps and numbers, because writing a million of them one by one takes minutes.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from tests.unit.logs.writers import (
+    COMPRESSIONS,
+    DEFINITIONS,
+    IMU,
+    JOINT_STATE,
+    Message,
+    header,
+    imu_messages,
+    joint_messages,
+    write_messages,
+)
+
+Array = NDArray[np.float64]
+JOINTS = tuple(f"panda_joint{i + 1}" for i in range(7))
+N = len(JOINTS)
+T0 = 1_700_000_000_000_000_000
+PERIOD_NS = 1_000_000
+CHUNK = 768 * 1024
+PART = 20_000  # messages of a topic made at a time
+
+
+def joint_values(count: int, rng: np.random.Generator) -> Array:
+    """Position, velocity and effort (count, 21) of a motion with measurement noise."""
+    t = np.arange(count)[:, None] * PERIOD_NS * 1e-9
+    k = np.arange(N)
+    q = np.sin((0.5 + 0.1 * k) * t + k)
+    values = np.hstack([q, np.cos((0.5 + 0.1 * k) * t + k), 20.0 * q])
+    return values + 1e-4 * rng.normal(size=values.shape)
+
+
+def template(path: Path, message: Message, encoding: str = "cdr") -> bytes:
+    """The payload of one message as the library of its encoding writes it."""
+    write_messages(path, [message], encoding=encoding)  # type: ignore[arg-type]
+    with path.open("rb") as file:
+        ((_, _, written),) = make_reader(file).iter_messages()
+    path.unlink()
+    return bytes(written.data)
+
+
+def write_cdr(path: Path, messages: int, compression: str = "zstd") -> Path:
+    """Half JointState, half Imu, at 1 kHz with jittered arrival."""
+    zero = np.zeros((1, N))
+    at = np.array([T0])
+    (joint,) = joint_messages(at, JOINTS, zero, dq=zero, effort=zero)
+    (imu,) = imu_messages(at, "/hand/data", np.zeros((1, 3)))
+    joint_form, imu_form = template(path, joint), template(path, imu)
+    rng = np.random.default_rng(1)
+    with path.open("wb") as out:
+        writer = Writer(out, chunk_size=CHUNK, compression=COMPRESSIONS[compression])
+        writer.start(profile="ros2")
+        schemas = [
+            writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
+            for kind in (JOINT_STATE, IMU)
+        ]
+        joints = writer.register_channel("/joint_states", "cdr", schemas[0])
+        hand = writer.register_channel("/hand/data", "cdr", schemas[1])
+        for first in range(0, messages // 2, PART):
+            count = min(PART, messages // 2 - first)
+            stamps = T0 + PERIOD_NS * np.arange(first, first + count)
+            rows = _patched(joint_form, stamps)
+            _put_doubles(rows, [len(joint_form) - 8 * N * 3 - 16], joint_values(count, rng))
+            others = _patched(imu_form, stamps)
+            turn = rng.normal(size=(count, 6))
+            _put_doubles(others, [len(imu_form) - 8 * 24, len(imu_form) - 8 * 12], turn)
+            arrival = stamps[:, None] + rng.integers(0, PERIOD_NS // 2, (count, 2))
+            for i in range(count):
+                writer.add_message(joints, int(arrival[i, 0]), rows[i].tobytes(), int(stamps[i]))
+                writer.add_message(hand, int(arrival[i, 1]), others[i].tobytes(), int(stamps[i]))
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def _patched(form: bytes, stamps: NDArray[np.int64]) -> NDArray[np.uint8]:
+    rows = np.tile(np.frombuffer(form, np.uint8), (len(stamps), 1))
+    rows[:, 4:8] = (stamps // 10**9).astype("<i4").view(np.uint8).reshape(-1, 4)
+    rows[:, 8:12] = (stamps % 10**9).astype("<u4").view(np.uint8).reshape(-1, 4)
+    return rows
+
+
+def _put_doubles(rows: NDArray[np.uint8], places: list[int], values: Array) -> None:
+    """Overwrite runs of doubles; of joint states each array has its count (and padding) before."""
+    parts = np.split(values, 3 if len(places) == 1 else 2, axis=1)
+    if len(places) == 1:
+        size = 8 * N
+        places = [places[0], places[0] + size + 8, places[0] + 2 * (size + 8)]
+    for at, part in zip(places, parts, strict=True):
+        content = np.ascontiguousarray(part).view(np.uint8)
+        rows[:, at : at + content.shape[1]] = content
+
+
+def write_json(path: Path, messages: int) -> Path:
+    """JointState as JSON."""
+    rng = np.random.default_rng(2)
+    with path.open("wb") as out:
+        writer = Writer(out, chunk_size=CHUNK, compression=CompressionType.ZSTD)
+        writer.start()
+        schema = writer.register_schema(JOINT_STATE, "jsonschema", b'{"type":"object"}')
+        channel = writer.register_channel("/joint_states", "json", schema)
+        for i, row in enumerate(joint_values(messages, rng).tolist()):
+            content = {
+                "header": {
+                    "stamp": dict(vars(header(T0 + PERIOD_NS * i).stamp)),
+                    "frame_id": "base_link",
+                },
+                "name": JOINTS,
+                "position": row[:N],
+                "velocity": row[N : 2 * N],
+                "effort": row[2 * N :],
+            }
+            stamp = T0 + PERIOD_NS * i
+            writer.add_message(channel, stamp, json.dumps(content).encode(), stamp)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def write_protobuf(path: Path, messages: int) -> Path:
+    """`foxglove.JointStates`, written by its own library."""
+    from foxglove_schemas_protobuf.JointState_pb2 import JointState
+    from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+    from mcap_protobuf.writer import Writer as ProtobufWriter
+
+    rng = np.random.default_rng(3)
+    with path.open("wb") as out:
+        writer = ProtobufWriter(out, chunk_size=CHUNK)
+        for i, row in enumerate(joint_values(messages, rng).tolist()):
+            stamp = T0 + PERIOD_NS * i
+            content = JointStates(
+                joints=[
+                    JointState(name=name, position=q, velocity=dq, effort=tau)
+                    for name, q, dq, tau in zip(
+                        JOINTS, row[:N], row[N : 2 * N], row[2 * N :], strict=True
+                    )
+                ]
+            )
+            content.timestamp.FromNanoseconds(stamp)
+            writer.write_message("/joint_states", content, stamp, stamp)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def write_columns(path: Path, rows: int) -> Path:
+    """A table of 29 columns, 2 int64 and 27 float64, in row groups of 131,072."""
+    rng = np.random.default_rng(4)
+    with _table_writer(path) as writer:
+        for first in range(0, rows, 131_072):
+            count = min(131_072, rows - first)
+            columns: dict[str, NDArray[np.generic]] = {
+                "t": (first + np.arange(count)) * PERIOD_NS * 1e-9,
+                "sequence": np.arange(first, first + count),
+                "status": np.zeros(count, np.int64),
+            }
+            for kind, values in zip(
+                ("position", "velocity", "current"),
+                np.split(joint_values(count, rng), 3, axis=1),
+                strict=True,
+            ):
+                columns |= {f"{name}.{kind}": values[:, i] for i, name in enumerate(JOINTS)}
+            noise = rng.normal(size=(count, 5))
+            columns |= {f"other_{i}": noise[:, i] for i in range(5)}
+            writer.write_table(pa.table(columns))
+    return path
+
+
+def _table_writer(path: Path) -> pq.ParquetWriter:
+    kinds: dict[str, pa.DataType] = {"t": pa.float64()}
+    kinds |= dict.fromkeys(("sequence", "status"), pa.int64())
+    for kind in ("position", "velocity", "current"):
+        kinds |= {f"{name}.{kind}": pa.float64() for name in JOINTS}
+    kinds |= {f"other_{i}": pa.float64() for i in range(5)}
+    return pq.ParquetWriter(path, pa.schema(list(kinds.items())), compression="zstd")

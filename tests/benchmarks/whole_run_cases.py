@@ -1,0 +1,135 @@
+"""Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE ROBOT LOG`.
+
+`straightforward` solves the same equations with what `decimated` wrote beside the log: its cut-off
+and the weights of the joints, so that their answers can be compared.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.benchmarks.arm import JOINTS, RATE_HZ, SIGN_WIDTH, known_friction
+from tests.benchmarks.ingestion_cases import cpu_s, peak_mib
+
+Array = NDArray[np.float64]
+# Central differences; with those of second order (np.gradient) inertias are 1e-5 off.
+FIRST = RATE_HZ * np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+SECOND = RATE_HZ**2 * np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
+Found = dict[str, tuple[float, float]]  # value and standard error (0: not told)
+Case = Callable[[Path, Path], Callable[[], Found]]
+
+
+def decimated(robot_path: Path, log: Path) -> Callable[[], Found]:
+    """The inertia stage as the command runs it."""
+    return _streaming(robot_path, log, 10.0)
+
+
+def full_rate(robot_path: Path, log: Path) -> Callable[[], Found]:
+    """The inertia stage with every sample."""
+    return _streaming(robot_path, log, np.inf)
+
+
+def _streaming(robot_path: Path, log: Path, samples_per_cutoff: float) -> Callable[[], Found]:
+    from seqid_cli.identify.inertia_stage import identify_inertia
+    from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.motion.blocks import open_surveyed
+    from seqid_cli.motion.options import MotionOptions
+    from seqid_cli.robot.file import load_robot
+
+    robot = load_robot(robot_path)
+    motion = MotionOptions(samples_per_cutoff=samples_per_cutoff)
+    options = InertiaOptions(source="encoder", motion=motion)
+
+    def run() -> Found:
+        opened = open_surveyed(log, robot)
+        if opened is None:
+            raise RuntimeError(f"{log} cannot be passed over")
+        stage = identify_inertia([opened], robot, known_friction(), options=options)
+        settings = {"cutoff_hz": stage.cutoff_hz, "sigma": list(stage.rmse.values())}
+        _settings_of(log).write_text(json.dumps(settings), encoding="utf-8")
+        return {p.name: (p.value, p.std_error) for p in stage.parameters}
+
+    return run
+
+
+def _settings_of(log: Path) -> Path:
+    return log.with_suffix(".json")
+
+
+def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
+    """What one writes in an afternoon: read all, filter, Pinocchio sample by sample, lstsq."""
+    import pinocchio as pin
+    import pyarrow.parquet as pq
+    from scipy.ndimage import binary_dilation, correlate1d
+    from scipy.signal import butter, sosfiltfilt
+
+    from seqid_cli.model.friction import friction_torque
+    from seqid_cli.model.torque import friction_surfaces
+    from seqid_cli.robot.base import free_basis
+    from seqid_cli.robot.file import load_robot
+
+    robot = load_robot(robot_path)
+    basis = free_basis(robot)
+    surfaces = friction_surfaces(known_friction(), robot)
+    model = pin.buildModelFromUrdf(str(robot_path.with_name("arm.urdf")))
+    settings = json.loads(_settings_of(log).read_text(encoding="utf-8"))
+    sos = butter(4, settings["cutoff_hz"], fs=RATE_HZ, output="sos")
+    settling = int(np.ceil(0.6 * RATE_HZ / settings["cutoff_hz"])) + 4
+
+    def smooth(values: Array) -> Array:
+        return np.asarray(sosfiltfilt(sos, values, axis=0, padlen=6 * settling))
+
+    def run() -> Found:
+        table = pq.read_table(log)
+        q, tau = (
+            np.column_stack([table[f"{name}.{kind}"].to_numpy() for name in JOINTS])
+            for kind in ("position", "torque")
+        )
+        q, tau = smooth(q), smooth(smooth(tau))
+        wide = np.pad(q, ((4, 4), (0, 0)), mode="reflect", reflect_type="odd")
+        dq, ddq = (correlate1d(wide, taps, axis=0)[4:-4] for taps in (FIRST, SECOND))
+        tau -= smooth(smooth(friction_torque(surfaces, q, dq)))
+        n, kept = model.nv, basis.columns
+        data = model.createData()
+        W = np.empty((len(q), n, len(kept)))
+        for i in range(len(q)):
+            W[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])[:, kept]
+        for j in range(n):
+            W[:, j] = smooth(W[:, j])
+        near = int(0.25 * RATE_HZ / settings["cutoff_hz"])
+        still = np.abs(dq) < 2 * SIGN_WIDTH
+        slides = ~binary_dilation(still, np.ones((2 * near + 1, 1), dtype=bool))
+        slides[: 2 * settling] = slides[-2 * settling :] = False
+        sigma = np.broadcast_to(settings["sigma"], q.shape)[slides]
+        W = W[slides] / sigma[:, None]
+        theta = np.linalg.lstsq(W, tau[slides] / sigma, rcond=None)[0]
+        phi = np.zeros(basis.expression.shape[1])
+        phi[kept] = theta
+        values = (basis.expression @ phi).tolist()
+        return {name: (v, 0.0) for name, v in zip(basis.names, values, strict=True)}
+
+    return run
+
+
+CASES: dict[str, Case] = {case.__name__: case for case in (decimated, full_rate, straightforward)}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run one case and print what it took and what it found."""
+    case, robot_path, log = arguments
+    run = CASES[case](Path(robot_path), Path(log))
+    before = cpu_s()
+    values = run()
+    result = {"cpu_s": cpu_s() - before, "peak": peak_mib(), "values": values}
+    sys.stdout.write(json.dumps(result) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,310 @@
+"""Arms of the coverage study, drawn anew for every seed, and the logs that their stages need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.plants import twin
+from tests.plants.controller import gains_for
+from tests.plants.experiments import (
+    Trial,
+    friction_trials,
+    gravity_trials,
+    imu_trials,
+    inertia_trials,
+)
+from tests.plants.friction import SurfaceFriction
+from tests.plants.rigid import Arm, Rigid
+from tests.plants.rigs import (
+    GRAVITY,
+    UR5E_CENTRE,
+    UR5E_DH,
+    UR5E_GYRATION,
+    UR5E_MASS,
+    UR5E_NAMES,
+    mounting,
+    off_nominal,
+    standard_parameters,
+)
+from tests.plants.robotfile import robot_toml
+from tests.plants.samples import SIX_POSTURES
+from tests.plants.sensors import AccelerometerArray, tetrahedral_array
+from tests.plants.simulate import Log, Plant
+from tests.unit.logs.writers import write_parquet
+
+Array = NDArray[np.float64]
+
+RIGS = ("one", "planar", "six")
+NOISES = ("white", "coloured")
+ENCODERS = ("fine", "coarse")
+HALF = 0.5  # of the current noise's variance is 1/f where it is coloured
+COUNTS = {"fine": 2**14, "coarse": 600}  # per turn of the joint; a large arm has 2**5 times as many
+LARGE = 2**5
+STREAM = {"one": 2101, "planar": 2102, "six": 2106}
+EVERY = 4  # control periods of 1 ms per row
+SIX_CENTRE = np.array([0.0, -1.2, 0.0, 0.0, 0.0, 0.0])  # rad, of the joints' ranges
+
+
+@dataclass(frozen=True)
+class Case:
+    """One arm and its logs: everything else follows from these."""
+
+    rig: str
+    seed: int
+    noise: str
+    encoder: str
+
+    @property
+    def label(self) -> str:
+        """Short name."""
+        return f"{self.rig}-{self.seed}-{self.noise}-{self.encoder}"
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The arm of a case, its trials, and in words what was drawn beside numbers."""
+
+    plant: Plant
+    trials: Sequence[Trial]
+    traits: dict[str, bool]
+    every: int = EVERY
+
+
+def case_of(rig: str, seed: int, noise: str | None, encoder: str | None) -> Case:
+    """The case of a seed; what is not asked for changes from seed to seed."""
+    own_noise, own_encoder = list(product(NOISES, ENCODERS))[seed % 4]
+    return Case(rig, seed, noise or own_noise, encoder or own_encoder)
+
+
+def draw(case: Case) -> Drawn:
+    """Draw the arm of a case; a seed's arm is the same with every noise and encoder."""
+    rng = np.random.default_rng([STREAM[case.rig], case.seed])
+    drawn = {"one": _one, "planar": _planar, "six": _six}[case.rig](rng, case.seed // 4)
+    turn = COUNTS[case.encoder] * (LARGE if case.rig == "six" else 1)
+    plant = replace(
+        drawn.plant,
+        encoder_step=np.full(drawn.plant.arm.n, 2 * np.pi / turn),
+        coloured=HALF if case.noise == "coloured" else 0.0,
+    )
+    return replace(drawn, plant=plant)
+
+
+def record(case: Case, drawn: Drawn, folder: Path, *, noisy: bool = True) -> dict[str, list[Log]]:
+    """Simulate all trials; write `robot.toml` and `<stage>/<trial>.parquet` into `folder`."""
+    text = robot_toml(case.rig, drawn.plant)
+    (folder / "robot.toml").write_text(text, encoding="ascii")
+    logs: dict[str, list[Log]] = {}
+    for number, trial in enumerate(drawn.trials):
+        log = twin.simulate(
+            drawn.plant,
+            trial.reference,
+            noise_seed(case, number),
+            every=drawn.every,
+            imus=trial.imus,
+            noisy=noisy,
+        )
+        write_log(folder / trial.stage / f"{trial.name}.parquet", drawn.plant, log)
+        logs.setdefault(trial.stage, []).append(log)
+    return logs
+
+
+def noise_seed(case: Case, number: int) -> int:
+    """Seed of the noise of one log."""
+    state = np.random.SeedSequence([STREAM[case.rig], case.seed, number]).generate_state(1)
+    return int(state[0])
+
+
+def write_log(path: Path, plant: Plant, log: Log) -> None:
+    """Write what the robot records."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = log.accelerometers or None
+    names = plant.arm.names
+    write_parquet(path, log.t, names, log.q, current=log.current, accelerometers=arrays)
+
+
+def _flat_link(rng: np.random.Generator, mass: float, along: float, gyration: float) -> Array:
+    """Standard parameters (10,) of a flat link: centre of mass at `along` m, a little aside."""
+    aside = along * rng.uniform(-0.2, 0.2)
+    izz = mass * (along**2 + aside**2 + gyration**2)
+    thin = 0.02 * izz
+    return np.array([mass, mass * along, mass * aside, 0, thin, 0, izz, 0, 0, izz])
+
+
+def _surface(rng: np.random.Generator, coulomb: Array, top: Array) -> SurfaceFriction:
+    """Friction that depends on position, with a Stribeck hump; `top` (n,) rad/s."""
+    n = len(coulomb)
+    return SurfaceFriction(
+        coulomb=coulomb,
+        viscous=rng.uniform(0.1, 0.5, n) * coulomb / top,
+        stribeck=rng.uniform(0.05, 0.2, n) * coulomb,
+        stribeck_speed=rng.uniform(0.05, 0.12, n) * top,
+        amplitude=rng.uniform(0.3, 1.0, (n, 3)) * np.array([0.10, 0.06, 0.04]),
+        phase=rng.uniform(-np.pi, np.pi, (n, 3)),
+    )
+
+
+def _arrays(rng: np.random.Generator, levers: dict[int, Array]) -> tuple[AccelerometerArray, ...]:
+    """Tetrahedral arrays on the links `levers` names, turned at random."""
+    positions, axes = tetrahedral_array(0.05)
+    return tuple(
+        AccelerometerArray(
+            f"imu_{'ab'[number]}",
+            link,
+            positions,
+            axes,
+            mounting(*rng.uniform(-1.2, 1.2, 3)),
+            lever * rng.uniform(0.8, 1.2, 3),
+            bias=0.02,
+        )
+        for number, (link, lever) in enumerate(levers.items())
+    )
+
+
+def _small_plant(
+    rng: np.random.Generator, arm: Arm, inertia: Array, coulomb: Array, top: Array, push: Array
+) -> Plant:
+    """Drives, controller and limits of a rig of the paper's size, all (n,)."""
+    n = arm.n
+    bandwidth = float(rng.uniform(12.0, 25.0))
+    drive = rng.uniform(0.015, 0.04, n)
+    hiss = rng.uniform(0.08, 0.2, n) * coulomb / (drive * arm.gear)
+    return Plant(
+        arm=arm,
+        nominal=off_nominal(arm, float(rng.uniform(0.05, 0.2))),
+        friction=_surface(rng, coulomb, top),
+        gains=gains_for(inertia, bandwidth=bandwidth, observer=5 * bandwidth),
+        torque_constant=drive,
+        encoder_step=np.zeros(n),
+        current_noise=hiss,
+        coulomb_guess=coulomb * rng.uniform(0.7, 1.1, n),
+        position_limits=np.tile([-2.6, 2.6], (n, 1)),
+        velocity_limits=top,
+        acceleration_limits=push,
+        current_step=0.2 * hiss,
+    )
+
+
+def _one(rng: np.random.Generator, number: int) -> Drawn:
+    """The paper's Sec. 4.1: one link on a tilted axis; every second arm without accelerometers."""
+    tilt = float(np.deg2rad(rng.uniform(15.0, 45.0)))
+    link = _flat_link(rng, rng.uniform(0.08, 0.2), rng.uniform(0.05, 0.1), rng.uniform(0.05, 0.1))
+    gear = np.exp(rng.uniform(np.log(5.0), np.log(60.0), 1))
+    rotor = link[9] * rng.uniform(0.03, 0.6, 1) / gear**2
+    down = np.array([0.0, 0.0, -GRAVITY])
+    arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], down, gear, rotor)
+    coulomb = rng.uniform(0.02, 0.04, 1)
+    top, push = rng.uniform(6.0, 9.0, 1), rng.uniform(40.0, 70.0, 1)
+    plant = _small_plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
+    imus = number % 2 == 0
+    if imus:
+        plant = replace(plant, imus=_arrays(rng, {0: np.array([0.06, 0.012, 0.008])}))
+    home = [np.zeros(1)]
+    trials = [
+        *friction_trials(plant, home, speeds=int(rng.integers(8, 13))),
+        *gravity_trials(plant, home, speeds=(0.1, 0.2)),
+        *(imu_trials(plant, home) if imus else ()),
+        *inertia_trials(plant, home, rng, seconds=float(rng.uniform(8.0, 14.0))),
+    ]
+    return Drawn(plant, trials, {"imus": imus})
+
+
+def _planar(rng: np.random.Generator, number: int) -> Drawn:
+    """Two parallel axes; every second arm tilted, two of four without accelerometers.
+
+    Whether the rotors act on the links that carry them is drawn; their inertias are known. The two
+    inertia logs last 20 to 32 s together.
+    """
+    length = rng.uniform(0.2, 0.4)
+    upper = _flat_link(rng, rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.6) * length, 0.4 * length)
+    fore = _flat_link(rng, rng.uniform(0.1, 0.3), rng.uniform(0.05, 0.12), rng.uniform(0.03, 0.06))
+    outer = np.array([upper[9] + fore[0] * length**2, fore[9]])
+    gear = np.exp(rng.uniform(np.log(5.0), np.log(60.0), 2))
+    rotor = outer * rng.uniform(0.1, [0.6, 0.8]) / gear**2
+    tilted, imus = number % 2 == 1, number // 2 % 2 == 0
+    tilt, azimuth = np.deg2rad(rng.uniform(5.0, 20.0)) * tilted, rng.uniform(-np.pi, np.pi)
+    aside = np.sin(tilt) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    arm = Arm(
+        names=("joint_1", "joint_2"),
+        dh=np.array([[0.0, 0.0, 0.0, 0.0], [0.0, length, 0.0, 0.0]]),
+        phi=np.array([upper, fore]),
+        gravity=GRAVITY * np.array([*aside, -np.cos(tilt)]),
+        gear=gear,
+        rotor_inertia=rotor,
+        rotor_coupling=bool(rng.uniform() < 0.5),
+    )
+    coulomb = rng.uniform([0.03, 0.015], [0.06, 0.04])
+    top, push = rng.uniform([4.0, 6.0], [7.0, 9.0]), rng.uniform([20.0, 40.0], [40.0, 70.0])
+    inertia = np.array([outer.sum(), fore[9]]) + arm.reflected
+    plant = _small_plant(rng, arm, inertia, coulomb, top, push)
+    if imus:
+        levers = {0: np.array([0.7 * length, 0.01, 0.02]), 1: np.array([0.08, -0.01, 0.01])}
+        plant = replace(plant, imus=_arrays(rng, levers))
+    postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
+    slow = gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else []
+    trials = [
+        *friction_trials(plant, postures[:1], speeds=int(rng.integers(8, 13))),
+        *slow,
+        *(imu_trials(plant, postures, turns=1) if imus else ()),
+        *inertia_trials(
+            plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=float(rng.uniform(10, 16))
+        ),
+    ]
+    traits = {"tilted": tilted, "imus": imus, "rotor_coupling": arm.rotor_coupling}
+    return Drawn(plant, trials, traits)
+
+
+def _six(rng: np.random.Generator, number: int) -> Drawn:
+    """An arm of a UR5e's kind, bodies, lengths, drives and friction drawn; shorter, fewer logs."""
+    del number
+    dh = UR5E_DH * np.array([1.0, *rng.uniform(0.85, 1.15, 2), 1.0])
+    bodies = [
+        standard_parameters(
+            m * rng.uniform(0.7, 1.3),
+            tuple(np.array(c) * rng.uniform(0.8, 1.2, 3)),
+            tuple(np.array(g) * rng.uniform(0.85, 1.15, 3)),
+            mounting(*rng.uniform(-0.1, 0.1, 3)),
+        )
+        for m, c, g in zip(UR5E_MASS, UR5E_CENTRE, UR5E_GYRATION, strict=True)
+    ]
+    rotors = np.array([1.0e-4, 1.0e-4, 8.0e-5, 2.4e-5, 2.4e-5, 2.2e-5]) * rng.uniform(0.7, 1.3, 6)
+    gear = rng.uniform(80.0, 120.0, 6)
+    down = np.array([0.0, 0.0, -GRAVITY])
+    coupled = bool(rng.uniform() < 0.5)
+    arm = Arm(UR5E_NAMES, dh, np.array(bodies), down, gear, rotors, rotor_coupling=coupled)
+    top = np.array([2.2, 2.2, 2.6, 3.1, 3.1, 3.1])
+    push = np.array([9.0, 9.0, 12.0, 22.0, 22.0, 25.0])
+    coulomb = np.array([8.2, 9.4, 6.6, 1.9, 1.7, 1.4]) * rng.uniform(0.6, 1.4, 6)
+    drive = rng.uniform(0.09, 0.13, 6)
+    hiss = rng.uniform(0.06, 0.14, 6) * coulomb / (drive * gear)
+    inertia = np.diag(Rigid(arm).terms(SIX_POSTURES[0], np.zeros(6))[0])
+    levers = {2: np.array([-0.30, 0.03, 0.06]), 5: np.array([0.02, 0.01, 0.04])}
+    plant = Plant(
+        arm=arm,
+        nominal=off_nominal(arm, 0.12),
+        friction=_surface(rng, coulomb, top),
+        gains=gains_for(inertia, bandwidth=20.0, observer=120.0),
+        torque_constant=drive,
+        encoder_step=np.zeros(6),
+        current_noise=hiss,
+        coulomb_guess=0.9 * coulomb,
+        position_limits=np.tile([-2.0, 2.0], (6, 1)) + SIX_CENTRE[:, None],
+        velocity_limits=top,
+        acceleration_limits=push,
+        current_step=0.2 * hiss,
+        imus=_arrays(rng, levers),
+    )
+    postures, rate = list(SIX_POSTURES), 500.0
+    pairs = list(combinations(range(6), 2))
+    trials = [
+        *friction_trials(plant, postures[:1], rate_hz=rate, speeds=7, lowest=0.12),
+        *gravity_trials(plant, postures[:4], rate_hz=rate, speeds=(0.3,)),
+        *imu_trials(plant, postures[:5], rate_hz=rate, turns=1),
+        *inertia_trials(plant, postures, rng, pairs=pairs, rate_hz=rate, seconds=4.0),
+    ]
+    return Drawn(plant, trials, {"rotor_coupling": coupled}, every=2)

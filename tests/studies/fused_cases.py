@@ -1,0 +1,198 @@
+"""Rigs, encoders and faulty IMUs for the study of fused motion, read off a simulated truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from seqid_cli.logs.recording import Recording
+from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.robot.types import Imu, Robot
+from tests.plants.experiments import inertia_trials, validation_trials
+from tests.plants.rigid import LinkMotion, link_motion
+from tests.plants.rigs import mounting, one_joint, six_joint, two_joint
+from tests.plants.sensors import AccelerometerArray, quantise, tetrahedral_array
+from tests.plants.simulate import Log, Plant, simulate
+from tests.plants.trajectories import Reference, hold, join
+from tests.studies.lab import recording_of, robot_of
+
+Array = NDArray[np.float64]
+
+GYRO_NOISE, GYRO_BIAS = 0.005, 0.02  # rad/s
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with the IMUs beyond noise.
+
+    `bias` m/s^2 and `gain`, `tilt_deg` of each channel are standard deviations; the bias drifts by
+    `drift` m/s^2 over the log; stamps are late by `delay_s`; `lost` stops the last IMU midway;
+    accelerometers saturate at `limit` m/s^2.
+    """
+
+    bias: float = 0.02
+    drift: float = 0.0
+    gain: float = 0.0
+    tilt_deg: float = 0.0
+    delay_s: float = 0.0
+    lost: bool = False
+    limit: float = np.inf
+
+
+@dataclass(frozen=True)
+class Case:
+    """One log of one rig."""
+
+    plant: Plant
+    robot: Robot
+    recording: Recording
+    stage: ImuStage
+    truth: Array  # (N, n) rad/s^2
+    log: Log
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Joints, encoder counts per joint turn (0: as built), IMUs and kind of motion."""
+
+    joints: int
+    counts: int = 0
+    layout: str = "two"  # of six joints: "end", "two" or "each"
+    gyro: bool = False
+    pauses: bool = False
+    fault: Fault = field(default_factory=Fault)
+    seconds: float = 4.0
+    seed: int = 0
+
+
+def _arrays(plant: Plant, layout: str) -> tuple[AccelerometerArray, ...]:
+    """The plant's own arrays, or one at the end or one on each link."""
+    if layout == "two" or plant.arm.n < 6:
+        return plant.imus
+    positions, axes = tetrahedral_array(0.06)
+    links = range(plant.arm.n) if layout == "each" else [plant.arm.n - 1]
+    return tuple(
+        AccelerometerArray(
+            f"imu_{link + 1}",
+            link,
+            positions,
+            axes,
+            mounting(0.3 - 0.2 * link, 0.5 * link, 0.4),
+            np.array([0.05, 0.02, -0.03 + 0.01 * link]),
+            bias=0.02,
+        )
+        for link in links
+    )
+
+
+def built(rig: Rig) -> Plant:
+    """The plant of a rig."""
+    make: Mapping[int, Callable[[], Plant]] = {1: one_joint, 2: two_joint, 6: six_joint}
+    plant = make[rig.joints]()
+    if rig.counts:
+        plant = replace(plant, encoder_step=np.full(rig.joints, 2 * np.pi / rig.counts))
+    return replace(plant, imus=_arrays(plant, rig.layout))
+
+
+def reference(rig: Rig, plant: Plant, rng: np.random.Generator) -> Reference:
+    """Inertia trials of one or two joints, a validation run of six; with rests where asked."""
+    if rig.joints == 6:
+        motion = validation_trials(plant, rng, runs=1, seconds=rig.seconds)[0].reference
+    else:
+        posture = np.array([0.0, 0.5])[: rig.joints]
+        motion = inertia_trials(plant, [posture], rng, seconds=rig.seconds)[0].reference
+    if not rig.pauses:
+        return motion
+    still = hold(motion.q[-1], 1.0, motion.rate_hz)
+    back = Reference(motion.q[::-1], -motion.dq[::-1], motion.ddq[::-1], motion.rate_hz)
+    return join([motion, still, back])
+
+
+@cache
+def simulated(rig: Rig) -> Log:
+    """The truth does not depend on the faults."""
+    rng = np.random.default_rng(rig.seed)
+    plant = built(rig)
+    return simulate(plant, reference(rig, plant, rng), rig.seed, imus=False)
+
+
+def _late(log: Log, delay: float, plant: Plant, link: int) -> LinkMotion:
+    """A link's true motion when readings were taken that are stamped t."""
+    t = log.t - delay
+    q, dq, ddq = (
+        np.column_stack([np.interp(t, log.t, x) for x in values.T])
+        for values in (log.truth.q, log.truth.dq, log.truth.ddq)
+    )
+    return link_motion(plant.arm, link, q, dq, ddq)
+
+
+def readings(
+    array: AccelerometerArray, motion: LinkMotion, fault: Fault, rng: np.random.Generator
+) -> Array:
+    """Readings (N, K) of an array with its faults."""
+    tilts = Rotation.from_rotvec(np.radians(fault.tilt_deg) * rng.standard_normal(array.axes.shape))
+    true = replace(array, axes=tilts.apply(array.axes), bias=0.0)
+    ideal = true.ideal(motion)
+    count = ideal.shape[1]
+    ideal = ideal * (1.0 + fault.gain * rng.standard_normal(count))
+    ideal += fault.bias * rng.standard_normal(count)
+    ideal += fault.drift * rng.standard_normal(count) * np.linspace(0, 1, len(ideal))[:, None]
+    noisy = ideal + array.noise * rng.standard_normal(ideal.shape)
+    return np.clip(quantise(noisy, array.resolution), -fault.limit, fault.limit)
+
+
+def case(rig: Rig) -> Case:
+    """Record a rig."""
+    plant = built(rig)
+    base = Rig(
+        rig.joints, rig.counts, rig.layout, False, rig.pauses, Fault(), rig.seconds, rig.seed
+    )
+    log = simulated(base)
+    rng = np.random.default_rng(1000 + rig.seed)
+    robot = robot_of("rig", plant)
+    accelerometers, gyros, imus = {}, {}, []
+    for imu, array in zip(robot.imus, plant.imus, strict=True):
+        motion = _late(log, rig.fault.delay_s, plant, array.after)
+        kept = replace(array, positions=np.zeros((3, 3)), axes=np.eye(3)) if rig.gyro else array
+        values = readings(kept, motion, rig.fault, rng)
+        if rig.gyro:
+            rates = motion.omega @ array.rotation + GYRO_BIAS * rng.standard_normal(3)
+            gyros[imu.name] = rates + GYRO_NOISE * rng.standard_normal(rates.shape)
+            imu = replace(imu, positions=kept.positions, axes=kept.axes, gyro=True)
+        imus.append(imu)
+        accelerometers[imu.name] = values
+    if rig.fault.lost:
+        last = imus[-1].name
+        for readings_of in (accelerometers, gyros):
+            if last in readings_of:
+                half = len(log.t) // 2
+                readings_of[last][half:] = readings_of[last][half]
+    recording = replace(recording_of(plant, "rig", log), accelerometers=accelerometers, gyros=gyros)
+    robot = replace(robot, imus=tuple(imus))
+    return Case(plant, robot, recording, stage_of(plant, rng), log.truth.ddq, log)
+
+
+def stage_of(plant: Plant, rng: np.random.Generator) -> ImuStage:
+    """Calibration of the mounting alone, a tenth of a degree off."""
+    found: Mapping[str, ImuCalibration] = {
+        imu.name: ImuCalibration(
+            rotation=(
+                imu.rotation
+                @ Rotation.from_rotvec(np.radians(0.1) * rng.standard_normal(3)).as_matrix()
+            ).tolist(),
+            std_error_deg=0.1,
+            noise_density=0.05,
+        )
+        for imu in plant.imus
+    }
+    return ImuStage(imus=dict(found))
+
+
+def names(imus: Sequence[Imu]) -> str:
+    """For a table."""
+    return ", ".join(imu.name for imu in imus)

@@ -1,0 +1,122 @@
+"""The stages in their order on one experiment, and what they predict of logs not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import identify_gravity
+from seqid_cli.identify.imu import calibrate_imus
+from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.predict_logs import LogPrediction, predict
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import ImuStage, Stages
+from seqid_cli.robot.types import Robot
+from tests.studies.lab import Experiment
+
+Array = NDArray[np.float64]
+
+
+def sequential(
+    experiment: Experiment,
+    *,
+    friction: FrictionOptions | None = None,
+    inertia: InertiaOptions | None = None,
+) -> Stages:
+    """Friction, gravity, IMUs, inertia."""
+    stages = before_inertia(experiment, friction=friction)
+    return with_inertia(experiment, stages, inertia or InertiaOptions())
+
+
+def before_inertia(experiment: Experiment, *, friction: FrictionOptions | None = None) -> Stages:
+    """All stages but the last."""
+    logs, robot = experiment.recordings, experiment.robot
+    surface = identify_friction(logs["friction"], robot, options=friction or FrictionOptions())
+    found = Stages(friction=surface)
+    motion = MotionOptions()
+    slow = [*logs["friction"], *logs.get("gravity", ())]
+    return Stages(
+        friction=surface,
+        gravity=identify_gravity(slow, robot, found, options=motion),
+        imu=calibrate_imus(logs["imu"], robot, found, options=motion),
+    )
+
+
+def with_inertia(experiment: Experiment, stages: Stages, options: InertiaOptions) -> Stages:
+    """The stages with inertia identified as `options` say."""
+    logs, robot = experiment.recordings["inertia"], experiment.robot
+    return Stages(
+        friction=stages.friction,
+        gravity=stages.gravity,
+        imu=stages.imu,
+        inertia=identify_inertia(logs, robot, stages, options=options),
+    )
+
+
+def simultaneous(
+    recordings: Sequence[Recording],
+    robot: Robot,
+    imu: ImuStage | None = None,
+    motion: MotionOptions | None = None,
+) -> Stages:
+    """Everything in one least squares, with Coulomb and viscous friction.
+
+    With `imu` the prediction has the same motion to go by as that of the sequential way.
+    """
+    options = motion or MotionOptions()
+    friction, inertia = identify_simultaneous(recordings, robot, options=options)
+    return Stages(friction=friction, imu=imu, inertia=inertia)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Torque RMSE (n,) N m of held-out logs, by all samples and by sliding ones."""
+
+    every: Array
+    sliding: Array
+    sliding_share: Array
+    cutoff_hz: tuple[float, ...]
+
+
+def held_out(
+    recordings: Sequence[Recording], robot: Robot, stages: Stages, options: InertiaOptions
+) -> HeldOut:
+    """Predict logs and compare; the samples of all logs together."""
+    return summed(list(predict(recordings, robot, stages, options=options)))
+
+
+def summed(predictions: Sequence[LogPrediction]) -> HeldOut:
+    """RMSE over the samples of all predictions; at rest of the distance to friction's interval."""
+    used = sum(int(p.used.sum()) for p in predictions)
+    slid = np.sum([p.sliding.sum(axis=0) for p in predictions], axis=0)
+    every = np.sum([(p.beyond[p.used] ** 2).sum(axis=0) for p in predictions], axis=0)
+    while_sliding = np.sum(
+        [np.where(p.sliding, p.residual**2, 0.0).sum(axis=0) for p in predictions], axis=0
+    )
+    return HeldOut(
+        every=np.sqrt(every / used),
+        sliding=np.sqrt(while_sliding / np.maximum(slid, 1)),
+        sliding_share=slid / used,
+        cutoff_hz=tuple(p.cutoff_hz for p in predictions),
+    )
+
+
+def noise_floor(experiment: Experiment, stage: str, cutoff_hz: Sequence[float]) -> Array:
+    """RMS (n,) N m that the current's noise leaves after the two low-passes of the residual."""
+    squares, samples = np.zeros(experiment.plant.arm.n), 0
+    drive = experiment.plant.torque_per_ampere
+    for log, hz in zip(experiment.logs[stage], cutoff_hz, strict=True):
+        lowpass = Lowpass(hz, 1.0 / float(log.t[1] - log.t[0]))
+        left = lowpass(lowpass(log.current * drive - log.truth.tau))
+        inner = left[2 * lowpass.settling : len(left) - 2 * lowpass.settling]
+        squares += np.sum(inner**2, axis=0)
+        samples += len(inner)
+    return np.asarray(np.sqrt(squares / samples))

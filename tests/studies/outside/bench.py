@@ -1,0 +1,40 @@
+"""Arms and logs that the tests of this simulator share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.studies.outside.arms import Arm, Drive, Link, drawn_arm
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def pendulum(mass: float = 2.0, centre: float = 0.4, coulomb: float = 0.0) -> Arm:
+    """One link that points up at zero, about a horizontal axis; nothing is noisy."""
+    link = Link(
+        place=np.zeros(3),
+        turn=np.zeros(3),
+        axis=np.array([0.0, 1.0, 0.0]),
+        mass=mass,
+        centre=np.array([0.0, 0.0, centre]),
+        inertia=np.diag([0.02, 0.02, 0.01]),
+    )
+    drive = Drive(0.1, coulomb, 0.1, 0.0, 0.0, 50.0, 0.1, 1e-6, rise=10.0, warm_s=100.0)
+    return Arm("drawn", (link,), (drive,), 500.0, 0.0, 60.0, 1.0, True, False)
+
+
+def quiet_arm(seed: int, n: int = 2, imus: bool = False) -> Arm:
+    """A drawn arm without noise in its torques."""
+    arm = drawn_arm(np.random.default_rng(seed), "drawn", n, imus)
+    return replace(arm, noise=0.0, rate_hz=500.0)
+
+
+def sweeps(t: Array, q: Array, speed: float, at: float, width: float = 0.05) -> tuple[Mask, Mask]:
+    """Rows on the way up and on the way down at a speed and near a place, accelerating nowhere."""
+    v = np.gradient(q, t)
+    near: Mask = (np.abs(q - at) < width) & (np.abs(np.abs(v) - speed) < 0.1 * speed)
+    return near & (v > 0), near & (v < 0)

@@ -1,0 +1,107 @@
+"""Motions that people record: position (rad) of every joint at moments (s)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from tests.studies.outside.arms import Arm
+from tests.studies.outside.robotfiles import STEP_S
+
+Array = NDArray[np.float64]
+REST_S = 0.4  # at the start and the end of every log
+
+
+def _times(seconds: float) -> Array:
+    return np.arange(0.0, seconds, STEP_S)
+
+
+def _rounded(line: Array, width: int) -> Array:
+    """A line (N,) with rests before and after it, and corners of `width` samples."""
+    window = np.hanning(width) / np.hanning(width).sum()
+    rested = np.pad(line, round(REST_S / STEP_S) + width // 2, mode="edge")
+    return np.asarray(np.convolve(rested, window, "valid"))
+
+
+def fitted(arm: Arm, unit: Array) -> Array:
+    """Waves (N, n) of at most 1, as positions that keep the joints' ranges and speeds."""
+    links = arm.links[: arm.n]
+    fast = np.abs(np.diff(unit, axis=0)).max(axis=0) / STEP_S
+    limits = np.array([link.speed for link in links])
+    size = np.minimum([link.reach for link in links], limits / np.maximum(fast, 1e-9))
+    return np.array([link.middle for link in links]) + size * unit
+
+
+def trial(arm: Arm, joint: int, posture: Array, speeds: Array) -> Array:
+    """One joint to and fro at constant speeds (shares of its limit), the others held: (N, n).
+
+    `posture` (n,) is in units of the reach about the middle.
+    """
+    link = arm.links[joint]
+    knots, moments = [-1.0], [0.0]
+    for speed in speeds * link.speed / link.reach:
+        for side in (1.0, -1.0):
+            moments.append(moments[-1] + 2.0 / float(speed))
+            knots.append(side)
+    line = _rounded(np.interp(_times(moments[-1]), moments, knots), 301)
+    middles, reaches = (np.array([getattr(x, k) for x in arm.links]) for k in ("middle", "reach"))
+    q = np.tile((middles + reaches * np.resize(posture, len(arm.links)))[: arm.n], (len(line), 1))
+    q[:, joint] = link.middle + link.reach * line
+    return q
+
+
+def multisine(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
+    """Harmonics of a tenth of a hertz with drawn phases, faded in and out."""
+    t = _times(seconds)
+    harmonics = np.arange(1, 9) * 0.1
+    size = rng.uniform(0.3, 1.0, (arm.n, 8)) / np.sqrt(np.arange(1, 9))
+    wave = np.sin(2 * np.pi * harmonics[:, None] * t + rng.uniform(0, 6.3, (arm.n, 8, 1)))
+    q = np.einsum("jk,jkt->tj", size, wave)
+    fade = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
+    fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
+    return fitted(arm, q / np.abs(q).max(axis=0) * fade[:, None])
+
+
+def points(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
+    """Moves of all joints at once between drawn points, with pauses; no overshoot."""
+    moments = np.cumsum(np.tile([1.2, 0.4], int(seconds / 1.6)))
+    goals = rng.uniform(-0.9, 0.9, (len(moments) // 2, arm.n))
+    knots = np.vstack([np.zeros((2, arm.n)), np.repeat(goals, 2, axis=0)])
+    line = PchipInterpolator(np.concatenate([[0.0, REST_S], REST_S + moments]), knots)
+    return fitted(arm, np.asarray(line(_times(moments[-1]))))
+
+
+def spline(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
+    """A cubic spline through drawn points at uneven times, as a program of via points gives."""
+    gaps = rng.uniform(0.5, 1.3, int(1.2 * seconds))
+    moments = np.concatenate([[0.0], np.cumsum(gaps)])
+    moments = moments[moments <= seconds]
+    knots = rng.uniform(-0.7, 0.7, (len(moments), arm.n))
+    knots[[0, -1]] = 0.0
+    line = np.asarray(CubicSpline(moments, knots, bc_type="clamped")(_times(moments[-1])))
+    return fitted(arm, line / np.maximum(1.0, np.abs(line).max(axis=0)))
+
+
+def hand(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
+    """Tugs of a hand: one or two joints at a time, uneven, with a tremor, and rests between."""
+    t = _times(seconds)
+    q, at, clock = np.zeros((len(t), arm.n)), np.zeros(arm.n), 0.0
+    while clock < seconds:
+        lasts, rests = float(rng.uniform(0.2, 1.2)), float(rng.uniform(0.0, 0.5))
+        goal = at.copy()
+        moved = rng.permutation(arm.n)[: int(rng.integers(1, 3))]
+        goal[moved] = rng.uniform(-0.9, 0.9, len(moved))
+        way = np.clip((t - clock) / lasts, 0.0, 1.0) ** float(rng.uniform(0.8, 1.6))
+        tremor = 0.01 * np.sin(2 * np.pi * float(rng.uniform(6, 9)) * t) * np.sin(np.pi * way)
+        now = t >= clock
+        q[now] = (at + np.outer(way, goal - at) + np.outer(tremor, goal != at))[now]
+        at, clock = goal, clock + lasts + rests
+    return fitted(arm, np.column_stack([_rounded(line, 121) for line in q.T]))
+
+
+MOTIONS: Mapping[str, Callable[[Arm, np.random.Generator, float], Array]] = {
+    motion.__name__: motion for motion in (multisine, points, spline, hand)
+}

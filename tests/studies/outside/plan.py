@@ -1,0 +1,171 @@
+"""What a seed stands for: an arm, what it lacks, when that came, and how it is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.studies.outside import friction_effects as friction
+from tests.studies.outside import measured_effects as measured
+from tests.studies.outside import mechanical_effects as mechanical
+from tests.studies.outside import motions
+from tests.studies.outside.arms import Arm, drawn_arm
+from tests.studies.outside.effects import Draw, Effect, Sized
+from tests.studies.outside.simulate import simulate
+
+Array = NDArray[np.float64]
+Flow = Literal["late", "early", "step_late", "step_early", "single"]
+RESERVED = 10_000  # seeds from here on judge, and are not looked at before
+LEAST, MOST = 0.02, 0.2  # of the joint's torque, RMS, that an effect is drawn to make
+
+KINDS: Mapping[str, Draw] = {
+    draw.__name__: draw
+    for draw in (
+        friction.stribeck,
+        mechanical.spring,
+        measured.torque_bias,
+        mechanical.payload,
+        friction.load_dependent_friction,
+        mechanical.torque_ripple,
+        measured.time_skew,
+        friction.friction_change,
+        mechanical.joint_elasticity,
+        friction.nonlinear_viscous,
+        measured.torque_constant,
+        mechanical.external_contact,
+        friction.asymmetric_friction,
+        mechanical.base_tilt,
+        measured.drift,
+        friction.gear_efficiency,
+        mechanical.backlash,
+        measured.encoder_eccentricity,
+        friction.presliding_hysteresis,
+        mechanical.transmission_coupling,
+        measured.torque_saturation,
+        friction.quadratic_drag,
+        mechanical.rotor_inertia,
+        measured.periodic_disturbance,
+        friction.thermal_friction,
+        measured.actuator_lag,
+        friction.position_dependent_friction,
+    )
+}
+# Nothing is missing of a model that was identified with these inside.
+COMES_LATER = {
+    "payload",
+    "base_tilt",
+    "friction_change",
+    "rotor_inertia",
+    "torque_constant",
+    "external_contact",
+}
+FLOWS: tuple[Flow, ...] = ("late", "early", "late", "step_late", "early", "step_early", "single")
+MANY = 5  # joints; more would take minutes a case, and with IMUs even these do
+PUBLISHED = ("ur5", "panda", "so101", "ur10", "jaco", "xarm7", "z1")
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What a case is, without numbers: `label` and `n` as in `drawn_arm`."""
+
+    seed: int
+    kinds: tuple[str, ...]
+    flow: Flow
+    label: str
+    n: int
+    imus: bool
+    mcap: bool
+    clock: bool  # the logs share one
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case; `shares` are the effects' parts of the torque's RMS where they act most."""
+
+    outline: Outline
+    arm: Arm
+    effects: tuple[Effect, ...]
+    shares: tuple[float, ...]
+
+    @property
+    def before(self) -> Sequence[Effect]:
+        """What is there while the model is identified."""
+        return () if self.outline.flow in ("late", "step_late") else self.effects
+
+
+def kinds_of(seed: int) -> tuple[str, ...]:
+    """Every fifth seed is clean, every fourth of the others has two effects."""
+    if seed % 5 == 0:
+        return ()
+    names, turn = list(KINDS), seed - seed // 5 - 1
+    first = names[turn % len(names)]
+    if turn % 4 != 3:
+        return (first,)
+    rng = np.random.default_rng([seed, 9])
+    return first, str(rng.choice([name for name in names if name != first]))
+
+
+def outlined(seed: int) -> Outline:
+    """Which sort of case a seed is."""
+    rng = np.random.default_rng([seed, 77])
+    kinds = kinds_of(seed)
+    flow = FLOWS[int(rng.integers(len(FLOWS)))]
+    if COMES_LATER & set(kinds):
+        flow = "step_late" if flow.startswith("s") else "late"
+    label, n = "drawn", int(rng.choice([1, 2, 2, 2, 2, 3]))
+    if seed % 6 == 1:
+        label, n = PUBLISHED[(seed // 6) % len(PUBLISHED)], int(rng.choice([2, 3, 3, MANY]))
+    if "transmission_coupling" in kinds:
+        n = max(n, 2)
+    imus, mcap = bool(rng.random() < 0.5) and n < MANY, bool(rng.random() < 0.3)
+    clock = mcap or bool(rng.random() < 0.5)
+    return Outline(seed, kinds, flow, label, n, imus, mcap, clock)
+
+
+def drawn(seed: int, coarser: float = 1.0) -> Case:
+    """The case of a seed, with encoders that many times as coarse as drawn."""
+    outline, rng = outlined(seed), np.random.default_rng([seed, 78])
+    arm = drawn_arm(rng, outline.label, outline.n, outline.imus)
+    drives = tuple(replace(drive, count=coarser * drive.count) for drive in arm.drives)
+    arm = replace(arm, drives=drives)
+    effects, shares = [], []
+    for kind in outline.kinds:
+        effect, share = sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng)
+        effects.append(effect)
+        shares.append(share)
+    return Case(outline, arm, tuple(effects), tuple(shares))
+
+
+def sized(arm: Arm, effect: Sized, rng: np.random.Generator) -> tuple[Effect, float]:
+    """Make an effect as large as drawn, or as it can be; and how large that is.
+
+    A size is the RMS of what the effect changes of the joint's logged torque, over 50 ms, as a
+    part of the RMS of that torque.
+    """
+    target = float(np.exp(rng.uniform(np.log(LEAST), np.log(MOST))))
+    arm = replace(arm, imus=(), noise=0.0)
+    motion = motions.multisine(arm, np.random.default_rng([int(1e6 * target), 1]), 6.0)
+    plain = simulate(arm, motion, 0, start=60.0).torque
+    scale, share = 1.0, 0.0
+    for _ in range(3):
+        changed = simulate(arm, motion, 0, [effect.make(scale)], start=60.0).torque
+        share = _share(arm, plain, changed, effect.joint)
+        wanted = float(np.clip(scale * target / max(share, 1e-9), 0.02, effect.most))
+        if abs(np.log(wanted / scale)) < 0.15:
+            break
+        scale = wanted
+    else:
+        changed = simulate(arm, motion, 0, [effect.make(scale)], start=60.0).torque
+        share = _share(arm, plain, changed, effect.joint)
+    return effect.make(scale), share
+
+
+def _share(arm: Arm, plain: Array, changed: Array, joint: int | None) -> float:
+    width = max(int(0.05 * arm.rate_hz), 1)
+    apart = np.array([np.convolve(x, np.ones(width) / width, "valid") for x in (changed - plain).T])
+    shares = np.sqrt(np.mean(apart**2, axis=1) / np.mean(plain**2, axis=0))
+    return float(shares.max() if joint is None else shares[joint])

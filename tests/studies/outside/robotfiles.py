@@ -1,0 +1,119 @@
+"""An arm as MJCF for the simulator, and as URDF and robot file for the user."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.studies.outside.arms import GRAVITY, Arm, Imu, Link
+
+Array = NDArray[np.float64]
+STEP_S = 1e-3
+
+
+def row(values: Array) -> str:
+    """Numbers as XML attributes have them."""
+    return " ".join(repr(float(x)) for x in np.ravel(values))
+
+
+def mjcf(arm: Arm) -> ET.Element:
+    """The arm for MuJoCo; dry friction is a constraint there, so that joints can stick."""
+    root = ET.Element("mujoco")
+    ET.SubElement(root, "compiler", angle="radian", eulerseq="XYZ", balanceinertia="false")
+    gravity = f"0 0 {-GRAVITY}"
+    option = {"timestep": repr(STEP_S), "integrator": "implicitfast", "gravity": gravity}
+    ET.SubElement(root, "option", option)
+    parent = ET.SubElement(root, "worldbody")
+    sensors = ET.SubElement(root, "sensor")
+    for k, link in enumerate(arm.links):
+        place = {"pos": row(link.place), "euler": row(link.turn)}
+        parent = ET.SubElement(parent, "body", {"name": f"l{k}", **place})
+        matrix = link.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        body = {"pos": row(link.centre), "mass": repr(link.mass), "fullinertia": row(matrix)}
+        ET.SubElement(parent, "inertial", body)
+        if k < arm.n:
+            parent.append(_joint(arm, k, link))
+        for i, imu in enumerate(arm.imus):
+            if imu.link == k:
+                _sites(parent, sensors, f"imu{i}", imu)
+    ET.SubElement(root, "tendon")
+    return root
+
+
+def _joint(arm: Arm, k: int, link: Link) -> ET.Element:
+    drive = arm.drives[k]
+    return ET.Element(
+        "joint",
+        name=arm.names[k],
+        type="hinge",
+        axis=row(link.axis),
+        armature=repr(drive.rotor),
+        damping=repr(drive.viscous),
+        frictionloss=repr(drive.coulomb),
+        solreffriction="0.002 1",
+        solimpfriction="0.99 0.999 0.001",
+    )
+
+
+def _sites(body: ET.Element, sensors: ET.Element, name: str, imu: Imu) -> None:
+    w, *v = imu.quaternion
+    for k, corner in enumerate(imu.corners):
+        turned = corner + 2.0 * np.cross(v, np.cross(v, corner) + w * corner)
+        site = f"{name}_{k}"
+        at = {"name": site, "pos": row(imu.place + turned), "quat": row(imu.quaternion)}
+        ET.SubElement(body, "site", at)
+        ET.SubElement(sensors, "accelerometer", name=f"{site}_a", site=site)
+    if imu.gyro:
+        ET.SubElement(sensors, "gyro", name=f"{name}_g", site=f"{name}_0")
+
+
+def urdf(arm: Arm) -> str:
+    """The arm as its maker publishes it."""
+    root = ET.Element("robot", name="outside")
+    ET.SubElement(root, "link", name="base")
+    for k, link in enumerate(arm.links):
+        body = ET.SubElement(ET.SubElement(root, "link", name=f"l{k}"), "inertial")
+        ET.SubElement(body, "origin", xyz=row(link.centre))
+        ET.SubElement(body, "mass", value=repr(link.mass))
+        names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        values = link.inertia[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        pairs = zip(names, values, strict=True)
+        ET.SubElement(body, "inertia", {name: repr(float(value)) for name, value in pairs})
+        moves = k < arm.n
+        name = arm.names[k] if moves else f"lock{k}"
+        joint = ET.SubElement(root, "joint", name=name, type="revolute" if moves else "fixed")
+        ET.SubElement(joint, "parent", link=f"l{k - 1}" if k else "base")
+        ET.SubElement(joint, "child", link=f"l{k}")
+        ET.SubElement(joint, "origin", xyz=row(link.place), rpy=row(link.turn))
+        if moves:
+            ET.SubElement(joint, "axis", xyz=row(link.axis))
+            lower, upper = link.middle - 2.0 * link.reach, link.middle + 2.0 * link.reach
+            limit = ET.SubElement(joint, "limit", lower=repr(lower), upper=repr(upper))
+            limit.attrib |= {"velocity": repr(1.5 * link.speed), "effort": "1e4"}
+    return ET.tostring(root, encoding="unicode")
+
+
+def robot_toml(arm: Arm) -> str:
+    """The robot file that a user writes."""
+    lines = [
+        'schema = "seqid/robot@1"',
+        'name = "outside"',
+        'urdf = "arm.urdf"',
+        f"gravity = [0.0, 0.0, {-GRAVITY}]",
+    ]
+    for name, drive in zip(arm.names, arm.drives, strict=True):
+        lines += ["[[joint]]", f'name = "{name}"', f"gear_ratio = {drive.ratio!r}"]
+        lines += [f"torque_constant = {drive.constant!r}"]
+        lines += [f"encoder_resolution = {drive.count!r}"]
+    for k, imu in enumerate(arm.imus):
+        lines += ["[[imu]]", f'name = "imu{k}"', f'after_joint = "{arm.names[imu.link]}"']
+        lines += [f"gyro = {str(imu.gyro).lower()}", "accelerometers = ["]
+        for corner in imu.corners:
+            at = [float(x) for x in corner]
+            axes = ([1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0])
+            lines += [f"  {{ position = {at}, axis = {list(map(float, a))} }}," for a in axes]
+        lines += ["]"]
+    lines += ["[channels]", f'effort = "{"current" if arm.currents else "torque"}"']
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,177 @@
+"""One log of an arm in MuJoCo: a controller follows a motion, and sensors say what they see."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.studies.outside.arms import Arm
+from tests.studies.outside.effects import Effect, State
+from tests.studies.outside.robotfiles import STEP_S, mjcf
+
+Array = NDArray[np.float64]
+DAMPING = 0.8  # of the position loop
+
+
+@dataclass(frozen=True)
+class Log:
+    """What was logged, and the truth beside it.
+
+    t (N,) s, q (N, n) rad, torque (N, n) N m, temperature (N, n) degC, per IMU its accelerometers
+    (N, K) m/s^2 and its gyro (N, 3) rad/s; true_torque (N, n) N m is the motors'.
+    """
+
+    t: Array
+    q: Array
+    torque: Array
+    temperature: Array
+    accelerometers: dict[str, Array]
+    gyros: dict[str, Array]
+    true_torque: Array
+
+
+def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
+    """The arm with what the effects change of it."""
+    root = mjcf(arm)
+    for effect in effects:
+        if effect.xml:
+            effect.xml(root)
+    return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+
+
+def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """Degrees of freedom of the motors and of the links that they move."""
+    kinds = mujoco.mjtObj.mjOBJ_JOINT
+    links = [mujoco.mj_name2id(model, kinds, name) for name in arm.names]
+    motors = [mujoco.mj_name2id(model, kinds, f"{name}_motor") for name in arm.names]
+    dof = model.jnt_dofadr
+    return (
+        [int(dof[m if m >= 0 else j]) for m, j in zip(motors, links, strict=True)],
+        [int(dof[j]) for j in links],
+    )
+
+
+def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
+    """Inertia (n,) that the loops are tuned to, and what is fed forward (N, n).
+
+    Both are of the plain arm: nobody has told the controller what changed.
+    """
+    model = built(arm)
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos[:] = [link.middle for link in arm.links[: arm.n]]
+    mujoco.mj_forward(model, data)
+    full = np.zeros((arm.n, arm.n))
+    mujoco.mj_fullM(model, data, full)
+    torque = np.empty_like(reference)
+    motion = zip(reference, rate, np.gradient(rate, STEP_S, axis=0), strict=True)
+    for k, (data.qpos[:], data.qvel[:], data.qacc[:]) in enumerate(motion):
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse
+    return np.diag(full).copy(), arm.forward * torque
+
+
+def simulate(
+    arm: Arm, reference: Array, seed: int, effects: Sequence[Effect] = (), start: float = 0.0
+) -> Log:
+    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward.
+
+    `start` [s] is when in the session the log begins.
+    """
+    model = built(arm, effects)
+    data = mujoco.MjData(model)
+    motor, link = _motors(arm, model)
+    for dofs in (motor, link):
+        data.qpos[dofs] = reference[0]
+    mujoco.mj_forward(model, data)
+    rate = np.gradient(reference, STEP_S, axis=0)
+    felt, forward = _controller(arm, reference, rate)
+    kp, kd = felt * arm.bandwidth**2, felt * 2.0 * DAMPING * arm.bandwidth
+    times = start + np.arange(len(reference)) * STEP_S
+    warmth = np.array([d.rise * -np.expm1(-times / d.warm_s) for d in arm.drives]).T
+    coulomb, waviness, phase = (arm.of(k) for k in ("coulomb", "waviness", "phase"))
+    q, tau = np.empty_like(reference), np.empty_like(reference)
+    sensed = np.empty((len(reference), model.nsensordata))
+    state = State(start, reference[0], np.zeros(arm.n), data.qfrc_bias[link].copy(), warmth[0])
+    flange = next((e.flange for e in effects if e.flange), None)
+    for k in range(len(reference)):
+        state.t, state.warmth = times[k], warmth[k]
+        state.q, state.dq = data.qpos[motor], data.qvel[motor]
+        dry = coulomb * (1.0 + waviness * np.sin(state.q + phase))
+        said = state.q
+        for effect in effects:
+            said = effect.angle(said) if effect.angle else said
+            dry = effect.dry(dry, state) if effect.dry else dry
+        torque = kp * (reference[k] - said) + kd * (rate[k] - state.dq) + forward[k]
+        acting = torque
+        for effect in effects:
+            acting = effect.drive(acting, state) if effect.drive else acting
+            acting = acting + effect.push(state) if effect.push else acting
+        q[k], tau[k] = said, torque
+        model.dof_frictionloss[motor] = dry
+        data.qfrc_applied[motor] = acting
+        if flange:
+            data.xfrc_applied[-1, :3] = flange(times[k] - start)
+        mujoco.mj_step(model, data)
+        sensed[k] = data.sensordata
+        _load(model, data, motor, state)
+    return _logged(arm, times, (q, tau, warmth, sensed), seed, effects)
+
+
+def _load(model: mujoco.MjModel, data: mujoco.MjData, motor: list[int], state: State) -> None:
+    """What the gears pass on: motor torque, less friction and the rotors' inertia."""
+    state.load = (
+        data.qfrc_applied
+        + data.qfrc_constraint
+        + data.qfrc_passive
+        - model.dof_armature * data.qacc
+    )[motor]
+
+
+def _logged(
+    arm: Arm,
+    times: Array,
+    truth: tuple[Array, Array, Array, Array],
+    seed: int,
+    effects: Sequence[Effect],
+) -> Log:
+    rng = np.random.default_rng([seed, 5])
+    q, tau, warmth, sensed = truth
+    told = tau
+    for effect in effects:
+        told = effect.told(told, times) if effect.told else told
+    rows = slice(None, None, round(1.0 / (STEP_S * arm.rate_hz)))
+    noise = arm.noise * arm.of("coulomb") * rng.normal(size=told[rows].shape)
+    counts = arm.of("count")
+    accelerometers, gyros = _imus(arm, sensed[rows], rng)
+    return Log(
+        times[rows],
+        counts * np.round(q[rows] / counts),
+        told[rows] + noise,
+        np.round(2.0 * (25.0 + warmth[rows])) / 2.0,
+        accelerometers,
+        gyros,
+        tau[rows],
+    )
+
+
+def _imus(
+    arm: Arm, sensed: Array, rng: np.random.Generator
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Split the sensors' numbers (N, S) by IMU, with bias and noise."""
+    accelerometers, gyros, at = {}, {}, 0
+    for k, imu in enumerate(arm.imus):
+        count = 3 * len(imu.corners)
+        clean = sensed[:, at : at + count]
+        noise = imu.noise * rng.normal(size=clean.shape)
+        accelerometers[f"imu{k}"] = clean + imu.bias[:count] + noise
+        at += count
+        if imu.gyro:
+            gyros[f"imu{k}"] = sensed[:, at : at + 3] + 0.002 * rng.normal(size=(len(sensed), 3))
+            at += 3
+    return accelerometers, gyros

@@ -1,0 +1,97 @@
+"""Logs of the hand-made two-joint arm whose torque above and below the cut-off is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.base import base_of
+from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.select.model import FREE, Ground, Hold, Model
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.params.schema import Parameter, RigidStage, Stages
+from seqid_cli.robot.base import free_basis
+from tests.unit.model.effects.scenes import scene_of, torque_model, two_joint_robot, wander
+
+Array = NDArray[np.float64]
+Extra = Callable[[Scene], Array]  # (N, n) N m, not filtered
+
+NOISE = (0.3, 0.1)  # N m per sample
+SECONDS = 16.0
+LOGS = 3
+
+
+def arm_scenes(
+    extra: Extra | None = None,
+    *,
+    seed: int = 0,
+    logs: int = LOGS,
+    seconds: float = SECONDS,
+    noise: tuple[float, float] = NOISE,
+) -> list[Scene]:
+    """Return logs on one clock: the model's torque, white noise, and what is added to it."""
+    rng = np.random.default_rng(seed)
+    robot = two_joint_robot()
+    model = torque_model(robot)
+    scenes = []
+    for log in range(logs):
+        q = wander(seconds, seed=10 * seed + log, rests=())
+        start = 40.0 * log
+        scene = scene_of(q, robot=robot, model=model, log=log, start=start, shared_clock=True)
+        tau = scene.modelled + rng.normal(size=q.shape) * np.array(noise)
+        if extra is not None:
+            tau = tau + extra(scene)
+        scenes.append(measuring(scene, tau))
+    return scenes
+
+
+def measuring(scene: Scene, tau: Array) -> Scene:
+    """Return the scene with a measured torque (N, n) N m."""
+    motion = replace(scene.motion, tau=scene.motion.filtered(tau, times=2))
+    return replace(scene, motion=motion, measured=tau, period=1.0 / scene.motion.rate_hz)
+
+
+def at_joint(joint: int, torque: Callable[[Scene], Array]) -> Extra:
+    """Return a torque (N,) at one joint as one of all."""
+
+    def extra(scene: Scene) -> Array:
+        result = np.zeros_like(scene.motion.q)
+        result[:, joint] = torque(scene)
+        return result
+
+    return extra
+
+
+def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None) -> Model:
+    """Return a model without terms, fitted to scenes."""
+    return Model(ground_of(scenes, stages), hold)
+
+
+def ground_of(scenes: Sequence[Scene], stages: Stages | None = None) -> Ground:
+    """Return the rows of scenes, and what they have to be explained by."""
+    rows = rows_of(scenes)
+    return Ground.of(Stage(rows), base_of(rows, stages or Stages()))
+
+
+def candidate(name: str, joint: int | None, **settings: float) -> Candidate:
+    """Return an effect of the catalogue at a joint."""
+    return Candidate(CATALOGUE[name], joint, settings)
+
+
+def file_of(scene: Scene) -> Stages:
+    """Return a parameter file whose rigid body is known to a part in a thousand."""
+    basis = free_basis(scene.robot)
+    parameters = [
+        Parameter(name=name, value=0.0, std_error=1e-3, unit=basis.unit(k))
+        for k, name in enumerate(basis.names)
+    ]
+    covariance = (1e-6 * np.eye(basis.size)).tolist()
+    inertia = RigidStage(
+        parameters=parameters, condition=1.0, rank=basis.size, covariance=covariance
+    )
+    return Stages(inertia=inertia)

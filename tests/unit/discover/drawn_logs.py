@@ -1,0 +1,79 @@
+"""Logs whose positions, torque and noise are made up, and scenes of them; 500 Hz, two joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.rows import Rows, rows_of
+from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import Stages
+from tests.unit.model.effects.scenes import two_joint_robot
+
+Array = NDArray[np.float64]
+
+RATE_HZ = 500.0
+CUTOFF_HZ = 8.0
+PERIOD_S = 4.37
+OPTIONS = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))
+
+
+def recording(q: Array, tau: Array, rate_hz: float = RATE_HZ, name: str = "log") -> Recording:
+    """Wrap samples (N, n) as a log."""
+    t = np.arange(len(q)) / rate_hz
+    valid = np.ones(len(q), dtype=bool)
+    return Recording(Path(name), "", "parquet", t, q, valid, Health(rate_hz, 0.0), tau=tau)
+
+
+def scenes(logs: Sequence[Recording]) -> tuple[list[Scene], Rows]:
+    """Scenes without a model, so that all torque is residual, and their rows."""
+    found = scenes_of(logs, two_joint_robot(), Stages(), options=OPTIONS)
+    return found, rows_of(found)
+
+
+def periodic(seconds: float, *, phase: float = 0.0) -> Array:
+    """Positions (N, 2) rad that repeat every PERIOD_S."""
+    w = 2 * np.pi / PERIOD_S * (np.arange(round(seconds * RATE_HZ)) / RATE_HZ + phase)
+    first = np.sin(w) + 0.3 * np.cos(3 * w + 1.0) + 0.05 * np.sin(7 * w)
+    return np.stack([first, 0.8 * np.cos(2 * w + 0.3) + 0.4 * np.sin(w)], axis=1)
+
+
+def wander(seconds: float, seed: int) -> Array:
+    """Positions (N, 2) rad that do not come back: sines of drawn frequencies up to 1.2 Hz."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * RATE_HZ))[:, None, None] / RATE_HZ
+    f, phase = rng.uniform(0.1, 1.2, (12, 2)), rng.uniform(0.0, 2 * np.pi, (12, 2))
+    return np.asarray(0.25 * np.sum(np.sin(2 * np.pi * f * t + phase), axis=1))
+
+
+def resting(seconds: float, rest: float, seed: int) -> Array:
+    """Positions (N, 2) rad: smooth moves of 1.5 s between drawn places, `rest` s at each."""
+    rng = np.random.default_rng(seed)
+    s = np.linspace(0.0, 1.0, round(1.5 * RATE_HZ))[:, None]
+    step, here, parts = 10 * s**3 - 15 * s**4 + 6 * s**5, np.zeros(2), []
+    for _ in range(int(seconds / (1.5 + rest))):
+        there = rng.uniform(-1.5, 1.5, 2)
+        parts += [here + (there - here) * step, np.tile(there, (round(rest * RATE_HZ), 1))]
+        here = there
+    return np.concatenate(parts)
+
+
+def smooth_torque(q: Array) -> Array:
+    """Inertia and friction with steps (N, 2) N m, known exactly."""
+    dq = np.gradient(q, axis=0) * RATE_HZ
+    return np.asarray(0.5 * np.gradient(dq, axis=0) * RATE_HZ + 2 * np.tanh(dq / 0.02))
+
+
+def low_passed(values: Array, scene: Scene) -> Array:
+    """Values (N, n) of a log as its scene's torque has them."""
+    lowpass = Lowpass(CUTOFF_HZ, RATE_HZ)
+    factor = round(RATE_HZ / scene.motion.rate_hz)
+    return lowpass(lowpass(values))[::factor]

@@ -1,0 +1,103 @@
+"""A model under selection: how far its base moves, its time offsets, and what it leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Model
+from seqid_cli.model.effects.scene import Scene
+from tests.unit.discover.arms import (
+    NOISE,
+    Extra,
+    arm_scenes,
+    at_joint,
+    candidate,
+    file_of,
+    model_of,
+)
+
+Array = NDArray[np.float64]
+
+MASS, OUT = 0.8, 0.3  # kg, m
+DRAG = 0.3  # N m s^2/rad^2
+
+
+def drag(scene: Scene) -> Array:
+    v = scene.motion.dq[:, 0]
+    return np.asarray(DRAG * v * np.abs(v))
+
+
+def payload(scene: Scene) -> Array:
+    """A point mass at the last link's frame, some way out."""
+    columns = candidate("payload", None, from_log=0.0)
+    X = columns.effect.columns(scene, None, columns.settings)
+    body = MASS * np.array([1.0, OUT, 0, 0, 0, 0, OUT**2, 0, 0, OUT**2])
+    return np.stack([X[j] @ body for j in range(scene.robot.n)], axis=1)
+
+
+def test_a_held_base_moves_within_the_files_errors_only() -> None:
+    scenes = arm_scenes(payload)
+    stages = file_of(scenes[0])
+    models = [model_of(scenes, hold, stages) for hold in (FREE, HELD, FIRM)]
+    at = list(models[0].ground.base.basis.names).index("mx_1")
+    free, held, firm = (abs(float(m.linear.theta[at])) for m in models)
+    assert free == pytest.approx(OUT * MASS, rel=0.2)  # m l of what hangs on the first link
+    assert firm < held < 0.2 * free
+    assert models[1].rms().max() > 2.0 * models[0].rms().max()
+
+
+def late(share: float) -> Extra:
+    """Torque that is late by a share of a sample."""
+
+    def extra(scene: Scene) -> Array:
+        slope = np.gradient(scene.modelled, 1.0 / scene.motion.rate_hz, axis=0)
+        return np.asarray(-share / scene.motion.rate_hz * slope)
+
+    return extra
+
+
+def test_an_ordinary_time_offset_belongs_to_the_base() -> None:
+    """Half a sample is every drive's; five samples are an effect and not absorbed."""
+    model = model_of(arm_scenes(late(0.5)))
+    assert model.timed == (True, True)
+    assert all(offset < 0.0 for offset in model.offsets)
+    assert model_of(arm_scenes(late(5.0))).timed == (False, False)
+
+
+def dragged() -> Model:
+    model = model_of(arm_scenes(at_joint(0, drag)))
+    model.add([candidate("quadratic_drag", 0)])
+    return model
+
+
+def test_what_is_left_is_known_at_all_samples() -> None:
+    """The rows are among them but for slow noise; a term's torque is back where it is left out."""
+    model = dragged()
+    rows = model.ground.stage.rows
+    (term,) = model.terms
+    left, with_it = model.left(), model.left(without=term)
+    np.testing.assert_allclose(
+        rows.torque(1, [r[:, 1] for r in left]), model.linear.residual()[1], atol=0.1 * NOISE[1]
+    )
+    for scene, a, b, shown in zip(rows.scenes, left, with_it, model.shown(), strict=True):
+        assert not a[~scene.slides].any()
+        np.testing.assert_allclose((b - a)[scene.slides], shown[scene.slides], atol=1e-9)
+    value = model.coefficients(term)[0]
+    assert value == pytest.approx(DRAG, abs=4.0 * float(np.sqrt(model.covariance(term)[0, 0])))
+
+
+def test_errors_are_no_narrower_than_the_scatter_over_blocks() -> None:
+    def lasting(scene: Scene) -> Array:
+        rng = np.random.default_rng(scene.log)
+        slow = np.convolve(rng.normal(size=scene.samples + 239), np.ones(240) / 12.0, "valid")
+        return np.asarray(drag(scene) + 0.1 * slow)
+
+    white, slow = dragged(), model_of(arm_scenes(at_joint(0, lasting)))
+    slow.add([candidate("quadratic_drag", 0)])
+    errors = [float(np.sqrt(m.covariance(m.terms[0])[0, 0])) for m in (white, slow)]
+    for model in (white, slow):
+        at = model.where(model.terms[0])
+        assert model.covariance(model.terms[0]) >= model.linear.jackknife(at) * (1.0 - 1e-9)
+    assert errors[1] > 1.3 * errors[0]

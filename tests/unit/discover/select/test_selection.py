@@ -1,0 +1,211 @@
+"""What the selection takes, what it leaves, and which name it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.base import base_of
+from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.select.model import HELD, Ground
+from seqid_cli.discover.select.naming import named, reality
+from seqid_cli.discover.select.selection import Options, Selected, select, select_again
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.params.schema import Stages
+from tests.unit.discover.arms import Extra, arm_scenes, at_joint, file_of, ground_of
+
+Array = NDArray[np.float64]
+
+SOME = ("stribeck", "spring", "quadratic_drag", "torque_bias", "load_dependent_friction")
+DRAG = 0.3  # N m s^2/rad^2
+HUMP, SPEED = 1.2, 0.3  # N m, rad/s
+RIPPLE = 0.5  # N m
+MASS, OUT = 0.8, 0.3  # kg, m
+WAVE, LOOP = 2.0, 80.0  # N m; rad/s, of the position loop
+LATE_S = 0.02
+
+
+def drag(scene: Scene) -> Array:
+    v = scene.motion.dq[:, 0]
+    return np.asarray(DRAG * v * np.abs(v))
+
+
+def stribeck(scene: Scene) -> Array:
+    ratio = scene.motion.dq[:, 1] / SPEED
+    return np.asarray(HUMP * np.exp(-(ratio**2)) * scene.sign[:, 1])
+
+
+def both(scene: Scene) -> Array:
+    return np.stack([drag(scene), stribeck(scene)], axis=1)
+
+
+def waves(scene: Scene) -> Array:
+    """No effect of the catalogue: a brake that drags at some positions."""
+    return np.asarray(RIPPLE * np.cos(4.0 * scene.motion.q[:, 0]) * scene.motion.dq[:, 0] ** 2)
+
+
+def selected(
+    extra: Extra | None,
+    names: Sequence[str] = SOME,
+    options: Options | None = None,
+    stages: Stages | None = None,
+) -> Selected:
+    ground = ground_of(arm_scenes(extra), stages)
+    return select(ground, options, [CATALOGUE[name] for name in names]).told()
+
+
+def keys(found: Selected) -> list[tuple[str, int | None]]:
+    return [one.term.key for one in found.taken]
+
+
+@pytest.fixture(scope="module")
+def pair() -> Selected:
+    return selected(both)
+
+
+def test_nothing_is_taken_where_the_model_is_right() -> None:
+    assert keys(selected(None)) == []
+
+
+def test_both_effects_are_taken_at_their_joints(pair: Selected) -> None:
+    assert sorted(keys(pair), key=str) == [("quadratic_drag", 0), ("stribeck", 1)]
+
+
+def test_settings_and_coefficients_are_the_true_ones(pair: Selected) -> None:
+    found = {one.term.name: one.term for one in pair.taken}
+    what = found["stribeck"].what
+    assert isinstance(what, Candidate)
+    assert what.settings["stribeck_speed"] == pytest.approx(SPEED, rel=0.1)
+    model, drag = pair.model, found["quadratic_drag"]
+    value = model.linear.theta[model.where(drag)][0]
+    error = np.sqrt(model.covariance(drag)[0, 0])
+    assert abs(value - DRAG) < 4.0 * error < 0.1 * DRAG
+
+
+def test_names_are_sure_where_no_rival_comes_near(pair: Selected) -> None:
+    for one in pair.taken:
+        assert named(one).confidence > 0.9
+
+
+def test_what_no_effect_explains_is_a_smooth_function() -> None:
+    (one,) = selected(at_joint(0, waves)).taken[:1]
+    assert one.term.smooth
+    assert one.term.joint == 0
+
+
+def test_an_effect_without_its_name_in_the_list_is_no_other_effect() -> None:
+    found = selected(at_joint(1, stribeck), ("spring", "torque_bias"))
+    assert all(one.term.smooth for one in found.taken)
+    assert found.taken
+
+
+def test_no_improvement_is_enough_if_more_is_asked() -> None:
+    assert keys(selected(both, options=Options(improvement=0.999))) == []
+
+
+def test_no_more_terms_than_asked_for() -> None:
+    assert len(keys(selected(both, options=Options(most=1)))) == 1
+
+
+def test_selection_goes_on_from_what_was_found() -> None:
+    found = select(ground_of(arm_scenes(both)), None, [CATALOGUE[name] for name in SOME])
+    rows = found.model.ground.stage.rows
+    first = [np.arange(scene.samples) < 200 for scene in rows.scenes]
+    fewer = rows.without(first)
+    again = select_again(Ground.of(Stage(fewer), base_of(fewer, Stages())), found)
+    assert sorted(keys(again.told()), key=str) == sorted(keys(found.told()), key=str)
+    assert len(again.model.linear.rows.y[0]) < len(found.model.linear.rows.y[0])
+
+
+def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) -> None:
+    for taken in pair.taken:
+        totals = [rival.foretold.total for rival in taken.rivals]
+        assert taken.rivals[0].term is taken.term
+        assert totals == sorted(totals, reverse=True)
+        joint = taken.term.joint
+        assert joint is not None
+        assert taken.without[joint] > 1.2 * pair.model.rms()[joint]
+    assert not {taken.term.key for taken in pair.taken} & set(pair.visible)
+    assert all(0.0 <= share <= 1.0 for share in pair.visible.values())
+
+
+def test_more_of_the_error_is_surer(pair: Selected) -> None:
+    told = pair.taken[0].one.foretold
+    less = replace(told, squares=0.1 * told.squares, density=0.1 * told.density)
+    little = replace(told, squares=0.02 * told.squares, density=0.02 * told.density)
+    assert 1.0 > reality(told) > reality(less) > reality(little) > 0.0
+
+
+def payload(scene: Scene) -> Array:
+    """A point mass at the last link's frame, some way out, in all logs."""
+    X = CATALOGUE["payload"].columns(scene, None, {"from_log": 0.0})
+    body = MASS * np.array([1.0, OUT, 0, 0, 0, 0, OUT**2, 0, 0, OUT**2])
+    return np.stack([X[j] @ body for j in range(scene.robot.n)], axis=1)
+
+
+def test_a_payload_of_all_logs_is_seen_where_the_file_was_before_it() -> None:
+    stages = file_of(arm_scenes()[0])
+    names = ("payload", "base_tilt", "spring", "torque_constant", "stribeck")
+    found = selected(payload, names, stages=stages)
+    assert ("payload", None) in keys(found)
+    assert found.model.hold == HELD
+
+
+@pytest.mark.parametrize("drive", [0, 1])
+def test_a_coupled_pair_is_named_once(drive: int) -> None:
+    """Whichever joint's drive it is: the two have the same columns."""
+
+    def coupled(scene: Scene) -> Array:
+        settings = {"neighbour": 1.0 - 2.0 * drive, "ratio": 1.0}
+        X = CATALOGUE["transmission_coupling"].columns(scene, drive, settings)
+        c = np.array([1.5, 0.3, 0.02])
+        return np.stack([X[j] @ c for j in (0, 1)], axis=1)
+
+    (taken,) = selected(coupled, ["transmission_coupling"]).taken
+    assert taken.term.name == "transmission_coupling"
+    assert isinstance(taken.term.what, Candidate)
+    assert taken.term.what.settings["ratio"] == 1.0
+
+
+def shaken(scene: Scene) -> Array:
+    """A ripple of the second drive whose fast waves move the arm instead of the drive's current."""
+    gear, v = scene.gear[1], scene.motion.dq[:, 1]
+    wave = WAVE * np.exp(1j * gear * scene.motion.q[:, 1])
+    answered = wave / (1.0 + (gear * v / LOOP) ** 4)
+    return np.stack([np.zeros(scene.samples), answered.imag], axis=1)
+
+
+def test_a_ripple_is_told_where_the_drive_holds_against_it() -> None:
+    found = selected(shaken, ["torque_ripple"])
+    assert keys(found)[0] == ("torque_ripple", 1)
+    term = found.taken[0].term
+    assert isinstance(term.what, Candidate)
+    assert term.what.settings == {"order": 1.0, "law": 0.0, "lag": 0.0}
+    amplitude = float(np.hypot(*found.model.coefficients(term)))
+    assert amplitude == pytest.approx(WAVE, rel=0.05)  # above the cut-off the arm gives way
+
+
+def lagging(scene: Scene) -> Array:
+    return np.asarray(LATE_S * scene.motion.rate_hz * np.gradient(scene.modelled, axis=0))
+
+
+def stamped_late(scene: Scene) -> Array:
+    at = np.arange(scene.samples) - LATE_S * scene.motion.rate_hz
+    late = [np.interp(at, np.arange(scene.samples), tau) for tau in scene.modelled.T]
+    return np.asarray(np.stack(late, axis=1) - scene.modelled)
+
+
+@pytest.mark.parametrize(
+    ("extra", "name"), [(lagging, "actuator_lag"), (stamped_late, "time_skew")]
+)
+def test_one_lag_of_all_drives_is_no_skew_of_the_log(extra: Extra, name: str) -> None:
+    ground = ground_of(arm_scenes(extra, noise=(0.03, 0.01)))
+    found = select(ground, None, [CATALOGUE["actuator_lag"], CATALOGUE["time_skew"]]).told()
+    term = found.taken[0].term
+    assert term.key == (name, None)
+    assert found.model.coefficients(term)[0] == pytest.approx(LATE_S, rel=0.1)

@@ -1,0 +1,148 @@
+"""Smooth functions: the right quantity is named first, though another moves along with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.select.selection import Selected, Selection, select
+from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
+from seqid_cli.discover.select.smoothest import knots_of, smoothest
+from seqid_cli.discover.select.terms import smooth_terms
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import greville, splines
+from tests.unit.discover.arms import Extra, at_joint, ground_of, measuring
+from tests.unit.discover.residuals import coloured, related_scenes
+
+Array = NDArray[np.float64]
+
+OTHER = "other_joint:joint_1"
+
+
+def bump(scene: Scene) -> Array:
+    return 0.9 * np.exp(-(((scene.motion.q[:, 1] - 0.3) / 0.2) ** 2))
+
+
+def wave_of_other(scene: Scene) -> Array:
+    return 0.3 * np.sin(4 * scene.motion.dq[:, 0] + 0.6)
+
+
+def friction_of_place(scene: Scene) -> Array:
+    return 0.3 * scene.sign[:, 1] * np.cos(3 * scene.motion.q[:, 1])
+
+
+def rail(scene: Scene) -> Array:
+    """Rubs more where the other joint stands further out."""
+    return 0.3 * scene.sign[:, 1] * np.sin(2 * scene.motion.q[:, 0])
+
+
+def cubic(scene: Scene) -> Array:
+    return 0.5 * (scene.motion.ddq[:, 1] / 8) ** 3
+
+
+def both_places(scene: Scene) -> Array:
+    return 0.4 * np.sin(2 * scene.motion.q[:, 1]) * np.cos(3 * scene.motion.q[:, 0])
+
+
+def selected(seed: int, extra: Extra | None) -> Selected:
+    return selection(seed, extra).told()
+
+
+def selection(seed: int, extra: Extra | None) -> Selection:
+    """What is selected without any effect to choose from, beside coloured noise."""
+    rng, scenes = np.random.default_rng(seed), []
+    for scene in related_scenes(seed, logs=3):
+        tau = scene.modelled + (0.0 if extra is None else extra(scene))
+        whole = measuring(scene, tau)
+        assert whole.motion.tau is not None
+        whole.motion.tau[:] += coloured(scene, rng)
+        scenes.append(whole)
+    return select(ground_of(scenes), None, [])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("extra", "quantities"),
+    [
+        (bump, {"position"}),
+        (wave_of_other, {OTHER}),
+        (friction_of_place, {"position", "direction"}),
+        (rail, {OTHER, "direction"}),
+        (cubic, {"acceleration"}),
+        (both_places, {"position", OTHER}),
+    ],
+)
+def test_the_right_quantity_is_named_first(extra, quantities: set[str], seed: int) -> None:
+    first = selection(seed, at_joint(1, extra)).model.terms[0].what
+    assert isinstance(first, SmoothFunction)
+    assert first.joint == 1
+    assert set(first.quantities) == quantities
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_depends_on_nothing(seed: int) -> None:
+    assert selected(seed, None).taken == ()
+
+
+def test_the_term_is_the_torque_that_was_put_in() -> None:
+    found = selected(1, at_joint(1, bump))
+    first = found.taken[0]
+    what, c = first.term.what, first.one.gained.coefficients
+    assert isinstance(what, SmoothFunction)
+    scene = found.model.ground.stage.scenes[0]
+    x, torque = scene.motion.q[:, 1], what.term(c).torque(scene)
+    inside = np.abs(x) < 0.9
+    truth = 0.9 * np.exp(-(((x - 0.3) / 0.2) ** 2))
+    # Up to a constant and a slope, which friction and gravity hold.
+    assert np.corrcoef(torque[inside], truth[inside])[0, 1] > 0.95
+    total = [np.zeros_like(scene.motion.q)]
+    what.add_torque(total, [scene], c)
+    expected = scene.motion.filtered(torque, times=2)
+    np.testing.assert_allclose(total[0][:, 1], expected, atol=1e-9)
+
+
+def test_columns_are_filtered_like_any_effect() -> None:
+    rows = rows_of(related_scenes(0, logs=2, seconds=8.0))
+    term = next(t for t in smooth_terms(rows, np.ones(4)) if "position" in t.name)
+    what = term.what
+    assert isinstance(what, SmoothFunction)
+    basis = [s.motion.filtered(what.source.basis(s) @ what.mixing, times=2) for s in rows.scenes]
+    direct = rows.torque(what.joint, basis)
+    np.testing.assert_allclose(term.part.columns[what.joint], direct, atol=1e-4)
+
+
+def test_a_joint_at_rest_is_no_quantity() -> None:
+    scenes = related_scenes(0, logs=2, seconds=8.0)
+    for scene in scenes:
+        scene.motion.q[:, 0] = 0.3
+        scene.motion.dq[:, 0] = scene.motion.ddq[:, 0] = 0.0
+    rows = rows_of(scenes)
+    labels = {one.label for one in smooth_functions(rows, 1)}
+    assert "position" in labels
+    assert not [label for label in labels if "joint_1" in label]
+
+
+def test_smoothest_combinations_start_with_constant_and_line() -> None:
+    x = np.random.default_rng(0).normal(size=4000)
+    knots = knots_of(x, np.arange(4000) // 500, 9)
+    assert knots is not None
+    basis = splines(x, knots)
+    columns = basis @ smoothest(basis, greville(knots))
+    np.testing.assert_allclose(columns.T @ columns / 4000, np.eye(11), atol=1e-4)
+    np.testing.assert_allclose(columns[:, 0], columns[0, 0], rtol=1e-6)
+    held = np.clip(x, knots[0], knots[-1])
+    assert abs(np.corrcoef(columns[:, 1], held)[0, 1]) > 0.999
+
+
+def test_knots_end_where_more_than_one_fold_has_been() -> None:
+    fold = np.repeat(np.arange(4), 300)
+    x = np.random.default_rng(1).uniform(-1, 1, 1200)
+    x[fold == 2] *= 5.0
+    knots = knots_of(x, fold, 9)
+    assert knots is not None
+    assert -1.0 <= knots[0] < -0.9
+    assert 0.9 < knots[-1] <= 1.0
+    assert knots_of(np.ones(1200), fold, 9) is None
+    assert knots_of(x[:50], fold[:50], 9) is None

@@ -1,0 +1,193 @@
+"""The base's columns: what they give is the torque of a model with other parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.base import base_of
+from seqid_cli.discover.rows import rows_of
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages
+from seqid_cli.robot.base import free_basis, standard_names
+from tests.unit.discover.arms import arm_scenes, measuring
+from tests.unit.model.effects.scenes import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
+
+Array = NDArray[np.float64]
+
+SHIFT = 0.003  # s
+TOP = 4.0  # rad/s, of the friction stage
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    return arm_scenes(logs=2, seconds=8.0)
+
+
+def heavier(scene: Scene) -> tuple[Array, Array]:
+    """Torque (N, n) of links changed at random, and the change of base parameters (b,)."""
+    basis = free_basis(scene.robot)
+    delta = np.random.default_rng(2).normal(size=len(standard_names(scene.robot.n)))
+    delta[-scene.robot.n :] = 0.0  # rotors are known
+    assert scene.model.phi is not None
+    phi = scene.model.phi + delta[: -scene.robot.n].reshape(scene.model.phi.shape)
+    motion = scene.motion
+    torque = replace(scene.model, phi=phi).rigid(motion.q, motion.dq, motion.ddq)
+    return torque - scene.rigid, basis.expression @ delta
+
+
+def test_columns_give_the_torque_of_other_parameters(scenes: list[Scene]) -> None:
+    rows = rows_of(scenes)
+    base = base_of(rows, Stages())
+    changes = [heavier(scene) for scene in scenes]
+    expected = [s.motion.filtered(c[0]) for s, c in zip(scenes, changes, strict=True)]
+    theta = changes[0][1]
+    for j in range(rows.n):
+        np.testing.assert_allclose(base.rigid[j] @ theta, rows.torque(j, expected)[:, j], atol=1e-9)
+    found = base.deviation(theta, [np.zeros(2), np.zeros(2)])
+    for whole, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(whole, other, atol=1e-5 * np.abs(other).max())
+
+
+def test_more_friction_and_late_torque(scenes: list[Scene]) -> None:
+    rows = rows_of(scenes)
+    base = base_of(rows, Stages())
+    rub = np.array([0.4, 0.3])
+    late = []
+    for scene in scenes:
+        more = 0.4 * scene.sign + 0.3 * scene.motion.dq
+        late.append(scene.motion.filtered(more, times=2))
+        slope = np.gradient(scene.modelled_filtered, 1.0 / scene.motion.rate_hz, axis=0)
+        late[-1] = late[-1] - SHIFT * slope
+    for j in range(rows.n):
+        found = base.friction[j] @ rub - SHIFT * base.timing[j][:, 0]
+        np.testing.assert_allclose(found, rows.torque(j, late)[:, j], atol=0.02)
+
+
+def test_the_residual_is_measured_minus_modelled(scenes: list[Scene]) -> None:
+    exact = [measuring(scene, scene.modelled + 0.5) for scene in scenes]
+    base = base_of(rows_of(exact), Stages())
+    for y in base.y:
+        # Rigid-body torque is low-passed once, measured torque twice.
+        np.testing.assert_allclose(np.median(y), 0.5, atol=0.02)
+
+
+def rigid_stage(names: list[str], covariance: Array) -> RigidStage:
+    parameters = [Parameter(name=n, value=1.0, std_error=0.1, unit="kg m") for n in names]
+    size = len(names)
+    return RigidStage(
+        parameters=parameters, condition=1.0, rank=size, covariance=covariance.tolist()
+    )
+
+
+def test_priors_are_the_files_covariances(scenes: list[Scene]) -> None:
+    names = free_basis(scenes[0].robot).names
+    known = [names[3], names[0]]
+    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
+    stages = Stages(inertia=rigid_stage(known, covariance))
+    base = base_of(rows_of(scenes), stages)
+    P = base.prior_rigid.T @ base.prior_rigid
+    at = [3, 0]
+    np.testing.assert_allclose(P[np.ix_(at, at)], np.linalg.inv(covariance), rtol=1e-9)
+    rest = [k for k in range(len(names)) if k not in at]
+    assert not P[rest].any()
+
+
+def test_a_stage_of_another_basis_is_no_prior(scenes: list[Scene]) -> None:
+    for stage in (rigid_stage(["mx_9"], np.eye(1)), rigid_stage([], np.zeros((0, 0)))):
+        base = base_of(rows_of(scenes), Stages(gravity=stage))
+        assert base.prior_rigid.shape == (0, len(free_basis(scenes[0].robot).names))
+
+
+def friction_joint(*, covariance: Array, parameters: tuple[Parameter, ...] = ()) -> FrictionJoint:
+    half = 0.5 * VISCOUS[0] * TOP
+    return FrictionJoint(
+        position_order=0,
+        velocity_order=1,
+        max_error=0.0,
+        rmse=0.0,
+        position_range=[-3.0, 3.0],
+        speed_range=[0.0, TOP],
+        sign_width=SIGN_WIDTH,
+        directional=False,
+        positive=[[COULOMB[0] + half, half]],
+        negative=[[COULOMB[0] + half, half]],
+        covariance=covariance.tolist(),
+        parameters=list(parameters),
+    )
+
+
+def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scene]) -> None:
+    joint = friction_joint(covariance=np.diag([0.04, 0.25]))
+    stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
+    base = base_of(rows_of(scenes), stages)
+    P = base.prior_friction[0].T @ base.prior_friction[0]
+    np.testing.assert_allclose(P, np.diag([25.0, 4.0, 0.0]), atol=1e-9)
+    # Coulomb and viscous friction in the surface's own terms, and viscous friction beyond them.
+    motion, sign = scenes[0].motion, scenes[0].sign[:, 0]
+    half = 0.5 * VISCOUS[0] * TOP
+    held = np.minimum(np.abs(motion.dq[:, 0]), TOP)
+    beyond = (np.abs(motion.dq[:, 0]) - held) * np.sign(motion.dq[:, 0])
+    law = (COULOMB[0] + VISCOUS[0] * held) * sign + (VISCOUS[0] + 0.7) * beyond
+    own = motion.filtered(law, times=2)
+    found = base.whole[0].friction[0] @ np.array([COULOMB[0] + half, half, 0.7])
+    np.testing.assert_allclose(found, own, atol=1e-9)
+
+
+def test_friction_of_a_simultaneous_fit_has_as_many_terms_as_that(scenes: list[Scene]) -> None:
+    for count in (2, 3):
+        names = ("coulomb", "viscous", "offset")[:count]
+        parameters = tuple(
+            Parameter(name=name, value=1.0, std_error=0.5, unit="N m") for name in names
+        )
+        joint = friction_joint(covariance=np.eye(2), parameters=parameters)
+        stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
+        base = base_of(rows_of(scenes), stages)
+        assert base.friction[1].shape[1] == count
+        np.testing.assert_allclose(base.prior_friction[1], 2.0 * np.eye(count))
+
+
+def test_unknown_rotors_are_free() -> None:
+    known, unknown = (free_basis(two_joint_robot(drives=d)) for d in (True, False))
+    assert len(unknown.names) > len(known.names)
+    assert any(name.startswith("Ia") for name in unknown.names)
+
+
+def test_broad_terms_of_a_surface_are_held_by_their_bounds_alone(scenes: list[Scene]) -> None:
+    """What a free base's friction says is the sum of two covariances."""
+    rng = np.random.default_rng(3)
+    L = rng.normal(size=(14, 14))
+    joint = friction_joint(covariance=1e-4 * L @ L.T)
+    joint.positive = joint.negative = rng.normal(size=(7, 2)).tolist()
+    joint.position_order = 6
+    stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
+    surfaces: list[FrictionSurface | None] = [FrictionSurface.from_stage(joint)] * 2
+    wavy = [replace(s, model=replace(s.model, surfaces=surfaces)) for s in scenes]
+    base = base_of(rows_of(wavy), stages)
+    assert base.broad[0].tolist() == [0, 1, 2, 4, 6, 8, 10]
+    held = base.friction_hold(0, 0.5, free=False)
+    free = base.friction_hold(0, 0.5, free=True)
+    expected = np.linalg.inv(held.T @ held)
+    bound = base.bounds[1][0][base.broad[0]]
+    expected[base.broad[0], base.broad[0]] += 1.0 / bound**2
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(np.linalg.inv(free.T @ free) / size, expected / size, atol=1e-5)
+
+
+def test_friction_of_few_terms_has_no_broad_ones(scenes: list[Scene]) -> None:
+    parameters = tuple(
+        Parameter(name=name, value=1.0, std_error=0.5, unit="N m")
+        for name in ("coulomb", "viscous")
+    )
+    joint = friction_joint(covariance=np.eye(2), parameters=parameters)
+    both = {"joint_1": joint, "joint_2": joint}
+    for stages in (Stages(), Stages(friction=FrictionStage(joints=both))):
+        base = base_of(rows_of(scenes), stages)
+        assert [len(terms) for terms in base.broad] == [0, 0]
+        for free in (True, False):
+            held = base.friction_hold(0, 2.0, free=free)
+            assert held.shape[1] == base.friction[0].shape[1]

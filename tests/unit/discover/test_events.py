@@ -1,0 +1,167 @@
+"""Events: pushes are found where they were, and what recurs is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.event_windows import residual_series
+from seqid_cli.discover.events import (
+    Interval,
+    combined,
+    event_masks,
+    find_events,
+    gaussian,
+)
+from seqid_cli.discover.rows import Rows, rows_of
+from seqid_cli.model.effects.scene import Scene
+from tests.unit.discover.residuals import NOISE, coloured, related_scenes
+
+Array = NDArray[np.float64]
+Extra = Callable[[int, Scene], Array]  # in units of the noise's RMS
+
+
+def scaled_residual(rows: Rows, seed: int, extra: Extra | None = None) -> list[Array]:
+    rng = np.random.default_rng(seed)
+    values = []
+    for number, scene in enumerate(rows.scenes):
+        x = coloured(scene, rng) / np.array(NOISE)
+        if extra is not None:
+            x = x + scene.motion.filtered(extra(number, scene), times=2)
+        values.append(x)
+    return [rows.of(j, [x[:, j] for x in values]) for j in range(rows.n)]
+
+
+def push(scene_number: int, start: float, length: float, height: float, joints: list[int]) -> Extra:
+    def extra(number: int, scene: Scene) -> Array:
+        x = np.zeros((scene.samples, scene.robot.n))
+        t = scene.motion.t
+        inside = (t > start) & (t < start + length) & (number == scene_number)
+        for j in joints:
+            x[inside, j] = height * np.sin(np.pi * (t[inside] - start) / length) ** 0.5
+        return x
+
+    return extra
+
+
+def at_second(law: Callable[[Scene], Array]) -> Extra:
+    def extra(number: int, scene: Scene) -> Array:
+        x = np.zeros((scene.samples, scene.robot.n))
+        x[:, 1] = law(scene)
+        return x
+
+    return extra
+
+
+@pytest.fixture(scope="module")
+def many_rows() -> list[Rows]:
+    return [rows_of(related_scenes(seed, logs=3, seconds=16.0)) for seed in range(4)]
+
+
+def test_clean_noise_has_no_event_in_200_runs(many_rows: list[Rows]) -> None:
+    found = [
+        find_events(many_rows[k % 4], scaled_residual(many_rows[k % 4], k)) for k in range(200)
+    ]
+    assert not any(found)
+
+
+@pytest.mark.parametrize(
+    ("length", "height", "joints"),
+    [(0.2, 5.0, [0, 1]), (0.4, 4.0, [0, 1]), (0.6, 3.0, [0, 1]), (0.4, 5.0, [1]), (0.6, 4.0, [0])],
+)
+def test_a_push_is_found_where_it_was(
+    many_rows: list[Rows], length: float, height: float, joints: list[int]
+) -> None:
+    rng = np.random.default_rng(7)
+    hits, overlaps, wrong, right_joints = 0, [], 0, 0
+    for k in range(8):
+        rows = many_rows[k % 4]
+        start, number = float(rng.uniform(2.0, 13.0)), int(rng.integers(3))
+        extra = push(number, start, length, height, joints)
+        for event in find_events(rows, scaled_residual(rows, 500 + k, extra)):
+            end = start + length
+            common = min(event.end, end) - max(event.start, start)
+            if event.scene != number or common <= 0:
+                wrong += 1
+                continue
+            hits += 1
+            overlaps.append(common / (max(event.end, end) - min(event.start, start)))
+            right_joints += set(event.joints) <= set(joints)
+    assert hits >= 5
+    assert hits == right_joints
+    assert wrong == 0
+    assert np.median(overlaps) > 0.6
+
+
+def stribeck(scene: Scene) -> Array:
+    hump: Array = 6.0 * np.exp(-np.abs(scene.motion.dq[:, 1]) / 0.1) * scene.sign[:, 1]
+    return hump
+
+
+def ripple(scene: Scene) -> Array:
+    wave: Array = 6.0 * np.sin(2 * scene.gear[1] * scene.motion.q[:, 1])
+    return wave
+
+
+def impacts(scene: Scene) -> Array:
+    load = np.sign(scene.load[:, 1])
+    x = np.zeros(scene.samples)
+    for at in np.flatnonzero(np.diff(load)):
+        x[at : at + 12] += 12.0 * load[at + 1]
+    return x
+
+
+def narrow(scene: Scene) -> Array:
+    hump: Array = 6.0 * np.exp(-(((scene.motion.q[:, 1] - 0.3) / 0.1) ** 2))
+    return hump
+
+
+@pytest.mark.parametrize("law", [stribeck, ripple, impacts, narrow])
+def test_what_recurs_is_no_event(many_rows: list[Rows], law: Callable[[Scene], Array]) -> None:
+    for seed, rows in enumerate(many_rows):
+        assert find_events(rows, scaled_residual(rows, seed, at_second(law))) == []
+
+
+def test_pushes_all_the_time_are_not_events(many_rows: list[Rows]) -> None:
+    rows = many_rows[0]
+
+    def extra(number: int, scene: Scene) -> Array:
+        every = [push(1, float(s), 0.4, 8.0, [0, 1])(number, scene) for s in range(1, 15)]
+        return np.sum(every, axis=0)
+
+    assert find_events(rows, scaled_residual(rows, 3, extra)) == []
+
+
+def test_masks_take_events_out_of_the_rows(many_rows: list[Rows]) -> None:
+    rows = many_rows[0]
+    masks = event_masks(rows, [Interval(1, 4.0, 5.0, (0,), 9.0)])
+    assert not masks[0].any()
+    t = rows.scenes[1].motion.t
+    margin = 0.5 / rows.scenes[1].motion.lowpass.cutoff_hz
+    np.testing.assert_array_equal(masks[1], (t >= 4.0 - margin) & (t <= 5.0 + margin))
+    fewer = rows.without(masks)
+    kept = t[fewer.picked[1]][fewer.used[1][:, 0]]
+    assert not np.any((kept > 4.0) & (kept < 5.0))
+    assert fewer.count(0) < rows.count(0)
+
+
+def test_series_put_rows_back_in_their_place(many_rows: list[Rows]) -> None:
+    rows = many_rows[0]
+    values = [np.arange(rows.count(j), dtype=float) for j in range(rows.n)]
+    series = residual_series(rows, values)
+    for j in range(rows.n):
+        again = np.concatenate([s[:, j] for s in series])
+        np.testing.assert_array_equal(again[np.isfinite(again)], values[j])
+
+
+def test_two_joints_together_count_for_more_than_each() -> None:
+    z = np.array([[4.0, 4.0], [4.0, 0.0]])
+    together, alone = combined(z)
+    assert together > 4.8 > alone == 4.0
+    rng = np.random.default_rng(0)
+    deviates = gaussian(np.sum(rng.normal(size=(20000, 3)) ** 2, axis=1), 3)
+    assert abs(deviates.mean()) < 0.03
+    assert abs(deviates.std() - 1.0) < 0.03

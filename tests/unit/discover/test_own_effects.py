@@ -1,0 +1,63 @@
+"""A plant with an effect outside the catalogue: unexplained, and named once it is a formula."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.discover.diagnosis import diagnose
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.robot.formula import parse_formula
+from seqid_cli.robot.types import OwnEffect
+from tests.plants.injections_friction import clear
+from tests.studies.undeclared_cases import declared, outside
+from tests.studies.undeclared_logs import Logs, logs_of, stages_of
+
+CASE = next(
+    case
+    for case in outside()
+    if (case.rig, case.effects[0][0], case.seed) == ("two", "outside.acceleration_cube", 0)
+)
+ELBOW = 1
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Logs, Path]:
+    cache = tmp_path_factory.mktemp("own")
+    return logs_of(CASE, cache), cache
+
+
+def diagnosed(logs: tuple[Logs, Path], *own: OwnEffect) -> DiagnosisFile:
+    recorded, cache = logs
+    robot = replace(recorded.robot, effects=own)
+    stages = stages_of(CASE, cache)
+    return diagnose(list(recorded.training), robot, stages, options=DiscoverOptions())
+
+
+def test_without_it_the_part_is_unexplained(logs: tuple[Logs, Path]) -> None:
+    found = diagnosed(logs)
+    assert not found.findings
+    assert [(part.joint, part.depends_on) for part in found.unexplained] == [
+        ("elbow", ["acceleration"])
+    ]
+
+
+def test_with_it_the_effect_is_named_at_its_joint_with_its_size(logs: tuple[Logs, Path]) -> None:
+    plant = declared(CASE)
+    top = 0.7 * float(plant.acceleration_limits[ELBOW])
+    text = f"c1 * max(min(ddq / {top}, 1), -1) ** 3"
+    found = diagnosed(logs, OwnEffect("demagnetising", None, parse_formula(text, 2)))
+    (finding,) = found.findings
+    assert (finding.effect, finding.joint) == ("demagnetising", "elbow")
+    assert finding.confidence > 0.8
+    (c1,) = finding.parameters
+    assert c1.value == pytest.approx(clear(plant, ELBOW, CASE.effects[0][2]), rel=0.1)
+    assert not found.unexplained
+
+
+def test_at_another_joint_it_is_not_looked_for(logs: tuple[Logs, Path]) -> None:
+    found = diagnosed(logs, OwnEffect("demagnetising", 0, parse_formula("c1 * ddq ** 3", 2)))
+    assert not any(finding.effect == "demagnetising" for finding in found.findings)

@@ -1,0 +1,138 @@
+"""What is named on recorded robots, beside what others found there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.diagnosis import diagnose
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.errors import InputError
+from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.checks.echo import WARNING
+from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.storage.files import expand
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.file import load_robot
+from tests import ROOT
+
+DATA = ROOT / ".." / "shared" / "data"
+SAMPLES = ROOT / "sample_logs"
+PENDULUM, TX40, UR10E = "dfki_simple_pendulum", "staubli_tx40", "ur10e_innopolis"
+ECHOES = {"gravity_compensation.parquet", "pd_1nm_torque_limited_swingup_failure.parquet"}
+
+
+def folder_of(name: str) -> Path:
+    folder = DATA / name
+    if not folder.is_dir():
+        pytest.skip(f"the recorded data of {name} are not beside the project")
+    return folder
+
+
+def diagnosed(
+    name: str,
+    logs: Sequence[str],
+    *,
+    most: int,
+    fitted: Sequence[str] = (),
+    cutoff_hz: float | None = None,
+) -> DiagnosisFile:
+    """Diagnose logs with the classical model that they, or `fitted`, give."""
+    folder = folder_of(name)
+    robot = load_robot(folder / "robot.toml")
+    motion = MotionOptions(cutoff_hz=cutoff_hz)
+    given = list(read_recordings([folder / log for log in logs], robot))
+    train = list(read_recordings([folder / log for log in fitted], robot)) or given
+    friction, inertia = identify_simultaneous(train, robot, options=motion, offset=True)
+    options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
+    return diagnose(given, robot, Stages(friction=friction, inertia=inertia), options=options)
+
+
+def named(found: DiagnosisFile, effect: str, joint: str) -> FindingEntry:
+    """The only finding of this effect at this joint."""
+    (finding,) = [f for f in found.findings if (f.effect, f.joint) == (effect, joint)]
+    return finding
+
+
+def value(finding: FindingEntry, name: str) -> float:
+    return next(p.value for p in finding.parameters if p.name == name)
+
+
+def test_coupled_wrist_and_load_friction_of_the_tx40() -> None:
+    found = diagnosed(TX40, ["train.parquet"], most=2)
+    (coupling,) = [f for f in found.findings if f.effect == "transmission_coupling"]
+    assert (coupling.joint, coupling.settings["neighbour"]) in {("joint_5", 1.0), ("joint_6", -1.0)}
+    assert coupling.settings["ratio"] == pytest.approx(1.0, abs=0.02)
+    # published: 1.95 N m, 0.616 N m s/rad, 0.00964 kg m^2
+    assert value(coupling, "coulomb") == pytest.approx(1.95, rel=0.2)
+    assert value(coupling, "viscous") == pytest.approx(0.616, rel=0.1)
+    assert value(coupling, "inertia") == pytest.approx(0.00964, rel=0.25)
+    assert coupling.gain > 0.5
+    assert named(found, "load_dependent_friction", "joint_3").gain > 0.3
+
+
+def test_load_friction_of_the_ur10e() -> None:
+    train = ["20_02_12-40sec_12harm", "20_02_10-30sec_12harm"]
+    found = diagnosed(UR10E, [f"identification__ur-{x}.parquet" for x in train], most=4)
+    lift = [f for f in found.findings if f.joint == "shoulder_lift_joint"]
+    elbow = [f for f in found.findings if f.joint == "elbow_joint"]
+    for findings, coefficient in ((lift, 0.063), (elbow, 0.066)):
+        (loss,) = [
+            f for f in findings if f.effect in ("load_dependent_friction", "gear_efficiency")
+        ]
+        sizes = [p.value for p in loss.parameters if p.name.endswith("loss") or "load" in p.name]
+        assert np.mean(sizes) == pytest.approx(coefficient, rel=0.2)
+    assert any(f.effect == "nonlinear_viscous" for f in found.findings)
+    # the load of the last joint is too small for a coefficient that means anything
+    assert not [
+        f
+        for f in found.findings
+        if f.joint == "wrist_3_joint" and f.effect in ("load_dependent_friction", "gear_efficiency")
+    ]
+
+
+def test_ripple_of_a_harmonic_drive() -> None:
+    log = "jointwise__ur-20_01_22-joint_4.parquet"
+    found = diagnosed(UR10E, [log], most=4, cutoff_hz=5.0)
+    orders = [f.settings["order"] for f in found.findings if f.effect == "torque_ripple"]
+    # two waves per motor turn; over half a turn of the joint those of its teeth, 200 for 202 per
+    # joint turn, are the same line
+    assert any(abs(order - 2.0) < 0.025 for order in orders)
+    assert not any(abs(order - 177.0 / 101.0) < 0.03 for order in orders)
+
+
+def test_echoes_of_the_pendulum_and_no_others() -> None:
+    folder = folder_of(PENDULUM)
+    robot = load_robot(folder / "robot.toml")
+    recordings = list(read_recordings(expand([str(folder)]), robot))
+    assert len(recordings) == 10
+    told = {r.path.name for r in recordings if any(WARNING in w for w in r.health.warnings)}
+    assert told == ECHOES
+
+
+def test_diagnosis_of_an_echo_is_refused() -> None:
+    with pytest.raises(InputError, match="echo of the command") as caught:
+        diagnosed(PENDULUM, ["gravity_compensation.parquet"], most=4, fitted=["sac.parquet"])
+    assert caught.value.where.endswith("gravity_compensation.parquet")
+    assert "motor current" in caught.value.hint
+
+
+@pytest.mark.parametrize("name", [TX40, "laas_cogging", UR10E])
+def test_torque_of_other_robots_is_no_echo(name: str) -> None:
+    folder = folder_of(name)
+    robot = load_robot(folder / "robot.toml")
+    for recording in read_recordings(expand([str(folder)]), robot):
+        assert not [w for w in recording.health.warnings if WARNING in w], recording.path.name
+
+
+@pytest.mark.parametrize("name", ["one_joint", "two_joint", "six_joint"])
+def test_torque_of_the_sample_logs_is_no_echo(name: str) -> None:
+    robot = load_robot(SAMPLES / name / "robot.toml")
+    for recording in read_recordings(expand([str(SAMPLES / name)]), robot):
+        assert not [w for w in recording.health.warnings if WARNING in w], recording.path.name

@@ -1,0 +1,258 @@
+"""Refinement of the one-joint sample arm: when an effect came, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.confirm import confirm
+from seqid_cli.discover.events import Interval
+from seqid_cli.discover.floor import NoiseFloor
+from seqid_cli.discover.heldout import Gain, HeldOutError, gain, gain_of
+from seqid_cli.discover.left_out import FOLDS, Folds
+from seqid_cli.discover.loop import Loop
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refinement import ALL_ALONG, LATE, quiet, refine
+from seqid_cli.discover.reidentify import Material, Refitted, refitted
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import identify_gravity
+from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests import ROOT
+
+SAMPLES = ROOT / "sample_logs" / "one_joint"
+STIFFNESS, REST = 0.0046265, 0.26  # N m/rad and rad, as truth.json has them
+Earlier = dict[str, list[Recording]]
+
+
+@cache
+def robot() -> Robot:
+    return load_robot(SAMPLES / "robot.toml")
+
+
+@cache
+def log(name: str) -> Recording:
+    return next(iter(read_recordings([SAMPLES / name], robot())))
+
+
+def sprung(recording: Recording) -> Recording:
+    """The log with a spring at the joint."""
+    assert recording.tau is not None
+    return replace(recording, tau=recording.tau + STIFFNESS * (recording.q - REST))
+
+
+def identified(earlier: Earlier) -> ParameterFile:
+    """The stages of an arm as its first logs show it."""
+    friction = identify_friction(earlier["friction"], robot(), options=FrictionOptions())
+    stages = Stages(friction=friction)
+    stages.gravity = identify_gravity(earlier["gravity"], robot(), stages, options=MotionOptions())
+    inertia = identify_inertia(earlier["inertia"], robot(), stages, options=InertiaOptions())
+    return with_stage(
+        None, robot_id(robot()), [], friction=friction, gravity=stages.gravity, inertia=inertia
+    )
+
+
+def first_logs() -> Earlier:
+    trial = log("friction/joint_1.parquet")
+    return {
+        "friction": [trial],
+        "gravity": [log("gravity/joint_1.parquet"), trial],
+        "inertia": [log("inertia/joint_1.parquet")],
+    }
+
+
+def changed(*names: str) -> list[Recording]:
+    return [log(f"changed/{name}.parquet") for name in names]
+
+
+@pytest.fixture(scope="module")
+def before() -> ParameterFile:
+    return identified(first_logs())
+
+
+def test_what_came_late_leaves_the_file_as_it_is(
+    before: ParameterFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    training, held_out = changed("fourier", "trapezoids"), changed("held_out")
+    found = refine(training, robot(), before, earlier=first_logs(), options=DiscoverOptions())
+    stages, loop = found.stages, confirm(found, held_out)
+    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, LATE)]
+    assert stages.gravity == before.stages.gravity
+    assert stages.inertia == before.stages.inertia
+    assert stages.friction == before.stages.friction
+    assert stages.effects is not None
+    value = {p.name: p.value for p in stages.effects[0].parameters}
+    assert value["stiffness"] == pytest.approx(STIFFNESS, rel=0.1)
+    assert loop.gain_interval["joint_1"][0] > 0.5
+    low, high = loop.noise_floor_interval["joint_1"]
+    assert low < loop.noise_floor["joint_1"] < high
+    assert low < loop.after["joint_1"].rmse
+    assert [r.confirmed for r in loop.rounds] == [True]
+    assert loop.verdict == "good"
+    assert not any("doubtful" in note for note in loop.notes)
+    left = np.array([loop.after["joint_1"].rmse])
+    above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left, ("spectrum",))
+    monkeypatch.setattr("seqid_cli.discover.confirm.noise_floor", lambda *_: above)
+    doubtful = confirm(found, held_out)
+    assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
+    assert any("doubtful" in note for note in doubtful.notes)
+
+
+def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
+    logs = {stage: [sprung(x) for x in logs] for stage, logs in first_logs().items()}
+    file = identified(logs)
+    training, held_out = changed("fourier", "trapezoids"), changed("held_out")
+    found = refine(training, robot(), file, earlier=logs, options=DiscoverOptions())
+    stages, loop = found.stages, confirm(found, held_out)
+    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, ALL_ALONG)]
+    assert stages.gravity != file.stages.gravity
+    assert stages.inertia != file.stages.inertia
+    assert loop.verdict == "good"
+    assert loop.gain_interval["joint_1"][0] > 0.0
+
+
+def test_logs_of_both_are_counted_once_and_with_all_effects(before: ParameterFile) -> None:
+    earlier = first_logs()
+    material = Material(tuple(earlier["inertia"]), earlier, robot(), DiscoverOptions())
+    model = Refitted(before.stages, ())
+    assert material.known
+    assert material.before("inertia", model) == []
+    assert len(material.before_or_now("inertia", model)) == 1
+    elsewhere = replace(material, training=tuple(changed("fourier")))
+    assert not elsewhere.known
+    assert len(elsewhere.before("gravity", model)) == 2
+
+
+def test_without_an_effect_the_model_stays(before: ParameterFile) -> None:
+    material = Material(tuple(changed("fourier")), first_logs(), robot(), DiscoverOptions())
+    found = refitted(material, Refitted(before.stages, ()), [], late=frozenset(), kept=True)
+    assert found == Refitted(before.stages, ())
+
+
+def test_events_are_not_fitted() -> None:
+    logs = changed("fourier", "trapezoids")
+    push = Interval(scene=1, start=2.0, end=3.0, joints=(0,), score=1.0)
+    first, second = quiet(logs, [push])
+    np.testing.assert_array_equal(first.valid, logs[0].valid)
+    t = second.t - second.t[0]
+    assert not second.valid[(t >= 2.0) & (t <= 3.0)].any()
+    outside = (t < 2.0) | (t > 3.0)
+    np.testing.assert_array_equal(second.valid[outside], logs[1].valid[outside])
+
+
+def blocks(squares: Sequence[Sequence[float]]) -> HeldOutError:
+    values, zero = np.array(squares, dtype=float), np.zeros(np.shape(squares))
+    return HeldOutError(values, np.ones_like(values), zero, zero)
+
+
+def test_what_extrapolation_misses_hides_no_gain() -> None:
+    """Half of the samples lie beyond the identified friction, with ten times the error there."""
+    rng, samples = np.random.default_rng(0), np.full((16, 1), 200.0)
+    beyond = 10.0 * rng.uniform(0.2, 1.8, (16, 1))
+    old = HeldOutError(0.2 + beyond, samples, beyond, 0.5 * samples)
+    moved = beyond * rng.uniform(0.9, 1.1, (16, 1))
+    new = HeldOutError(0.1 + moved, samples, moved, 0.5 * samples)
+    assert not gain_of(old.squares[:, 0], new.squares[:, 0]).certain
+    found = gain(old, new, [0])
+    assert found.certain
+    assert found.value == pytest.approx(0.25, abs=0.05)
+
+
+def test_a_certain_loss_at_one_joint_is_seen() -> None:
+    old, new = blocks([[1.0, 1.0]] * 12), blocks([[0.1, 1.2]] * 12)
+    assert gain(old, new, [0, 1]).certain
+    assert gain(old, new, [1]).loses
+    assert not gain(old, new, [0]).loses
+    assert not Gain(-0.3, -0.8, 0.1).loses
+    assert not Gain(-0.001, -0.002, -0.0005).loses
+
+
+def test_blocks_of_two_sets_of_logs_stand_beside_each_other() -> None:
+    both = blocks([[1.0, 2.0]]).beside(blocks([[3.0, 6.0], [5.0, 1.0]]))
+    np.testing.assert_allclose(both.rmse(), [np.sqrt(3.0), np.sqrt(3.0)])
+    assert both.samples.sum() == 6
+
+
+def test_errors_within_and_beyond_identified_friction_add_up() -> None:
+    squares, samples = np.array([[6.0]]), np.array([[4.0]])
+    error = HeldOutError(squares, samples, np.array([[4.0]]), np.array([[1.0]]))
+    assert error.rmse_inside()[0] == pytest.approx(np.sqrt(2.0 / 3.0))
+    assert error.rmse_outside()[0] == pytest.approx(2.0)
+    assert error.share_outside()[0] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("memory", [1, 4])
+def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
+    """Of errors that are independent from block to block, and of such that last for four blocks."""
+    rng = np.random.default_rng(7)
+    covered, draws, count = 0, 2000, 96
+    for _ in range(draws):
+        common = np.repeat(rng.gamma(2.0, 1.0, count // memory), memory)
+        old = common * rng.gamma(8.0, 1.0, count)
+        ratio = np.repeat(rng.normal(0.8, 0.2, count // memory), memory)
+        found = gain_of(old, np.maximum(old * ratio, 0.0))
+        covered += found.low <= 0.2 <= found.high
+    assert 0.93 <= covered / draws <= 0.995
+
+
+def test_of_a_single_block_nothing_is_known() -> None:
+    found = gain_of(np.array([1.0]), np.array([0.1]))
+    assert not found.known
+    assert not found.certain
+
+
+def test_every_sample_is_left_out_once() -> None:
+    logs = changed("fourier", "trapezoids")
+    folds = Folds.of(logs)
+    assert folds.count == FOLDS
+    missing = [folds.without(logs, fold) for fold in range(folds.count)]
+    for number, log in enumerate(logs):
+        left = np.array([~fold[number].valid & log.valid for fold in missing])
+        np.testing.assert_array_equal(left.sum(axis=0), log.valid.astype(int))
+        for own in left:  # in one stretch of time
+            assert np.count_nonzero(np.diff(own.astype(int)) == 1) + own[0] == 1
+
+
+def test_models_of_folds_have_not_seen_what_they_predict(before: ParameterFile) -> None:
+    """Torque that is put into one stretch alone changes the model of the other folds only."""
+    logs = changed("fourier", "trapezoids")
+    material = Material(tuple(logs), {}, robot(), DiscoverOptions())
+    folds = Folds.of(logs)
+    own = folds.of_samples(0, logs[0].t - logs[0].t[0], float(logs[0].t[-1] - logs[0].t[0]))
+    assert logs[0].tau is not None
+    bent = logs[0].tau + np.where(own == 1, 0.1 * logs[0].q[:, 0], 0.0)[:, None]
+    other = replace(material, training=(replace(logs[0], tau=bent), logs[1]))
+    start = Refitted(before.stages, ())
+    both = [Loop.begin(m, start).account([], frozenset(), kept=False) for m in (material, other)]
+    values = [
+        [
+            [p.value for p in model.stages.inertia.parameters] if model.stages.inertia else []
+            for model in account.models
+        ]
+        for account in both
+    ]
+    assert values[0][1] == values[1][1]
+    assert values[0][0] != values[1][0]
+
+
+def test_logs_too_short_to_leave_blocks_out_decide_nothing(before: ParameterFile) -> None:
+    log = changed("fourier")[0]
+    short = log.t < log.t[0] + 5.0
+    assert log.tau is not None
+    cut = replace(log, t=log.t[short], q=log.q[short], tau=log.tau[short], valid=log.valid[short])
+    found = refine([cut], robot(), before, earlier={}, options=DiscoverOptions())
+    assert found.rounds == ()
+    assert any("too short to leave blocks of them out" in note for note in found.notes)
+    loop = confirm(found, changed("held_out"))
+    assert loop.after == loop.before

@@ -1,0 +1,179 @@
+"""Rows: which samples count, how they are filtered, and how they are split."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.rows import (
+    BLOCK_S,
+    FOLDS,
+    FOLDS_OF_ONE,
+    TOGETHER,
+    Rows,
+    extrapolated,
+    rows_of,
+)
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.friction import SLIDES
+from seqid_cli.model.torque import sliding
+from tests.unit.discover.arms import arm_scenes
+from tests.unit.model.effects.scenes import RATE_HZ, friction_surface, scene_of, wander
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    return arm_scenes(logs=3)
+
+
+@pytest.fixture(scope="module")
+def rows(scenes: list[Scene]) -> Rows:
+    return rows_of(scenes)
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_rows_are_filtered_as_the_motion_is(scenes: list[Scene], rows: Rows, passes: int) -> None:
+    rng = np.random.default_rng(4)
+    for number, scene in enumerate(scenes):
+        steps = np.sign(rng.normal(size=(scene.samples, TOGETHER + 3)))
+        expected = scene.motion.filtered(steps, times=passes)[rows.picked[number]]
+        found = rows.filtered(number, steps, passes)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_columns_are_filtered_and_stacked_joint_by_joint(scenes: list[Scene], rows: Rows) -> None:
+    per_scene = [{1: scene.motion.q[:, :1]} for scene in scenes]
+    (joint,) = found = rows.columns(per_scene, passes=2)
+    filtered = [scene.motion.filtered(scene.motion.q[:, :1], times=2) for scene in scenes]
+    assert joint == 1
+    np.testing.assert_allclose(found[1], rows.torque(1, filtered), atol=1e-5)
+    assert len(found[1]) == rows.count(1) == len(rows.blocks_of(1))
+
+
+def test_only_samples_at_which_a_joint_slides_count(scenes: list[Scene], rows: Rows) -> None:
+    for scene, at, used in zip(scenes, rows.picked, rows.used, strict=True):
+        np.testing.assert_array_equal(used, sliding(scene.motion, SLIDES * scene.sign_width)[at])
+        assert 0.5 < used.mean() < 1.0
+        assert not np.any(used[~scene.motion.usable[at]])
+
+
+def test_folds_are_contiguous_and_cover_every_log(rows: Rows) -> None:
+    first = 0
+    for block in rows.block:
+        np.testing.assert_array_equal(np.unique(block), np.arange(first, block[-1] + 1))
+        first = block[-1] + 1
+        assert len(np.unique(rows.fold[block])) >= 2
+    assert first == len(rows.fold)
+    assert set(np.diff(rows.fold)) <= {0, 1}
+    assert abs(rows.fold[-1] + 1 - FOLDS) <= len(rows.block)
+    # No fold reaches over the end of a log.
+    ends = [rows.fold[block[[0, -1]]] for block in rows.block]
+    assert all(after[0] == before[1] + 1 for before, after in pairwise(ends))
+
+
+def test_blocks_are_of_equal_length(scenes: list[Scene], rows: Rows) -> None:
+    for scene, at, block in zip(scenes, rows.picked, rows.block, strict=True):
+        lengths = np.bincount(block - block[0]) * (at[1] - at[0]) / scene.motion.rate_hz
+        np.testing.assert_allclose(lengths, BLOCK_S, atol=0.1)
+
+
+def test_a_short_log_is_one_fold() -> None:
+    (scene,) = arm_scenes(logs=1, seconds=2.5)
+    rows = rows_of([scene])
+    assert set(rows.fold) == {0}
+    both = rows_of([scene, *arm_scenes(logs=2, seconds=12.0)])
+    assert np.sum(both.fold == 0) == 1
+
+
+def test_very_long_logs_are_thinned_by_whole_blocks(
+    scenes: list[Scene], rows: Rows, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("seqid_cli.discover.rows.MOST_ROWS", 1200)
+    few = rows_of(scenes)
+    for whole, thin, own in zip(rows.block, few.block, few.picked, strict=True):
+        assert set(thin) < set(whole)
+        for block in np.unique(thin):
+            assert np.sum(thin == block) == np.sum(whole == block)
+        assert len(own) == len(thin)
+    assert sum(map(len, few.picked)) < 0.6 * sum(map(len, rows.picked))
+
+
+def test_without_events(scenes: list[Scene], rows: Rows) -> None:
+    events = [np.zeros(scene.samples, dtype=bool) for scene in scenes]
+    events[1][1000:1400] = True
+    quiet = rows.without(events)
+    for number, (before, after) in enumerate(zip(rows.used, quiet.used, strict=True)):
+        taken = events[number][rows.picked[number]]
+        assert not after[taken].any()
+        np.testing.assert_array_equal(after[~taken], before[~taken])
+    assert quiet.count(0) < rows.count(0)
+    np.testing.assert_array_equal(quiet.fold, rows.fold)
+
+
+def test_without_samples_of_one_joint(scenes: list[Scene], rows: Rows) -> None:
+    masks = [np.zeros_like(scene.slides) for scene in scenes]
+    masks[0][:500, 1] = True
+    sure = rows.without(masks)
+    assert sure.count(0) == rows.count(0)
+    assert sure.count(1) == rows.count(1) - rows.used[0][rows.picked[0] < 500, 1].sum()
+    assert sure.count(1) < rows.count(1)
+
+
+def test_a_joint_that_moves_in_one_log_only_has_folds_enough_in_it() -> None:
+    rows = rows_of([scene_of(wander(20.0, seed=k, still=(1 - k,)), log=k) for k in (0, 1)])
+    four = rows_of(
+        [scene_of(wander(20.0, seed=k, still=(1,) if k < 3 else ()), log=k) for k in range(4)]
+    )
+    assert np.max(rows.fold) + 1 == 2 * FOLDS_OF_ONE
+    for joint in (0, 1):
+        assert len(np.unique(rows.folds_of(joint))) == FOLDS_OF_ONE
+    assert len(np.unique(four.folds_of(1))) == FOLDS_OF_ONE
+    assert len(np.unique(four.folds_of(0))) < 4 * FOLDS_OF_ONE
+
+
+def test_a_single_move_of_a_joint_does_not_count() -> None:
+    q = wander(30.0, seed=2)
+    settled = int(1.5 * RATE_HZ)
+    q[settled:, 1] = q[settled, 1]
+    alone = rows_of([scene_of(q)])
+    both = rows_of([scene_of(wander(30.0, seed=1)), scene_of(q, log=1)])
+    only = rows_of([scene_of(np.column_stack([q[:, 1], q[:, 1]]))])
+    assert not alone.used[0][:, 1].any()
+    assert alone.used[0][:, 0].any()
+    assert only.used[0][:, 1].any()  # there is nothing else to look at
+    assert not both.used[1][:, 1].any()
+    assert both.used[1][:, 0].any()
+    assert both.used[0][:, 1].any()
+
+
+def test_speeds_beyond_a_friction_curve_do_not_count() -> None:
+    """Coulomb and viscous friction go on beyond; a curve of higher order is only held there."""
+    scene = scene_of(wander(12.0))
+    top = float(np.abs(scene.motion.dq[:, 0]).max())
+    fast = np.abs(scene.motion.dq[:, 0]) > 0.6 * top
+    for orders, counted in ((2, False), (1, True)):
+        curve = friction_surface(2.0, 0.5, top=0.55 * top, order=orders, variance=1e-6)
+        model = replace(scene.model, surfaces=(curve, scene.model.surfaces[1]))
+        (beyond,) = extrapolated([replace(scene, model=model)])
+        assert beyond[fast, 0].any() != counted
+        assert beyond[fast, 0].all() != counted
+        assert not beyond[:, 1].any()
+
+
+def test_a_log_that_stays_beyond_a_friction_curve_does_not_count_beside_others() -> None:
+    """Where one log alone is there, the curve is all there is."""
+    usual = scene_of(wander(12.0))
+    v = usual.motion.dq[:, 0]
+    top = 1.1 * float(np.abs(v).max())
+    curve = friction_surface(2.0, 0.5, top=top, order=2, variance=1e-6)
+    model = replace(usual.model, surfaces=(curve, usual.model.surfaces[1]))
+    usual = replace(usual, model=model)
+    fast = replace(usual, motion=replace(usual.motion, dq=9.0 * usual.motion.dq))
+    beside = extrapolated([usual, usual, fast])
+    assert beside[2][:, 0].mean() > 0.6
+    assert not beside[2][:, 1].any()
+    assert not beside[0].any()
+    assert not extrapolated([fast])[0].any()

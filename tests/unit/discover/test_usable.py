@@ -1,0 +1,67 @@
+"""Logs that say nothing are left out with a note; where nothing else is there, an error says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.usable import usable_logs
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Recording, Whole
+from tests.unit.discover.drawn_logs import recording, wander
+from tests.unit.model.effects.scenes import two_joint_robot
+
+Array = NDArray[np.float64]
+
+ROBOT = two_joint_robot()
+
+
+def log(name: str, seed: int, *, coulomb: float) -> Recording:
+    """A stiff controller's torque about a set point, with or without friction."""
+    q = wander(20.0, seed)
+    noise = np.random.default_rng(seed).normal(scale=0.02, size=q.shape)
+    direction = np.tanh(np.gradient(q, axis=0) / 1e-4)
+    return recording(q, 5.0 * (0.2 - q) + coulomb * direction + noise, name=name)
+
+
+def test_good_logs_are_all_kept() -> None:
+    logs = [log("a", 0, coulomb=0.8), log("b", 1, coulomb=0.8)]
+    assert usable_logs(logs, ROBOT) == (logs, ())
+
+
+def test_echo_is_left_out_with_a_note() -> None:
+    good, echo = log("good", 0, coulomb=0.8), log("hand.parquet", 1, coulomb=0.0)
+    kept, notes = usable_logs(iter([good, echo]), ROBOT)
+    assert kept == [good]
+    (note,) = notes
+    for fragment in ("hand.parquet", *ROBOT.joint_names, "echo of the command", "motor current"):
+        assert fragment in note
+
+
+def test_nothing_left_is_an_error() -> None:
+    logs = [log("first", 0, coulomb=0.0), log("second", 1, coulomb=0.0)]
+    with pytest.raises(InputError, match="echo of the command") as caught:
+        usable_logs(logs, ROBOT)
+    assert caught.value.where == "first"
+    assert "and 1 more" in str(caught.value)
+    assert "motor current" in (caught.value.hint or "")
+
+
+def test_logs_without_torque_are_not_judged() -> None:
+    bare = replace(log("bare", 0, coulomb=0.0), tau=None)
+    assert usable_logs([bare], ROBOT) == ([bare], ())
+
+
+def test_pieces_stay_together() -> None:
+    whole = Whole("1" * 64, 0.0, 80.0)
+    good = [replace(log("one", k, coulomb=0.8), whole=whole) for k in range(2)]
+    odd = replace(log("one", 2, coulomb=0.0), whole=whole)
+    assert usable_logs([*good, odd], ROBOT) == ([*good, odd], ())
+    other = Whole("2" * 64, 0.0, 80.0)
+    echo = [replace(log("two", k, coulomb=0.0), whole=other) for k in range(3)]
+    kept, notes = usable_logs([*good, *echo], ROBOT)
+    assert kept == good
+    assert [note.split()[0] for note in notes] == ["two"]

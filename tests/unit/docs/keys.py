@@ -1,0 +1,96 @@
+"""The keys of the result files as tables, from their types: `python -m tests.unit.docs.keys`.
+
+A table stands between `<!-- keys: NAME -->` and `<!-- /keys -->`. Keys, their order and their types
+are written anew, what they mean is kept.
+"""
+
+from __future__ import annotations
+
+import re
+import types
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from seqid_cli.params import (
+    diagnosis_schema,
+    evidence_schema,
+    inspection_schema,
+    plan_schema,
+    prediction_schema,
+    schema,
+)
+from seqid_cli.params.base import FrozenStruct, Struct
+from seqid_cli.params.html import Document
+from tests.unit.docs.markdown import ROOT
+
+PAGE = ROOT / "docs" / "files.md"
+MODULES = (
+    schema,
+    prediction_schema,
+    evidence_schema,
+    diagnosis_schema,
+    inspection_schema,
+    plan_schema,
+)
+STRUCTS: dict[str, type[msgspec.Struct]] = {
+    name: kind
+    for module in MODULES
+    for name, kind in vars(module).items()
+    if isinstance(kind, type) and issubclass(kind, Struct | FrozenStruct)
+    if kind not in (Struct, FrozenStruct, Document)
+}
+# Told where they stand: an object of one or two keys that needs no table.
+INLINE = ("Tool", "FileId", "JointRmse")
+_TABLE = re.compile(r"<!-- keys: (\w+) -->\n(.*?)<!-- /keys -->", re.DOTALL)
+_NAMES = {float: "number", int: "integer", str: "string", bool: "boolean", types.NoneType: "null"}
+
+
+def rewritten(text: str) -> str:
+    """Return the page with every table as the types have it."""
+    return _TABLE.sub(lambda m: f"<!-- keys: {m[1]} -->\n{_table(m[1], m[2])}<!-- /keys -->", text)
+
+
+def described(text: str) -> set[str]:
+    """Return the types that the page has a table of."""
+    return {found[1] for found in _TABLE.finditer(text)}
+
+
+def _table(name: str, before: str) -> str:
+    meanings = dict(re.findall(r"^\| `([^`]+)` \| [^|]* \| (.*) \|$", before, flags=re.MULTILINE))
+    kind = STRUCTS[name]
+    hints = get_type_hints(kind)
+    rows = [
+        f"| `{field.encode_name}` | {_type(hints[field.name])} |"
+        f" {meanings.get(field.encode_name, 'TODO')} |\n"
+        for field in msgspec.structs.fields(kind)
+    ]
+    return "| key | type | meaning |\n|---|---|---|\n" + "".join(rows)
+
+
+def _type(hint: Any) -> str:
+    origin, inside = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return " or ".join(_type(item) for item in inside)
+    if origin is list:
+        return f"list of {_type(inside[0])}"
+    if origin is dict:
+        return f"object of {_type(inside[1])}"
+    if origin is Literal:
+        return " or ".join(f'"{item}"' for item in inside)
+    if isinstance(hint, type) and hint.__name__ in STRUCTS:
+        return "object" if hint.__name__ in INLINE else f"[{hint.__name__}](#{_anchor(hint)})"
+    return _NAMES[hint]
+
+
+def _anchor(kind: type) -> str:
+    return kind.__name__.lower()
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""The parts of a Markdown page that can be wrong: code, links, headings."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests import ROOT
+
+TOP = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+PAGES = (*(ROOT / name for name in TOP), *sorted((ROOT / "docs").glob("**/*.md")))
+
+_FENCE = re.compile(r"^(`{3,})(\w*)\s*$")
+_EXIT = re.compile(r"<!-- exit: (\d+) -->")
+_LINK = re.compile(r"!?\[[^\]\n]*\]\(([^)\s]+)\)")
+_ASSIGNMENT = re.compile(r"^([A-Z]+)=(\S+)$")
+SHELL = ("sh", "bash", "", "indented")
+PROGRAMS = ("seqid", "make", "pip", "python", "rerun", "apt-get")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of code; `line` counts from 1, `exit_code` is what its last command ends with."""
+
+    page: Path
+    line: int
+    language: str
+    text: str
+    exit_code: int = 0
+
+    @property
+    def end(self) -> int:
+        """The line behind the last one of the code."""
+        return self.line + len(self.text.splitlines())
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command line; `shown` is the output that the page prints after its block."""
+
+    page: Path
+    line: int
+    words: tuple[str, ...]
+    exit_code: int = 0
+    shown: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.page.relative_to(ROOT)}:{self.line}: {shlex.join(self.words)}"
+
+
+def blocks(page: Path) -> list[Block]:
+    """Return fenced blocks, and indented ones as language "indented", in order."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    found, k, code = [], 0, 0
+    while k < len(lines):
+        start = k
+        if told := _EXIT.search(lines[k]):
+            code = int(told[1])
+        if fence := _FENCE.match(lines[k]):
+            end = next(i for i in range(k + 1, len(lines)) if lines[i].strip() == fence[1])
+            found.append(Block(page, k + 2, fence[2], "\n".join(lines[k + 1 : end]), code))
+            k, code = end, 0
+        elif _indented(lines, k):
+            while k + 1 < len(lines) and (lines[k + 1].startswith("    ") or not lines[k + 1]):
+                k += 1
+            text = "\n".join(line[4:] for line in lines[start : k + 1]).rstrip()
+            found.append(Block(page, start + 1, "indented", text))
+        k += 1
+    return found
+
+
+def _indented(lines: list[str], k: int) -> bool:
+    return lines[k].startswith("    ") and (k == 0 or not lines[k - 1])
+
+
+def steps(page: Path) -> list[Step]:
+    """Return the command lines of a page in order.
+
+    Raises
+    ------
+    ValueError
+        If a block that says it is for the shell has a line of a program that nobody checks.
+    """
+    found: list[Step] = []
+    known: dict[str, str] = {}
+    pages = blocks(page)
+    for number, block in enumerate(pages):
+        if block.language not in SHELL:
+            continue
+        shown = _shown(block, pages[number + 1 : number + 2])
+        own = list(_commands(block, known))
+        found += own[:-1]
+        found += [Step(page, s.line, s.words, block.exit_code, shown) for s in own[-1:]]
+    return found
+
+
+def _shown(block: Block, behind: list[Block]) -> tuple[str, ...]:
+    """Return the output that stands right behind a block of commands."""
+    for after in behind:
+        if after.language == "text" and after.line - block.end <= 3:
+            return tuple(after.text.splitlines())
+    return ()
+
+
+def _commands(block: Block, known: dict[str, str]) -> Iterator[Step]:
+    for number, line in _logical_lines(block):
+        if given := _ASSIGNMENT.match(line.strip()):
+            known[given[1]] = given[2]
+            continue
+        for name, value in known.items():
+            line = line.replace(f"${name}", value)
+        program = line.split(maxsplit=1)[0] if line.strip() else "#"
+        if program in PROGRAMS:
+            yield Step(block.page, number, tuple(shlex.split(line, comments=True)))
+        elif block.language in ("sh", "bash") and not program.startswith("#"):
+            message = f"{block.page.name}:{number}: nobody checks {program!r}"
+            raise ValueError(message)
+
+
+def _logical_lines(block: Block) -> Iterator[tuple[int, str]]:
+    """Yield lines with those that a backslash continues put together."""
+    whole, start = "", block.line
+    for number, line in enumerate(block.text.splitlines(), block.line):
+        start = start if whole else number
+        if line.endswith("\\"):
+            whole += line[:-1] + " "
+            continue
+        yield start, whole + line
+        whole = ""
+
+
+def links(page: Path) -> Iterator[str]:
+    """Yield the targets of links and images outside of code."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for found in _LINK.finditer(re.sub(r"`[^`\n]*`", "", text)):
+        yield found[1]
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors that headings of a page have, as GitHub makes them."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    headings = re.findall(r"^#{1,6} (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}

@@ -1,0 +1,336 @@
+"""Every command, every piece of Python, every link of the documents.
+
+Commands that take long are parsed here and run by `make docs-test`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import tomllib
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+import seqid_cli
+from seqid_cli.commands.app import COMMANDS
+from tests.unit.docs import keys
+from tests.unit.docs.kitchen import (
+    SAMPLES,
+    Done,
+    Kitchen,
+    inside,
+    is_dear,
+    masked,
+    parsed,
+    read_by,
+    rig_of,
+    written_by,
+)
+from tests.unit.docs.markdown import PAGES, ROOT, Block, Step, anchors, blocks, links, steps
+
+NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
+FULL = bool(os.environ.get("SEQID_DOCS"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+SIX = SAMPLES / "six_joint"
+# What stands for the files that a page takes for granted: their names in the page, and the samples.
+PREPARED: dict[str, dict[str, Path]] = {
+    "docs/own_robot.md": {
+        "logs/friction": SIX / "friction",
+        "logs/gravity": SIX / "gravity",
+        "logs/imu": SIX / "imu",
+        "logs/inertia": SIX / "inertia",
+        "logs/validation": SIX / "validation",
+        "my_arm.urdf": SIX / "six_joint.urdf",
+    },
+}
+TAKEN_BY_PYTHON: dict[str, dict[str, Path]] = {
+    "docs/inspect.md": {
+        "run.parquet": SAMPLES / "one_joint" / "imu" / "joint_1_posture_1.parquet",
+        "robot.toml": SAMPLES / "one_joint" / "robot.toml",
+    },
+}
+# What the reader is told to write between two blocks, after the first TOML of the page.
+COMPLETED: dict[str, dict[str, Path]] = {
+    "docs/own_robot.md": {
+        "robot.toml": SIX / "robot.toml",
+        "six_joint.urdf": SIX / "six_joint.urdf",
+    }
+}
+# Commands with made-up logs and files: they are parsed only.
+MADE_UP = ("logs/monday", "logs/tuesday", "logs/friday", "LOG")
+
+
+@pytest.fixture(scope="module")
+def kitchen(tmp_path_factory: pytest.TempPathFactory) -> Kitchen:
+    return Kitchen(tmp_path_factory.mktemp("docs"), full=FULL)
+
+
+def prepared(
+    kitchen: Kitchen, name: str, own: str = "", given: dict[str, dict[str, Path]] = PREPARED
+) -> Path:
+    folder = kitchen.page_folder((own or name).replace("/", "_"))
+    for path, sample in given.get(name, {}).items():
+        target = folder / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if not target.exists():
+            shutil.copytree(sample, target) if sample.is_dir() else shutil.copy(sample, target)
+    return folder
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_are_what_the_program_takes(name: str) -> None:
+    for step in steps(ROOT / name):
+        program = step.words[0]
+        if program == "seqid":
+            _check_seqid(step)
+        elif program == "make":
+            done = subprocess.run(
+                ["make", "-n", *step.words[1:]], cwd=ROOT, capture_output=True, text=True
+            )
+            assert done.returncode == 0, f"{step}\n{done.stderr}"
+        elif program == "pip":
+            _check_pip(step)
+        elif program == "python":
+            _check_module(step)
+
+
+def _check_seqid(step: Step) -> None:
+    words, _ = _redirected(step.words[1:])
+    if words in (("--help",), ("--version",)):
+        return
+    assert words[0] in COMMANDS, str(step)
+    parsed(words)
+    for path in read_by(words):
+        if path.startswith("sample_logs/"):
+            assert list(ROOT.glob(path)), f"{step}: there is no {path}"
+
+
+def _check_pip(step: Step) -> None:
+    assert step.words[1] == "install", str(step)
+    for word in step.words[2:]:
+        asked = re.fullmatch(r"(?:\.|seqid|-e)(?:\[(\w+)\])?", word)
+        assert asked, str(step)
+        assert asked[1] is None or asked[1] in PROJECT["optional-dependencies"], str(step)
+
+
+def _check_module(step: Step) -> None:
+    if step.words[1] != "-m":
+        return
+    found = find_spec(step.words[2])
+    assert found is not None, str(step)
+    assert found.origin is not None
+    places = found.submodule_search_locations
+    files = sorted(Path(places[0]).glob("*.py")) if places else [Path(found.origin)]
+    source = "".join(file.read_text(encoding="utf-8") for file in files)
+    for word in step.words[3:]:
+        assert not word.startswith("--") or f'"{word}"' in source, f"{step}: no {word}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_do_what_the_page_says(name: str, kitchen: Kitchen) -> None:
+    folder = prepared(kitchen, name)
+    said: list[str] = []
+    rig = "six_joint" if name in COMPLETED else "one_joint"
+    tables = [block.line for block in blocks(ROOT / name) if block.language == "toml"]
+    for step in steps(ROOT / name):
+        if step.words[0] != "seqid" or step.words[1].startswith("-"):
+            continue
+        if tables and step.line > tables[0]:
+            for path, sample in COMPLETED.get(name, {}).items():
+                shutil.copy(sample, folder / path)
+        rig = rig_of(step.words, rig)
+        done = _cooked(kitchen, folder, step, rig)
+        said += done.said.splitlines() if done else []
+        if done and step.shown:
+            _check_shown(step, said)
+        said = [] if step.shown else said
+
+
+def _cooked(kitchen: Kitchen, folder: Path, step: Step, rig: str) -> Done | None:
+    """Run a step if it is to be run; put in its place what later steps need of it."""
+    words, target = _redirected(step.words[1:])
+    if any(word.startswith(MADE_UP) for word in words):
+        return None
+    if is_dear([*words, rig]) and not kitchen.full:
+        for path in written_by(words):
+            if path.endswith(".json") and "diagnosis" not in path:
+                kitchen.fetch(folder, path, rig)
+        return None
+    words = tuple(w for w in words if "diagnosis" not in w or not _lacking(folder, w, rig))
+    for path in read_by(words):
+        if not list(folder.glob(path)) and path.endswith((".json", "torques.parquet")):
+            kitchen.fetch(folder, path, rig)
+    done = kitchen.cook(folder, _expanded(folder, words))
+    assert done.code == step.exit_code, f"{step}\n{done.said}"
+    if target:
+        (folder / target).write_text(done.out, encoding="utf-8")
+    return done
+
+
+def _lacking(folder: Path, word: str, rig: str) -> bool:
+    """Return whether a diagnosis was not made because that takes long."""
+    return rig != "one_joint" and not FULL and not (folder / word).exists()
+
+
+def _redirected(words: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
+    """Split a command line into what the program gets and where its output goes."""
+    if ">" not in words:
+        return words, ""
+    at = words.index(">")
+    return words[:at], "" if words[at + 1].startswith("~") else words[at + 1]
+
+
+def _expanded(folder: Path, words: tuple[str, ...]) -> list[str]:
+    found: list[str] = []
+    for word in words:
+        matches = (
+            sorted(str(p.relative_to(folder)) for p in folder.glob(word)) if "*" in word else []
+        )
+        found += matches or [word]
+    return found
+
+
+def _check_shown(step: Step, said: list[str]) -> None:
+    real = [masked(line) for line in said]
+    for line in step.shown:
+        shown = masked(line)
+        if shown in ("", "..."):
+            continue
+        if shown.endswith(" ..."):
+            ok = any(line.startswith(shown.removesuffix(" ...")) for line in real)
+        else:
+            ok = shown in real
+        assert ok, f"{step}\ndoes not say: {line}\nbut:\n" + "\n".join(said)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_python_runs(name: str, kitchen: Kitchen) -> None:
+    folder = prepared(kitchen, name, f"{name} python", TAKEN_BY_PYTHON)
+    space: dict[str, object] = {}
+    for block in blocks(ROOT / name):
+        if not _is_python(block):
+            continue
+        for path in re.findall(r'"([\w/]+\.json|\w+\.urdf|torques.parquet)"', block.text):
+            if not (folder / path).exists():
+                kitchen.fetch(folder, path, rig_of([block.text]))
+        code = compile("\n" * (block.line - 1) + block.text, str(block.page), "exec")
+        with inside(folder):
+            exec(code, space)
+
+
+def _is_python(block: Block) -> bool:
+    return block.language == "python" or (
+        block.language == "indented" and re.match(r"(from|import) \w", block.text) is not None
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_data_can_be_read(name: str) -> None:
+    for block in blocks(ROOT / name):
+        if block.language == "toml":
+            tomllib.loads(block.text)
+        elif block.language == "json":
+            json.loads(block.text)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    for link in links(page):
+        if link.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), f"{name}: {link}"
+        if anchor:
+            assert anchor in anchors(target), f"{name}: {link}"
+
+
+def test_the_keys_of_the_files_are_told() -> None:
+    text = keys.PAGE.read_text(encoding="utf-8")
+    assert keys.rewritten(text) == text, "run python -m tests.unit.docs.keys and say what is new"
+    assert "TODO" not in text
+    assert keys.described(text) | set(keys.INLINE) == set(keys.STRUCTS)
+
+
+def test_the_makefile_of_the_page_runs_what_the_program_takes(tmp_path: Path) -> None:
+    page = ROOT / "docs" / "pipelines.md"
+    text = next(block.text for block in blocks(page) if block.language == "make")
+    (tmp_path / "Makefile").write_text(text + "\n", encoding="utf-8")
+    shutil.copytree(SAMPLES / "one_joint", tmp_path / "robots" / "arm")
+    done = subprocess.run(["make", "-n"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    ran = [shlex.split(line)[1:] for line in done.stdout.splitlines() if line.startswith("seqid")]
+    assert [words[0] for words in ran][:3] == ["friction", "gravity", "inertia"]
+    assert {words[0] for words in ran[3:]} == {"predict", "diagnose", "report"}
+    for words in ran:
+        parsed(words)
+        named = [path for path in read_by(words) if path.startswith("robots")]
+        assert all((tmp_path / path).exists() for path in named)
+
+
+def test_every_function_is_told() -> None:
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    told = set(re.findall(r"^\| `(\w+\.\w+)` \|", text, flags=re.MULTILINE))
+    names = {entry.module for entry in COMMANDS.values()}
+    packages = {name: getattr(seqid_cli, name) for name in seqid_cli.PACKAGES}
+    there = {
+        f"{package}.{name}"
+        for package, module in packages.items()
+        for name in names
+        if callable(getattr(module, name, None))
+    }
+    assert told == there
+
+
+def test_the_workflow_makes_targets_that_there_are() -> None:
+    text = (ROOT / ".github" / "workflows" / "seqid.yml").read_text(encoding="utf-8")
+    targets = re.findall(r"run: make ([\w-]+)", text)
+    assert {"lint", "types", "test", "golden", "docs-test"} == set(targets)
+    for target in targets:
+        done = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+
+def test_the_first_page_names_every_command() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name in COMMANDS:
+        assert f"| `{name}` |" in text, name
+
+
+def test_every_page_is_linked_from_the_first() -> None:
+    first = (ROOT / "README.md").resolve()
+    linked = {(ROOT / link.partition("#")[0]).resolve() for link in links(first)}
+    layouts = ROOT / "docs" / "layouts" / "README.md"
+    assert {page.resolve() for page in PAGES} - linked <= {first, layouts.resolve()}
+
+
+def test_the_paths_of_the_map_exist() -> None:
+    """A reader finds by README where a thing is done, so its paths must be there."""
+    architecture = (ROOT / "README.md").read_text(encoding="utf-8").split("## Architecture")[1]
+    tables = architecture.split("## ")[0].split("|---|---|")[1:]
+    rows = [line for table in tables for line in table.splitlines() if line.startswith("|")]
+    paths = re.findall(r"`([\w/.]+(?:/|\.py|\.j2))`", "\n".join(rows))
+    assert len(paths) > 20
+    for path in paths:
+        assert path == "seqid_cli/" or (ROOT / "seqid_cli" / path).exists(), path
+
+
+def test_the_figure_of_proof_is_that_of_the_study() -> None:
+    """The rows of README's first table stand in the tables that the study writes."""
+    rows = [
+        line
+        for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+        if re.match(r"\| (sequential|simultaneous|current noise alone) \|", line)
+    ]
+    measured = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 3
+    assert set(rows) <= set(measured)

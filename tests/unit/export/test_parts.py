@@ -1,0 +1,370 @@
+"""Pieces of the export: pseudo-inertias, the conic problem, friction, effects, the URDF's XML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.export.formats import export, format_of
+from seqid_cli.export.friction_fit import simple_friction
+from seqid_cli.export.text import plain, real
+from seqid_cli.export.urdf_tree import bodies_of_urdf, rotation_of_rpy, rpy_of_rotation
+from seqid_cli.model.bodies.consistent import Demand, consistent_links
+from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
+from seqid_cli.model.effects.fitted import FittedEffect, as_stage
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, Stages
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.regressor import inverse_dynamics
+from tests.unit.export.arms import SAMPLES, random_bodies, save_robot, stages_of
+from tests.unit.robot.robots import NAMES_6R, joint, link, urdf, urdf_6r
+
+
+def test_pseudo_inertia_and_back() -> None:
+    phi = random_bodies(np.random.default_rng(0), 5)
+    np.testing.assert_allclose(standard_of(pseudo_inertia(phi)), phi, atol=1e-14)
+    np.testing.assert_allclose([Body.of(row).standard for row in phi], phi, atol=1e-13)
+
+
+def test_pseudo_inertia_is_positive_for_points_of_mass_only() -> None:
+    rng = np.random.default_rng(1)
+    points, masses = rng.normal(size=(20, 3)), rng.uniform(0.1, 1.0, size=20)
+    homogeneous = np.column_stack([points, np.ones(20)])
+    J = (homogeneous * masses[:, None]).T @ homogeneous
+    phi = standard_of(J)
+    inertia = sum(
+        m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, points, strict=True)
+    )
+    np.testing.assert_allclose(phi[4:], np.asarray(inertia)[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]])
+    flat = phi.copy()
+    flat[9] = flat[4] + flat[6] + 0.1  # Izz above Ixx + Iyy: no body
+    assert np.linalg.eigvalsh(pseudo_inertia(flat))[0] < 0.0
+
+
+def test_nothing_asked_leaves_what_was_expected() -> None:
+    phi = random_bodies(np.random.default_rng(2), 3)
+    nothing = Demand(np.zeros((0, 30)), np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
+    found = consistent_links(pseudo_inertia(phi), np.zeros(0), nothing)
+    # The divergence is flat at its minimum: the solver's 1e-8 of it is 1e-4 of the parameters.
+    np.testing.assert_allclose(found.phi, phi, atol=1e-3 * np.abs(phi).max())
+
+
+def test_the_solution_is_the_minimum_of_the_divergence() -> None:
+    """Feasible steps in any direction along the equations make the divergence larger."""
+    rng = np.random.default_rng(3)
+    phi = random_bodies(rng, 2)
+    J = pseudo_inertia(phi)
+    E = rng.normal(size=(6, 20))
+    values = E @ random_bodies(rng, 2).ravel()
+    demand = Demand(E, np.zeros((6, 0)), values, np.eye(6))
+    found = consistent_links(J, np.zeros(0), demand)
+    assert found.exact
+    np.testing.assert_allclose(E @ found.phi.ravel(), values, atol=1e-9)
+
+    def divergence(x: np.ndarray) -> float:
+        S = [
+            np.linalg.solve(a, b) for a, b in zip(J, pseudo_inertia(x.reshape(2, 10)), strict=True)
+        ]
+        return float(sum(np.trace(s) - np.log(np.linalg.det(s)) for s in S))
+
+    best = divergence(found.phi)
+    _, _, V = np.linalg.svd(E)
+    for direction in V[6:]:
+        for step in (-1e-2, 1e-2):
+            other = divergence(found.phi.ravel() + step * 0.05 * direction)
+            assert not other < best - 1e-6
+
+
+def test_rotor_takes_what_the_cad_does_not_explain() -> None:
+    phi = random_bodies(np.random.default_rng(4), 1)
+    E = np.zeros((1, 10))
+    E[0, 9] = 1.0
+    demand = Demand(E, np.array([[100.0]]), np.array([phi[0, 9] + 0.5]), np.eye(1))
+    found = consistent_links(pseudo_inertia(phi), np.array([1e-3]), demand)
+    assert found.exact
+    assert found.rotors[0] == pytest.approx(0.005, rel=0.02)
+    np.testing.assert_allclose(found.phi, phi, rtol=0.02, atol=0.02 * phi[0, 9])
+
+
+def surface(forward: list[list[float]], backward: list[list[float]]) -> FrictionSurface:
+    directional = forward != backward
+    count = len(forward) * len(forward[0]) * (1 + directional)
+    return FrictionSurface.from_stage(
+        FrictionJoint(
+            position_order=len(forward) - 1,
+            velocity_order=len(forward[0]) - 1,
+            max_error=0.1,
+            rmse=0.1,
+            position_range=[-1.0, 1.0],
+            speed_range=[0.1, 2.1],
+            sign_width=0.001,
+            directional=directional,
+            positive=forward,
+            negative=backward,
+            covariance=np.eye(count).tolist(),
+        )
+    )
+
+
+def test_coulomb_and_viscous_friction_come_out_as_they_are() -> None:
+    fit = simple_friction(surface([[3.1, 1.0]], [[3.1, 1.0]]))  # 3.1 + (v - 1.1): 2 + v
+    assert fit.coulomb == pytest.approx(2.0)
+    assert fit.viscous == pytest.approx(1.0)
+    assert fit.misfit < 1e-12
+    assert fit.offset == pytest.approx(0.0, abs=1e-12)
+
+
+def test_friction_that_falls_with_speed_gets_no_negative_damping() -> None:
+    fit = simple_friction(surface([[2.0, -0.5]], [[2.0, -0.5]]))
+    assert fit.viscous == 0.0
+    assert fit.coulomb == pytest.approx(2.0, rel=1e-3)
+    assert fit.misfit > 0.1
+
+
+def test_the_part_that_does_not_flip_is_told() -> None:
+    fit = simple_friction(surface([[2.5]], [[1.5]]))
+    assert fit.offset == pytest.approx(0.5)
+    assert fit.coulomb == pytest.approx(2.0)
+
+
+def test_rpy_and_back() -> None:
+    rng = np.random.default_rng(5)
+    for angles in [*rng.uniform(-3.0, 3.0, size=(50, 3)), np.array([0.3, np.pi / 2, -1.0])]:
+        R = rotation_of_rpy(*angles)
+        np.testing.assert_allclose(R, pin.rpy.rpyToMatrix(*angles), atol=1e-15)
+        np.testing.assert_allclose(rotation_of_rpy(*rpy_of_rotation(R)), R, atol=1e-14)
+
+
+def branched() -> str:
+    """An arm of two joints with a fixed flange, a finger, and a second arm from the base."""
+    return urdf(
+        link("base", mass=5.0, mesh="package://nowhere/base.dae"),
+        link("upper", mass=3.0, x=0.1, mesh="upper.stl"),
+        link("lower", mass=2.0, x=0.1),
+        link("flange", mass=0.5, x=0.02),
+        link("palm", mass=0.4, x=0.02),
+        link("finger", mass=0.1, x=0.03),
+        link("camera", mass=0.2),
+        link("other", mass=1.0),
+        joint("shoulder", "base", "upper", axis="0 1 0", extra='<dynamics damping="9"/>'),
+        joint("elbow", "upper", "lower", axis="0 1 0", xyz="0.4 0 0"),
+        joint("mount", "lower", "flange", kind="fixed", xyz="0.3 0 0", rpy="0 0.5 0.2"),
+        joint("grip", "flange", "palm", kind="fixed", xyz="0 0 0.1", rpy="0 0 1"),
+        joint("slide", "palm", "finger", kind="prismatic", axis="1 0 0", rpy="0.4 0 0"),
+        joint("eye", "base", "camera", kind="fixed"),
+        joint("second", "camera", "other"),
+    )
+
+
+def test_urdf_keeps_all_but_the_inertials_and_dynamics_of_the_arm(tmp_path: Path) -> None:
+    text = branched().replace("<robot", "<!-- by hand -->\n<robot", 1)
+    robot = save_robot(tmp_path, text, ("shoulder", "elbow"))
+    assert robot.nominal is not None
+    done = export(robot, stages_of(robot, robot.nominal), kind="URDF", urdf=text.encode())
+    before, after = ElementTree.fromstring(text), ElementTree.fromstring(done.text)
+    assert "<!-- by hand -->" in done.text
+    inertials = {e.get("name"): e.find("inertial") is not None for e in after.findall("link")}
+    assert inertials == {
+        "base": True, "upper": True, "lower": True, "flange": False, "palm": False,
+        "finger": True, "camera": True, "other": True,
+    }  # fmt: skip
+    for name in ("base", "finger", "camera", "other"):
+        same = (root.find(f"link[@name='{name}']/inertial") for root in (before, after))
+        one, two = (ElementTree.tostring(e) for e in same if e is not None)
+        assert one == two
+    for tree in (before, after):
+        for parent in tree.iter():
+            for child in list(parent):
+                if child.tag in {"inertial", "dynamics", "transmission"}:
+                    parent.remove(child)
+    flat = [
+        [(e.tag, sorted(e.attrib.items())) for e in tree.iter() if isinstance(e.tag, str)]
+        for tree in (before, after)
+    ]
+    assert flat[0] == flat[1]
+    dynamics = ElementTree.fromstring(done.text).find("joint[@name='shoulder']/dynamics")
+    assert dynamics is not None
+    fit = done.model.friction[0]
+    assert fit is not None
+    assert float(dynamics.get("damping", "")) == pytest.approx(fit.viscous)
+    assert float(dynamics.get("friction", "")) == pytest.approx(fit.coulomb)
+
+
+def test_links_behind_a_joint_of_their_own_keep_their_mass(tmp_path: Path) -> None:
+    robot = save_robot(tmp_path, branched(), ("shoulder", "elbow"))
+    bodies = bodies_of_urdf(branched().encode(), robot.joint_names)
+    assert bodies[1].link == "lower"
+    assert set(bodies[1].merged) == {"flange", "palm"}
+    assert bodies[1].loose == ("finger",)
+    assert bodies[1].kept[0] == pytest.approx(0.1)
+    model = pin.buildModelFromXML(branched())
+    alone = pin.buildReducedModel(
+        model, [k for k in range(1, 5) if model.names[k] in {"second"}], pin.neutral(model)
+    )
+    data = alone.createData()
+    pin.forwardKinematics(alone, data, pin.neutral(alone))
+    finger, elbow = alone.getJointId("slide"), alone.getJointId("elbow")
+    placement = data.oMi[elbow].actInv(data.oMi[finger])
+    expected = placement.act(alone.inertias[finger]).toDynamicParameters()
+    np.testing.assert_allclose(bodies[1].kept, expected, atol=1e-12)
+
+
+def test_rotor_inertia_goes_into_the_transmission_that_is_there(tmp_path: Path) -> None:
+    extra = "gear_ratio = 101.0\nrotor_inertia = 2e-4\n"
+    robot = save_robot(tmp_path, urdf_6r(), NAMES_6R, joint_extra=extra)
+    assert robot.nominal is not None
+    done = export(robot, stages_of(robot, robot.nominal), kind="URDF", urdf=urdf_6r().encode())
+    root = ElementTree.fromstring(done.text)
+    found = root.findall("transmission")
+    assert len(found) == len(NAMES_6R)
+    tag = "{http://drake.mit.edu}rotor_inertia"
+    values = [float(e.get("value", "")) for e in root.iter(tag)]
+    assert values == pytest.approx([2e-4] * 6)
+    assert f"armature {real(101.0**2 * 2e-4)}" in done.text
+
+
+def payload(robot_last: list[float]) -> EffectOfJoint:
+    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    effect = FittedEffect(
+        CATALOGUE["payload"], None, {"from_log": 0.0}, np.array(robot_last), np.eye(10)
+    )
+    return as_stage(effect, robot)
+
+
+def test_a_payload_is_part_of_the_last_link() -> None:
+    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    rng = np.random.default_rng(6)
+    phi, load = random_bodies(rng, 2), random_bodies(rng, 1)[0]
+    stages = stages_of(robot, phi)
+    stages.effects = [payload(load.tolist())]
+    model = export(robot, stages, kind="MJCF").model
+    assert any("added to the inertial parameters: payload" in note for note in model.notes)
+    heavier = phi.copy()
+    heavier[1] += load
+    q, dq, ddq = rng.normal(size=(3, 20, 2))
+    found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
+    expected = inverse_dynamics(robot.chain, robot.gravity, heavier, q, dq, ddq)
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+def test_a_rotor_inertia_that_was_wrong_is_corrected() -> None:
+    robot = load_robot(SAMPLES / "six_joint" / "robot.toml")
+    assert robot.nominal is not None
+    stages = stages_of(robot, robot.nominal)
+    effect = CATALOGUE["rotor_inertia"]
+    item = FittedEffect(effect, 3, {"coupling": 0.0}, np.array([1.5e-5]), np.eye(1))
+    stages.effects = [as_stage(item, robot)]
+    model = export(robot, stages, kind="MJCF").model
+    expected = np.array([j.rotor_inertia or 0.0 for j in robot.joints])
+    expected[3] += 1.5e-5
+    np.testing.assert_allclose(model.rotor, expected, rtol=1e-6)
+
+
+def test_effects_without_a_place_are_named() -> None:
+    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    stages = stages_of(robot, random_bodies(np.random.default_rng(7), 2))
+    effect = EffectOfJoint(
+        effect="stribeck",
+        joint="joint_2",
+        settings={"stribeck_speed": 0.1, "exponent": 2.0},
+        coefficients=[0.5],
+    )
+    stages.effects = [effect]
+    done = export(robot, stages, kind="URDF")
+    note = "is left out: stribeck (joint_2)"
+    assert any(note in text for text in done.model.notes)
+    assert note in done.text
+
+
+def test_without_inertia_and_cad_there_is_nothing_to_write() -> None:
+    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    stages = stages_of(robot, random_bodies(np.random.default_rng(8), 2))
+    with pytest.raises(ConfigError, match="no inertia stage"):
+        export(robot, Stages(friction=stages.friction), kind="URDF")
+
+
+def test_parameters_of_another_robot_are_refused(tmp_path: Path) -> None:
+    robot = load_robot(SAMPLES / "six_joint" / "robot.toml")
+    other = save_robot(tmp_path, urdf_6r(), NAMES_6R)  # rotors free, other geometry
+    stages = stages_of(robot, random_bodies(np.random.default_rng(9), 6))
+    assert stages.inertia is not None
+    stages.inertia.parameters[0].name = "mz_1"
+    with pytest.raises(ConfigError, match="'mz_1' is no base parameter"):
+        export(other, stages, kind="URDF")
+
+
+def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
+    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
+    assert stages.inertia is not None
+    gone = stages.inertia.parameters.pop()
+    stages.inertia.covariance = [row[:-1] for row in stages.inertia.covariance[:-1]]
+    model = export(robot, stages, kind="URDF").model
+    assert gone.name not in {d.name for d in model.deviations}
+    assert any(f"not determined by the logs, so as in the prior: {gone.name}" in note
+               for note in model.notes)  # fmt: skip
+
+
+def test_numbers_of_no_arm_are_refused(tmp_path: Path) -> None:
+    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
+    assert stages.inertia is not None
+    stages.inertia.representative["Izz_2"] = 1e200
+    with pytest.raises(ConfigError, match="1e\\+200"):
+        export(robot, stages, kind="URDF")
+    broken = branched().replace('value="0.1"', 'value="0,1"')
+    with pytest.raises(ConfigError, match="'0,1'"):
+        bodies_of_urdf(broken.encode(), ("shoulder", "elbow"))
+
+
+@pytest.mark.parametrize("error", [1e-6, 1e-3, 1.0])
+def test_noise_of_any_size_gives_bodies_that_exist(tmp_path: Path, error: float) -> None:
+    robot = save_robot(tmp_path, urdf_6r(), NAMES_6R, joint_extra="gear_ratio = 100.0\n")
+    rng = np.random.default_rng(13)
+    phi, rotor = random_bodies(rng, 6), np.full(6, 1e-4)
+    size = len(stages_of(robot, phi, rotor).inertia.parameters)  # type: ignore[union-attr]
+    stages = stages_of(robot, phi, rotor, error=error, shift=rng.normal(size=size))
+    model = export(robot, stages, kind="URDF", urdf=urdf_6r().encode()).model
+    assert all(np.linalg.eigvalsh(pseudo_inertia(row))[0] > 0.0 for row in model.own)
+    assert model.largest_deviation < 5.0
+
+
+def test_torque_scale_of_any_size_is_solved() -> None:
+    """Arms of grams and of tons are the same problem."""
+    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    phi = random_bodies(np.random.default_rng(11), 2)
+    for scale in (1e-6, 1e6):
+        stages = stages_of(robot, scale * phi)
+        model = export(robot, stages, kind="MJCF").model
+        assert model.exact
+        q, dq, ddq = np.random.default_rng(12).normal(size=(3, 10, 2))
+        torque = TorqueModel.from_stages(stages, robot).rigid(q, dq, ddq)
+        found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
+        found += model.armature * ddq
+        np.testing.assert_allclose(found, torque, atol=1e-9 * np.abs(torque).max())
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("a -- b", "a - - b"), ("*/ int x; /*", "* / int x; / *"), ("l\nm\\", "l m/"), ("a-", "a")],
+)
+def test_names_cannot_leave_a_comment(text: str, expected: str) -> None:
+    assert plain(text) == expected
+
+
+@pytest.mark.parametrize(("value", "text"), [(9e-5, "9.0e-05"), (2.0, "2.0"), (-0.0, "0.0")])
+def test_numbers_have_a_point(value: float, text: str) -> None:
+    assert real(value) == text
+
+
+def test_unknown_suffix_lists_the_known_ones() -> None:
+    with pytest.raises(UsageError, match=r"suffix '\.stl'") as caught:
+        format_of(Path("arm.stl"))
+    assert ".urdf (URDF)" in caught.value.hint

@@ -1,0 +1,30 @@
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.identify.rigs import Rig
+
+
+@pytest.fixture(scope="session")
+def one_joint() -> Rig:
+    """The paper's one-joint rig."""
+    return Rig("one_joint")
+
+
+@pytest.fixture(scope="session")
+def two_joint() -> Rig:
+    """The paper's planar two-joint rig."""
+    return Rig("two_joint")
+
+
+@pytest.fixture(scope="session")
+def six_joint() -> Rig:
+    """An arm of a UR5e's size."""
+    return Rig("six_joint")
+
+
+@pytest.fixture(params=["one_joint", "two_joint", "six_joint"])
+def rig(request: pytest.FixtureRequest) -> Rig:
+    """Each of the rigs."""
+    found: Rig = request.getfixturevalue(request.param)
+    return found

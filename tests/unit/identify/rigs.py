@@ -1,0 +1,120 @@
+"""The sample logs of one robot, their truth, and every stage identified from them once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import identify_gravity
+from seqid_cli.identify.imu import calibrate_imus
+from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.predict_logs import LogPrediction, predict
+from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import FrictionStage, ImuStage, Parameter, RigidStage, Stages
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests import ROOT
+
+Array = NDArray[np.float64]
+
+SAMPLE_LOGS = ROOT / "sample_logs"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One robot of the sample logs; stages are identified when first asked for."""
+
+    name: str
+
+    @property
+    def folder(self) -> Path:
+        return SAMPLE_LOGS / self.name
+
+    @cached_property
+    def robot(self) -> Robot:
+        return load_robot(self.folder / "robot.toml")
+
+    @cached_property
+    def truth(self) -> dict[str, dict[str, dict[str, list[list[float]]]]]:
+        document: dict[str, dict[str, dict[str, list[list[float]]]]] = json.loads(
+            (self.folder / "truth.json").read_text()
+        )
+        return document
+
+    @cached_property
+    def standard(self) -> dict[str, float]:
+        """True standard parameters and rotor inertias by name."""
+        document = json.loads((self.folder / "truth.json").read_text())
+        return dict(document["parameters"] | document["rotor_inertia"])
+
+    def logs(self, stage: str) -> list[Recording]:
+        return self._recordings.setdefault(stage, self._read(stage))
+
+    @cached_property
+    def _recordings(self) -> dict[str, list[Recording]]:
+        return {}
+
+    def _read(self, stage: str) -> list[Recording]:
+        if stage in self._recordings or not (self.folder / stage).exists():
+            return self._recordings.get(stage, [])
+        return list(read_recordings(sorted((self.folder / stage).iterdir()), self.robot))
+
+    @cached_property
+    def friction(self) -> FrictionStage:
+        return identify_friction(self.logs("friction"), self.robot, options=FrictionOptions())
+
+    @cached_property
+    def gravity(self) -> RigidStage:
+        logs = self.logs("gravity") + self.logs("friction")
+        stages = Stages(friction=self.friction)
+        return identify_gravity(logs, self.robot, stages, options=MotionOptions())
+
+    @cached_property
+    def imu(self) -> ImuStage:
+        return calibrate_imus(self.logs("imu"), self.robot, None, options=MotionOptions())
+
+    @cached_property
+    def inertia(self) -> RigidStage:
+        return self.inertia_of(self.logs("inertia"))
+
+    def inertia_of(self, logs: list[Recording], source: str = "auto") -> RigidStage:
+        """The inertia stage from some of the logs, or with another source of motion."""
+        stages = Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
+        return identify_inertia(logs, self.robot, stages, options=InertiaOptions(source=source))
+
+    @cached_property
+    def stages(self) -> Stages:
+        return Stages(
+            friction=self.friction, gravity=self.gravity, imu=self.imu, inertia=self.inertia
+        )
+
+    @cached_property
+    def simultaneous(self) -> Stages:
+        friction, inertia = identify_simultaneous(
+            self.logs("inertia"), self.robot, options=MotionOptions()
+        )
+        return Stages(friction=friction, inertia=inertia)
+
+    def predictions(self, stages: Stages) -> list[LogPrediction]:
+        """Predict the held-out logs."""
+        return list(predict(self.logs("validation"), self.robot, stages, options=InertiaOptions()))
+
+    def true_value(self, parameter: Parameter) -> float:
+        """True value of an identified base parameter."""
+        return sum(factor * self.standard[name] for name, factor in parameter.terms.items())
+
+
+def rmse(predictions: list[LogPrediction]) -> Array:
+    """RMS torque error (n,) N m over the used samples of all logs."""
+    errors = np.vstack([p.beyond[p.used] for p in predictions])
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))

@@ -1,0 +1,91 @@
+"""Parameters that bodies can have, where that is asked for at identification."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from seqid_cli.identify.consistency import made_consistent
+from seqid_cli.identify.rigid_stage import parameters_of, representative_of
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
+from seqid_cli.model.torque import standard_parameters
+from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.robot.base import free_basis, standard_names
+from seqid_cli.robot.types import Robot
+from tests.plants.rigs import six_joint, two_joint
+from tests.plants.simulate import Plant
+from tests.studies.lab import robot_of, true_standard
+
+
+def stage_of(robot: Robot, plant: Plant, *, off: float, seed: int = 0) -> RigidStage:
+    """The true base parameters with errors of `off` standard errors each."""
+    basis = free_basis(robot)
+    standard = true_standard(plant)
+    phi = np.array([standard[name] for name in standard_names(robot.n)])
+    theta = basis.expression @ phi
+    error = 0.02 * np.abs(theta) + 0.02 * np.median(np.abs(theta))
+    theta = theta + off * error * np.random.default_rng(seed).standard_normal(len(theta))
+    covariance = np.diag(error**2)
+    return RigidStage(
+        parameters=parameters_of(robot, basis, np.arange(basis.size), theta, covariance),
+        condition=1.0,
+        rank=basis.size,
+        structural_rank=basis.size,
+        representative=representative_of(basis, theta, np.zeros(robot.n)),
+        covariance=covariance.tolist(),
+    )
+
+
+def least_eigenvalue(stage: RigidStage, n: int) -> float:
+    links, rotor = standard_parameters(stage, n)
+    return min(float(np.linalg.eigvalsh(pseudo_inertia(links)).min()), float(rotor.min()))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_constrained_parameters_are_those_of_bodies(seed: int) -> None:
+    plant = six_joint()
+    robot = robot_of("six", plant)
+    noisy = stage_of(robot, plant, off=3.0, seed=seed)
+    assert least_eigenvalue(noisy, robot.n) < 0
+    stage = made_consistent(noisy, Stages(), robot)
+    assert least_eigenvalue(stage, robot.n) >= 0
+    basis = free_basis(robot)
+    links, rotor = standard_parameters(stage, robot.n)
+    values = basis.expression @ np.concatenate([links.ravel(), rotor])
+    np.testing.assert_allclose([p.value for p in stage.parameters], values, rtol=1e-6, atol=1e-9)
+    assert "standard errors" in stage.notes[-1]
+
+
+def test_parameters_that_bodies_have_stay_as_they_are() -> None:
+    plant = two_joint()
+    robot = robot_of("two", plant)
+    given = stage_of(robot, plant, off=0.0)
+    stage = made_consistent(given, Stages(), robot)
+    for p, q in zip(given.parameters, stage.parameters, strict=True):
+        assert q.value == pytest.approx(p.value, abs=0.01 * p.std_error)
+    assert stage.notes[-1].startswith("physically consistent as identified")
+
+
+def test_a_negative_rotor_inertia_is_put_right() -> None:
+    plant = two_joint()
+    robot = robot_of("two", plant)
+    free = without_rotors(robot)
+    given = stage_of(free, plant, off=0.0)
+    names = [p.name for p in given.parameters]
+    at = names.index("Ia_2")
+    wrong = replace(given.parameters[at], value=-0.001)
+    parameters = [wrong if k == at else p for k, p in enumerate(given.parameters)]
+    bent = replace(
+        given, parameters=parameters, representative={**given.representative, "Ia_2": -0.001}
+    )
+    stage = made_consistent(bent, Stages(), free)
+    assert next(p.value for p in stage.parameters if p.name == "Ia_2") >= 0
+
+
+def without_rotors(robot: Robot) -> Robot:
+    """The robot with rotor inertias left to identify."""
+    joints = tuple(dataclasses.replace(joint, rotor_inertia=None) for joint in robot.joints)
+    return dataclasses.replace(robot, joints=joints)

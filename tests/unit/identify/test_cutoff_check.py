@@ -1,0 +1,76 @@
+"""Estimates at neighbouring cut-offs are compared by what they do not share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.cutoff_check import CutoffCheck, Result, cutoff_check, with_cutoff_check
+from seqid_cli.identify.least_squares import Accumulator, solve
+from seqid_cli.identify.posterior import Posterior
+from seqid_cli.params.schema import Parameter, RigidStage
+from seqid_cli.robot.base import base_parameters
+from tests.plants.rigs import one_joint
+from tests.studies.lab import robot_of
+
+Array = NDArray[np.float64]
+
+THETA = np.array([2.0, -1.0, 0.5])
+BLOCKS, ROWS = 40, 25
+
+
+def result(H: Array, y: Array) -> Result:
+    joint = Accumulator(len(THETA))
+    for h, own in zip(np.split(H, BLOCKS), np.split(y, BLOCKS), strict=True):
+        joint.add(h, own)
+    solution = solve([joint])
+    return solution, Posterior.of(solution, [None], {}, np.zeros((len(THETA), 0)), {})
+
+
+def pair(seed: int, *, shrunk: float) -> tuple[Result, Result]:
+    """The same rows twice, the second with a little noise of its own; its first column is off."""
+    rng = np.random.default_rng(seed)
+    H = rng.standard_normal((BLOCKS * ROWS, len(THETA)))
+    y = H @ THETA + 0.5 * rng.standard_normal(len(H))
+    other = H * np.array([1.0 + shrunk, 1.0, 1.0])
+    return result(H, y), result(other, y + 0.1 * rng.standard_normal(len(H)))
+
+
+def checked(seed: int, *, shrunk: float) -> CutoffCheck:
+    own, other = pair(seed, shrunk=shrunk)
+    return cutoff_check(own, {0.7: other}, [None])
+
+
+def test_noise_alone_is_not_said_and_adds_little() -> None:
+    found = [checked(seed, shrunk=0.0) for seed in range(40)]
+    assert sum(bool(check.said) for check in found) <= 1
+    stated = np.sqrt(np.diag(pair(0, shrunk=0.0)[0][1].covariance))
+    added = np.mean([np.sum(check.doubt**2, axis=1) for check in found], axis=0)
+    assert (added < 0.1 * stated**2).all()
+
+
+def test_a_parameter_that_depends_on_the_cutoff_is_named_and_its_error_grows() -> None:
+    for seed in range(5):
+        check = checked(seed, shrunk=0.1)
+        assert [k for k, *_ in check.said] == [0]
+        _, factor, by = check.said[0]
+        assert factor == 0.7
+        assert by < -3.0
+        assert abs(check.doubt[0, 0]) > 0.12  # of the 2 / 1.1 - 2 that it differs by
+        assert (np.abs(check.doubt[1:, 0]) < 0.03).all()
+
+
+def test_the_stage_is_poor_where_the_difference_matters() -> None:
+    basis = base_parameters(robot_of("one", one_joint()), rotor=())
+    name = basis.names[0]
+    parameter = Parameter(name=name, value=1.0, std_error=0.1, unit="kg m")
+    stage = RigidStage(parameters=[parameter], condition=1.0, rank=1)
+    mild = CutoffCheck(np.zeros((1, 0)), ((0, 0.7, 1.5),))
+    strong = CutoffCheck(np.zeros((1, 0)), ((0, 0.7, -6.0),))
+    assert with_cutoff_check(stage, CutoffCheck(np.zeros((1, 0))), basis) == stage
+    said = with_cutoff_check(stage, mild, basis)
+    assert not said.verdicts
+    assert f"{name} by +1.5 at 0.7 times" in said.notes[-1]
+    poor = with_cutoff_check(stage, strong, basis)
+    assert [v.good for v in poor.verdicts] == [False]
+    assert f"{name} by -6.0 at 0.7 times" in poor.verdicts[0].reason

@@ -1,0 +1,65 @@
+"""The regressor filtered part by part against that of the whole motion, filtered at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.identify.filtered_columns import FilteredColumns
+from seqid_cli.motion.filters.bandwidth import Cutoff
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.motion import Motion
+from seqid_cli.robot.base import Basis, base_regressor, free_basis
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.benchmarks.arm import RATE_HZ, motion, write_arm
+
+Array = NDArray[np.float64]
+LOWPASS = Lowpass(25.0, RATE_HZ)
+MARGIN = LOWPASS.memory
+PART = 1024
+SAMPLES = 9_500
+
+
+@dataclass
+class Columns:
+    """A coupling column that shows which samples it was asked for."""
+
+    robot: Robot
+    basis: Basis
+
+    def coupling_column(self, motion: Motion) -> Array:
+        return motion.q**2
+
+
+def moved(samples: int, gap: slice) -> Motion:
+    """Some motion with a gap, its edges as sharp as they come."""
+    q, dq, ddq = motion(np.arange(samples) / RATE_HZ)
+    valid = np.ones(samples, dtype=bool)
+    valid[gap] = False
+    cutoff = Cutoff(LOWPASS.cutoff_hz, np.zeros(7), 0.0, False, np.zeros(7))
+    t = np.arange(samples) / RATE_HZ
+    moving = np.ones((samples, 7), dtype=bool)
+    return Motion(t, q, dq, ddq, q, moving, valid, valid, RATE_HZ, LOWPASS, cutoff)
+
+
+@pytest.mark.parametrize("gap", [slice(0, 0), slice(5_000, 5_030), slice(4_096, 4_097)])
+def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice) -> None:
+    robot = load_robot(write_arm(tmp_path))
+    equations = Columns(robot, free_basis(robot))
+    whole = moved(SAMPLES, gap)
+    H = base_regressor(robot, equations.basis, whole.q, whole.dq, whole.ddq)
+    expected = LOWPASS(H, whole.valid)
+    columns = FilteredColumns(equations, PART, MARGIN)
+    for start in range(0, SAMPLES, PART):
+        stop = min(start + PART, SAMPLES)
+        found = columns.of(whole, start, stop)
+        assert found.shape == (stop - start, 7, equations.basis.size + 1)
+        inside = whole.valid[start:stop]
+        off = np.abs(found[:, :, :-1] - expected[start:stop])[inside]
+        assert off.max() < 1e-12 * np.abs(H).max()
+        np.testing.assert_array_equal(found[:, :, -1], whole.q[start:stop] ** 2)

@@ -1,0 +1,130 @@
+"""What the friction stage does not know widens the standard errors of gravity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.identify.gravity_stage import GROUP, GravityRows, _stage
+from seqid_cli.identify.inertia_stage import gravity_prior
+from seqid_cli.identify.least_squares import Accumulator, solve
+from seqid_cli.identify.posterior import friction_covariance
+from seqid_cli.identify.trials import Ramps, Trial
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.types import Robot
+from tests.plants.rigs import MOMENT, one_joint, six_joint
+from tests.studies.lab import robot_of
+
+Array = NDArray[np.float64]
+
+SEEDS = 150
+NOISE = 0.0005  # N m, of a slice
+
+
+def surface_of(positive: Array, negative: Array, covariance: Array) -> FrictionSurface:
+    scaling = Scaling((-2.5, 2.5), (0.4, 8.0))
+    return FrictionSurface(scaling, 0.04, positive, negative, covariance, directional=True)
+
+
+POSITIVE = np.array([[0.030, 0.004], [0.001, 0.0], [-0.002, 0.0]])
+NEGATIVE = np.array([[0.028, 0.004], [0.0, 0.0], [-0.001, 0.0]])
+SPREAD = np.full(12, 0.0004)
+
+
+def trials(rng: np.random.Generator) -> list[Trial]:
+    """Both ways at four speeds, with the true friction."""
+    true = surface_of(POSITIVE, NEGATIVE, np.zeros((12, 12)))
+    lever = 9.81 * np.sin(np.deg2rad(30.0)) * MOMENT
+    result = []
+    for speed in (0.5, 1.0, 2.0, 4.0):
+        for direction in (1, -1):
+            q = np.linspace(-2.4, 2.4, 64)[::direction]
+            v = np.full(64, direction * speed)
+            # The axis leans by 30 degrees about x: gravity's part across it lies along -y.
+            tau = lever * np.cos(q) + true.torque(q, v) + NOISE * rng.standard_normal(64)
+            still = np.zeros(64)
+            t = 10.0 * len(result) + np.arange(64) * 0.02
+            motion = (0, direction * speed, q, v, still, tau)
+            result.append(Trial(*motion, Ramps.none(), 20.0, np.zeros(1), t, 0.02))
+    return result
+
+
+def errors_of(robot: Robot, seed: int) -> tuple[Array, Array, Array]:
+    """Errors of (mx, my), and variances with and without the friction stage's part."""
+    rng = np.random.default_rng(seed)
+    off = SPREAD * rng.standard_normal(12)
+    shape = POSITIVE.shape
+    surface = surface_of(
+        POSITIVE + off[:6].reshape(shape), NEGATIVE + off[6:].reshape(shape), np.diag(SPREAD**2)
+    )
+    basis = base_parameters(robot, rotor=())
+    rows, joints = GravityRows(robot, basis, [surface]), [Accumulator(2)]
+    rows.add_joint(trials(rng), joints)
+    solution = solve(joints)
+    error = solution.theta - np.array([MOMENT, 0.0])
+    alone = np.diag(solution.covariance)
+    sensitivity = rows.sensitivity(solution)
+    return error, alone + np.diag(friction_covariance(sensitivity, [surface], 2)), alone
+
+
+def test_errors_are_as_large_as_said_with_frictions_part_and_larger_than_said_without() -> None:
+    robot = robot_of("one", one_joint())
+    found = [errors_of(robot, seed) for seed in range(SEEDS)]
+    error, total, alone = (np.array(part) for part in zip(*found, strict=True))
+    assert np.mean(np.abs(error) < 1.96 * np.sqrt(total)) >= 0.90
+    assert np.mean(error**2 / total) > 0.4
+    assert np.mean(np.abs(error) < 1.96 * np.sqrt(alone)) < 0.85
+
+
+def test_trials_of_joints_without_friction_are_left_out() -> None:
+    robot = robot_of("one", one_joint())
+    rows, joints = GravityRows(robot, base_parameters(robot, rotor=()), [None]), [Accumulator(2)]
+    rows.add_joint(trials(np.random.default_rng(0)), joints)
+    assert rows.used == joints[0].samples == 0
+    assert rows.skipped == ["joint_1"] * 8
+
+
+def test_slices_outside_the_identified_friction_are_left_out() -> None:
+    robot = robot_of("one", one_joint())
+    surface = surface_of(POSITIVE, NEGATIVE, np.diag(SPREAD**2))
+    narrow = replace(surface, scaling=Scaling((-1.0, 1.0), (0.9, 2.1)))
+    rows, joints = GravityRows(robot, base_parameters(robot, rotor=()), [narrow]), [Accumulator(2)]
+    kept = 0
+    given = trials(np.random.default_rng(0))
+    rows.add_joint(given, joints)
+    for trial in given:
+        if trial.speed in (1.0, 2.0):
+            kept += int(np.sum(np.abs(trial.q) <= 1.04)) // GROUP
+    assert joints[0].samples == kept
+    assert rows.used == 4
+
+
+def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None:
+    robot = robot_of("six", six_joint())
+    basis = base_parameters(robot, rotor=())
+    size = int(basis.gravity.sum())
+    rng = np.random.default_rng(0)
+    joints = [Accumulator(size) for _ in range(robot.n)]
+    q = rng.uniform(-1.0, 1.0, (400, robot.n))  # but only the last joint's torque is known
+    H = base_regressor(robot, basis, q, np.zeros_like(q), np.zeros_like(q))[:, -1, :size]
+    for j, joint in enumerate(joints):
+        own = slice(None) if j == robot.n - 1 else slice(0, 0)
+        joint.add(H[own], (H @ np.ones(size) + 0.01 * rng.normal(size=400))[own])
+    solution = solve(joints)
+    rows = GravityRows(robot, basis, [None] * robot.n)
+    stage = _stage(robot, basis, solution, rows)
+    assert 0 < len(stage.parameters) < size
+    assert np.shape(stage.covariance) == (len(stage.parameters),) * 2
+    errors = np.sqrt(np.diag(stage.covariance))
+    assert errors.tolist() == pytest.approx([p.std_error for p in stage.parameters])
+    prior = gravity_prior(stage, basis)
+    assert prior is not None
+    own = [basis.names.index(p.name) for p in stage.parameters]
+    assert not np.delete(prior.A, own, axis=1).any()
+    expected = np.linalg.inv(np.array(stage.covariance))
+    np.testing.assert_allclose((prior.A.T @ prior.A)[np.ix_(own, own)], expected, rtol=1e-6)

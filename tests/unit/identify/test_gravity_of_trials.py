@@ -1,0 +1,143 @@
+"""Eq. 12-15: p_xi is recovered; direction-dependent friction is seen, and only where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.identify.gravity_of_trials import GravityFit, fit_gravity
+from seqid_cli.identify.trials import Ramps, Trial, gravity_columns
+from seqid_cli.robot.types import Robot
+from tests.unit.robot.robots import arm_6r
+
+Array = NDArray[np.float64]
+
+JOINT = 2
+SLICES = 64
+SPEEDS = np.geomspace(0.1, 2.0, 8)
+P_XI = np.array([[1.7, -0.2], [1.1, 0.4]])
+CONFIGURATIONS = np.array([[0.3, -0.8, 0.0, 0.5, 0.1, 0.0], [0.3, -2.0, 0.0, 1.5, -0.9, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return arm_6r()
+
+
+def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
+    return Trial(
+        joint=joint,
+        velocity=velocity,
+        q=q,
+        dq=np.full(len(q), velocity),
+        ddq=np.zeros(len(q)),
+        tau=tau,
+        ramps=Ramps.none(),
+        weight=20.0,
+        configuration=configuration,
+        t=np.arange(len(q)) * 0.01,
+        seconds=0.01,
+    )
+
+
+def trials_of(
+    robot: Robot,
+    rng: np.random.Generator,
+    *,
+    asymmetry: float = 0.0,
+    noise: float = 0.1,
+    directions: tuple[int, ...] = (1, -1),
+) -> list[Trial]:
+    """Trials of the elbow with friction that is larger forward by the share `asymmetry`."""
+    trials = []
+    for configuration, p in zip(CONFIGURATIONS, P_XI, strict=True):
+        for speed in SPEEDS:
+            for direction in directions:
+                q = np.linspace(-2, 2, SLICES)[::direction] + 0.01 * rng.standard_normal()
+                friction = 6.0 + 2.0 * speed + 0.6 * np.sin(q + 0.4) + 0.3 * np.sin(2 * q)
+                friction = friction * (1 + asymmetry * direction)
+                tau = gravity_columns(robot, JOINT, configuration, q) @ p + direction * friction
+                hiss = noise * rng.standard_normal(SLICES)
+                hiss[1:] = 0.9 * hiss[1:] + 0.44 * hiss[:-1]  # neighbours share some of it
+                trials.append(trial(JOINT, direction * speed, q, tau + hiss, configuration))
+    return trials
+
+
+def fitted(robot: Robot, seed: int, *, asymmetry: float = 0.0, noise: float = 0.1) -> GravityFit:
+    rng = np.random.default_rng(seed)
+    return fit_gravity(robot, JOINT, trials_of(robot, rng, asymmetry=asymmetry, noise=noise))
+
+
+def test_p_xi_of_each_configuration_is_recovered(robot: Robot) -> None:
+    z = []
+    for seed in range(20):
+        fit = fitted(robot, seed)
+        assert len(fit.groups) == 2
+        assert fit.unpaired == 0
+        for group, p in zip(fit.groups, P_XI, strict=True):
+            np.testing.assert_allclose(group.p_xi, p, atol=0.02)
+            z.append((group.p_xi - p) / group.std_error)
+    assert 0.7 < float(np.sqrt(np.mean(np.square(z)))) < 1.4
+
+
+def test_without_noise_p_xi_is_exact(robot: Robot) -> None:
+    fit = fitted(robot, 0, noise=1e-9)
+    for group, p in zip(fit.groups, P_XI, strict=True):
+        # Twins stand at neighbouring positions; interpolation between slices is all that is left.
+        np.testing.assert_allclose(group.p_xi, p, atol=2e-3)
+
+
+def test_symmetric_friction_raises_no_alarm(robot: Robot) -> None:
+    alarms = sum(fitted(robot, 100 + seed).directional for seed in range(40))
+    assert alarms <= 2
+
+
+@pytest.mark.parametrize("asymmetry", [0.05, -0.05, 0.15])
+def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: float) -> None:
+    found = [fitted(robot, 200 + seed, asymmetry=asymmetry) for seed in range(10)]
+    assert all(fit.directional for fit in found)
+    for fit in found:
+        assert fit.asymmetry == pytest.approx(abs(asymmetry), rel=0.25)
+        for group, p in zip(fit.groups, P_XI, strict=True):
+            np.testing.assert_allclose(group.p_xi, p, atol=0.1)
+
+
+def test_direction_dependence_below_what_matters_is_left_alone(robot: Robot) -> None:
+    assert not any(fitted(robot, 300 + s, asymmetry=0.005).directional for s in range(10))
+
+
+def test_trials_without_twins_are_counted(robot: Robot) -> None:
+    rng = np.random.default_rng(0)
+    both = [t for t in trials_of(robot, rng) if t.configuration[1] > -1]
+    alone = [t for t in trials_of(robot, rng, directions=(1,)) if t.configuration[1] < -1]
+    fit = fit_gravity(robot, JOINT, both + alone)
+    assert len(fit.groups) == 1
+    assert fit.unpaired == len(alone)
+    none = fit_gravity(robot, JOINT, alone)
+    assert none.groups == []
+    assert none.unpaired == len(alone)
+
+
+def test_a_joint_along_gravity_has_no_p_xi(robot: Robot) -> None:
+    rng = np.random.default_rng(1)
+    trials = [
+        trial(0, 0.5 * d, np.linspace(-1, 1, 16)[::d], 3.0 * d + noise, np.zeros(6))
+        for d, noise in zip((1, -1), 0.01 * rng.standard_normal((2, 16)), strict=True)
+    ]
+    for given in (trials, trials[:1]):  # nothing to take off, so no twin is needed
+        fit = fit_gravity(robot, 0, given)
+        assert len(fit.groups) == 1
+        assert fit.groups[0].p_xi.shape == (0,)
+        assert not fit.directional
+        assert fit.unpaired == 0
+
+
+def test_few_and_noisy_trials_raise_no_alarm(robot: Robot) -> None:
+    """A few slow trials under noise as large as a fifth of the friction: chance is not shape."""
+    alarms = 0
+    for seed in range(40):
+        own = trials_of(robot, np.random.default_rng(400 + seed), noise=1.5)
+        slow = [t for t in own if t.speed < 0.3]
+        alarms += fit_gravity(robot, JOINT, slow).directional
+    assert alarms <= 2

@@ -1,0 +1,152 @@
+"""Eq. 29-38: rotations from pairs of directions, and what they leave open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from seqid_cli.errors import UsageError
+from seqid_cli.identify.imu import calibrate_imus
+from seqid_cli.identify.imu_pairs import (
+    Pair,
+    fit_rotation,
+    rotation_covariance,
+    shortest_rotation,
+)
+from seqid_cli.motion.options import MotionOptions
+from tests.plants.experiments import Trial, swing
+from tests.plants.rigs import one_joint
+from tests.plants.simulate import Plant, simulate
+from tests.plants.trajectories import hold, join
+from tests.studies.lab import recording_of, robot_of
+
+Array = NDArray[np.float64]
+
+
+def unit(rng: np.random.Generator, count: int) -> Array:
+    v = rng.standard_normal((count, 3))
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+def pairs_of(R: Array, link: Array, rng: np.random.Generator, sigma: Array) -> list[Pair]:
+    """Directions in the link's frame and, with noise across them, in the IMU's."""
+    result = []
+    for m, s in zip(link, sigma, strict=True):
+        noisy = R.T @ m + s * rng.standard_normal(3)
+        result.append(Pair(noisy / np.linalg.norm(noisy), m, float(s)))
+    return result
+
+
+def degrees_between(A: Array, B: Array) -> float:
+    return float(np.degrees(np.linalg.norm(Rotation.from_matrix(A @ B.T).as_rotvec())))
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_exact_pairs_give_the_rotation(count: int) -> None:
+    rng = np.random.default_rng(count)
+    R = Rotation.random(random_state=count).as_matrix()
+    got = fit_rotation(pairs_of(R, unit(rng, count), rng, np.full(count, 1e-12)))
+    np.testing.assert_allclose(got, R, atol=1e-9)
+    assert np.linalg.det(got) == pytest.approx(1.0)
+
+
+def test_with_spanning_pairs_it_is_eq_38_projected() -> None:
+    """On exact pairs Eq. 38's least squares is already a rotation, the same one."""
+    rng = np.random.default_rng(0)
+    R = Rotation.random(random_state=0).as_matrix()
+    pairs = pairs_of(R, unit(rng, 6), rng, np.full(6, 1e-12))
+    B, M = (np.array([getattr(p, side) for p in pairs]).T for side in ("imu", "link"))
+    np.testing.assert_allclose(fit_rotation(pairs), M @ B.T @ np.linalg.inv(B @ B.T), atol=1e-8)
+
+
+def test_it_minimises_the_weighted_sum_of_squares() -> None:
+    rng = np.random.default_rng(1)
+    R = Rotation.random(random_state=1).as_matrix()
+    sigma = np.array([0.02, 0.1, 0.03, 0.3, 0.05])
+    pairs = pairs_of(R, unit(rng, 5), rng, sigma)
+
+    def cost(candidate: Array) -> float:
+        return sum(float(np.sum((candidate @ p.imu - p.link) ** 2)) / p.sigma**2 for p in pairs)
+
+    best = fit_rotation(pairs)
+    for _ in range(50):
+        turned = Rotation.from_rotvec(1e-3 * rng.standard_normal(3)).as_matrix() @ best
+        assert cost(turned) > cost(best)
+
+
+def test_reported_errors_are_those_seen() -> None:
+    """Normalised errors over many calibrations have unit variance about every axis."""
+    link = unit(np.random.default_rng(2), 4)
+    sigma = np.array([0.01, 0.02, 0.005, 0.01])
+    R = Rotation.random(random_state=2).as_matrix()
+    total = np.zeros((3, 3))
+    for seed in range(300):
+        pairs = pairs_of(R, link, np.random.default_rng(seed), sigma)
+        off = Rotation.from_matrix(fit_rotation(pairs) @ R.T).as_rotvec()
+        root = np.linalg.cholesky(np.linalg.inv(rotation_covariance(pairs))).T
+        total += np.outer(root @ off, root @ off) / 300
+    np.testing.assert_allclose(np.diag(total), 1.0, atol=0.3)
+
+
+def test_one_axis_leaves_the_angle_about_it_open() -> None:
+    axis = np.array([0.0, 0.6, 0.8])
+    pairs = [Pair(np.array([1.0, 0.0, 0.0]), axis, 1e-3)] * 3
+    value, vector = np.linalg.eigh(rotation_covariance(pairs))
+    assert abs(vector[:, -1] @ axis) == pytest.approx(1.0)
+    assert value[-1] > 100
+    assert value[1] < 1e-5
+    R = fit_rotation(pairs)
+    np.testing.assert_allclose(R @ [1.0, 0.0, 0.0], axis, atol=1e-12)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+
+
+def test_two_axes_in_a_plane_are_enough() -> None:
+    rng = np.random.default_rng(3)
+    R = Rotation.random(random_state=3).as_matrix()
+    link = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    got = fit_rotation(pairs_of(R, link, rng, np.full(2, 1e-4)))
+    assert degrees_between(got, R) < 0.05
+
+
+def test_the_shortest_rotation_turns_one_into_the_other() -> None:
+    rng = np.random.default_rng(4)
+    for b, m in zip(unit(rng, 20), unit(rng, 20), strict=True):
+        R = shortest_rotation(b, m)
+        np.testing.assert_allclose(R @ b, m, atol=1e-12)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        angle = np.arccos(np.clip(b @ m, -1, 1))
+        assert np.linalg.norm(Rotation.from_matrix(R).as_rotvec()) == pytest.approx(angle)
+    for b in np.vstack([np.eye(3), unit(rng, 3)]):
+        R = shortest_rotation(b, -b)
+        np.testing.assert_allclose(R @ b, -b, atol=1e-9)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def rested(plant: Plant) -> Trial:
+    """The paper's single joint swings, with rests that are long enough to see gravity."""
+    rest, angles = [], (-0.8, 0.9)
+    for angle in angles:
+        motion = swing(plant, np.array([angle]), 0, 2, share=0.4, rate_hz=1000.0)
+        rest += [hold(motion.q[0], 1.2, 1000.0), motion, hold(motion.q[-1], 1.2, 1000.0)]
+    return Trial("imu", "rested", join(rest), imus=True)
+
+
+def test_gravity_at_rest_closes_the_angle_about_a_single_tilted_axis() -> None:
+    plant = one_joint()
+    log = simulate(plant, rested(plant).reference, 0, every=4)
+    stage = calibrate_imus(
+        [recording_of(plant, "rested", log)], robot_of("one", plant), None, options=MotionOptions()
+    )
+    found = stage.imus["imu_a"]
+    assert found.not_determined == ["the lever along the link's z is not determined"]
+    assert degrees_between(np.array(found.rotation), plant.imus[0].rotation) < 0.1
+
+
+def test_without_an_imu_in_the_robot_file_there_is_nothing_to_calibrate() -> None:
+    plant = replace(one_joint(), imus=())
+    with pytest.raises(UsageError, match=r"no \[\[imu\]\]"):
+        calibrate_imus([], robot_of("one", plant), None, options=MotionOptions())

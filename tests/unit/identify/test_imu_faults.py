@@ -1,0 +1,186 @@
+"""IMUs with the faults of real sensors: found with their errors, or said to be open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.identify.imu import calibrate_imus
+from seqid_cli.identify.imu_fit import without
+from seqid_cli.identify.imu_readings import cleaned, roughness
+from seqid_cli.identify.imu_segments import lagrange
+from seqid_cli.motion.imu.array import calibrated as mended
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import ImuCalibration
+from seqid_cli.robust import white_noise
+from tests.plants.sensors import Faults, delayed
+from tests.studies.imu_mounting import (
+    CASES,
+    Case,
+    Scene,
+    instruments,
+    recordings,
+    scene_of,
+    scored,
+    scores,
+    true_mounting,
+)
+
+Array = NDArray[np.float64]
+
+COARSE, FINE, PLANAR = CASES[0], CASES[1], CASES[2]
+GYRO = CASES[6]
+
+
+@lru_cache(maxsize=4)
+def scene(case: Case) -> Scene:
+    return scene_of(case)
+
+
+@lru_cache(maxsize=8)
+def found(case: Case, seed: int) -> dict[str, ImuCalibration]:
+    own = scene(case)
+    stage = calibrate_imus(recordings(own, seed), own.robot, None, options=MotionOptions())
+    return stage.imus
+
+
+@pytest.mark.parametrize("case", [COARSE, FINE], ids=lambda case: case.label)
+def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
+    """Four instruments: mounting, offset, gains and biases, all within their standard errors."""
+    seen = [score for seed in range(4) for score in scores(scene(case), seed)]
+    for name in ("z_turn", "z_delay", "z_gain", "z_bias"):
+        z = np.concatenate([np.atleast_1d(getattr(score, name)) for score in seen])
+        assert np.sqrt(np.mean(z**2)) < 2.0, name
+        assert np.abs(z).max() < 5.0, name
+    assert max(score.turn_deg for score in seen) < 0.5
+    assert max(score.delay_error for score in seen) < 3e-4
+    assert all(score.outliers > 0 for score in seen)
+    assert all(score.holdout < 1.2 for score in seen)
+
+
+def test_an_offset_of_twenty_milliseconds_is_found_to_a_fraction_of_a_sample() -> None:
+    for imu in instruments(scene(PLANAR), 0):
+        calibration = found(PLANAR, 0)[imu.name]
+        assert calibration.time_offset_std_error_s is not None
+        assert calibration.time_offset_std_error_s < 5e-4
+        assert calibration.time_offset_s == pytest.approx(
+            0.02, abs=4 * calibration.time_offset_std_error_s
+        )
+
+
+def test_what_a_planar_arm_does_not_show_has_no_number() -> None:
+    """The first link's angle about the vertical axis and its lever; levers along the axes."""
+    first, second = (found(PLANAR, 0)[name] for name in ("imu_a", "imu_b"))
+    assert first.lever == [None, None, None]
+    assert any(text.startswith("the angle about") for text in first.not_determined)
+    assert second.lever[2] is None
+    assert second.lever[0] == pytest.approx(0.08, abs=2e-3)
+    assert second.lever_std_errors[2] is None
+    assert not any(text.startswith("the angle about") for text in second.not_determined)
+
+
+def test_a_gyro_is_calibrated_with_its_triad() -> None:
+    imu = instruments(scene(GYRO), 0)[1]
+    calibration = found(GYRO, 0)["imu_b"]
+    truth = imu.gyro_faults
+    for values, errors, true in (
+        (calibration.gyro_bias, calibration.gyro_bias_std_errors, truth.biases(3)),
+        (calibration.gyro_scale, calibration.gyro_scale_std_errors, truth.gains(3)),
+    ):
+        for value, error, own in zip(values, errors, true, strict=True):
+            assert value is not None
+            assert error is not None
+            assert abs(value - own) < 4 * error
+    assert calibration.time_offset_s == pytest.approx(0.002, abs=2e-4)
+    score = scored(imu, calibration)
+    assert np.abs(score.z_turn).max() < 4.0
+
+
+def test_calibrated_readings_are_those_of_a_better_instrument() -> None:
+    """In the calibration's frame, which differs from the simulated one by the common tilt."""
+    own = scene(GYRO)
+    imu, calibration = instruments(own, 0)[1], found(GYRO, 0)["imu_b"]
+    assert imu.faults is not None
+    f = 10.0 * np.random.default_rng(0).standard_normal((200, 3))
+    axes = imu.faults.axes(imu.axes)
+    values = imu.faults.gains(3) * (f @ axes.T) + imu.faults.biases(3)
+    better, readings, _ = mended(own.robot.imus[1], calibration, values, None)
+    turned = f @ imu.rotation.T @ true_mounting(imu)
+
+    def misfit(sensing: Array, seen: Array) -> float:
+        return float(np.sqrt(np.mean((seen - turned @ sensing.T) ** 2)))
+
+    assert misfit(better.axes, readings) < 0.2 * misfit(own.robot.imus[1].axes, values)
+
+
+def test_a_triad_without_a_gyro_is_calibrated_by_gravity_and_the_encoders() -> None:
+    own = scene(FINE)
+    logs = []
+    for recording in recordings(own, 1):
+        alone = {"imu_a": recording.accelerometers["imu_a"][:, :3]}
+        logs.append(replace(recording, accelerometers=alone))
+    imu = own.robot.imus[0]
+    triad = replace(imu, positions=imu.positions[:3], axes=imu.axes[:3])
+    stage = calibrate_imus(logs, replace(own.robot, imus=(triad,)), None, options=MotionOptions())
+    assert "does not see angular acceleration" in stage.verdicts[0].reason
+    instrument = instruments(own, 1)[0]
+    assert instrument.faults is not None
+    score = scored(
+        replace(instrument, positions=np.zeros((3, 3)), axes=instrument.axes[:3]),
+        stage.imus["imu_a"],
+    )
+    assert np.abs(score.z_turn).max() < 4.0
+
+
+def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(2000) / 250.0
+    clean = 5 * np.sin(6 * t)[:, None] + 0.03 * rng.standard_normal((2000, 3))
+    values = clean.copy()
+    values[500, 0] += 3.0
+    values[1200, 1] = np.nan
+    values[:, 2] = np.clip(values[:, 2], -4.0, 4.0)
+    bridged, bad = cleaned(values, np.ones(2000, dtype=bool))
+    assert bad[500, 0]
+    assert bad[1200, 1]
+    assert bad[:, 0].sum() < 5
+    assert np.abs(bridged - clean)[:, :2].max() < 0.3
+    flat = np.abs(clean[:, 2]) > 4.05
+    assert bad[flat, 2].mean() > 0.95
+    assert bad[np.abs(clean[:, 2]) < 3.9, 2].mean() < 0.01
+
+
+def test_roughness_is_as_large_as_noise_and_jolts_and_has_no_motion() -> None:
+    rng = np.random.default_rng(1)
+    valid = np.arange(4000) != 1000
+    t = np.arange(4000)[:, None] / 250.0
+    rough = 0.05 * rng.standard_normal((4000, 4)) + 0.3 * rng.standard_normal((4000, 1))
+    found = roughness(rough + 5 * np.sin(6 * t), valid)
+    assert np.isnan(found[998:1003]).all()
+    assert np.isfinite(found[2:998]).all()
+    np.testing.assert_allclose(np.nanstd(found, axis=0), np.hypot(0.05, 0.3), rtol=0.1)
+    np.testing.assert_allclose(white_noise(rough), np.hypot(0.05, 0.3), rtol=0.1)
+
+
+def test_lagrange_weights_pass_cubics() -> None:
+    u = np.linspace(0.0, 3.0, 13)
+    nodes = np.arange(4.0)
+    for power in range(4):
+        np.testing.assert_allclose(lagrange(u) @ nodes**power, u**power, atol=1e-12)
+
+
+def test_a_log_is_predicted_only_in_what_the_others_show() -> None:
+    """Whitened by hand: the first direction is the log's alone, of the second it has a half."""
+    total, own = np.diag([4.0, 10.0]), np.diag([4.0 - 1e-9, 5.0])
+    np.testing.assert_allclose(without(total, own, np.array([3.0, 2.0])), [0.0, 2.0 / 5.0])
+
+
+def test_a_late_stamp_shows_the_past() -> None:
+    t = np.arange(500)[:, None] / 250.0
+    late = delayed(np.sin(5 * t), 0.02, 250.0)
+    np.testing.assert_allclose(late[20:], np.sin(5 * (t - 0.02))[20:], atol=1e-6)
+    assert Faults(seed=3, scale=0.1).gains(4) == pytest.approx(Faults(seed=3, scale=0.1).gains(4))

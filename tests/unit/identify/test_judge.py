@@ -1,0 +1,128 @@
+"""Results that no arm can have are poor, and a stage is good only if all of it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import identify_gravity
+from seqid_cli.identify.judge import as_a_whole, friction_verdicts, inertia_verdicts, judged
+from seqid_cli.identify.log_verdicts import notes_of_logs, remedies, verdicts_of_logs
+from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.inspect.findings import found
+from seqid_cli.logs.read import read_recordings
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.unit.inspect.faults import SAMPLES
+
+RIG = SAMPLES / "one_joint"
+ORDERS = FrictionOptions(position_order=4, velocity_order=6)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot(RIG / "robot.toml")
+
+
+@pytest.fixture(scope="module")
+def friction(robot: Robot) -> FrictionStage:
+    logs = list(read_recordings(sorted((RIG / "friction").glob("*")), robot))
+    return identify_friction(logs, robot, options=ORDERS)
+
+
+@pytest.fixture(scope="module")
+def gravity(robot: Robot, friction: FrictionStage) -> RigidStage:
+    logs = list(read_recordings(sorted((RIG / "gravity").glob("*")), robot))
+    return identify_gravity(logs, robot, Stages(friction=friction), options=MotionOptions())
+
+
+def poor(verdicts: list[Verdict]) -> list[str]:
+    return [verdict.joint for verdict in verdicts if not verdict.good]
+
+
+def reversed_friction(stage: FrictionStage, share: float) -> FrictionStage:
+    """Friction less `share` of its mean level, which drives where it was small."""
+    joint = stage.joints["joint_1"]
+    D = np.array(joint.positive)
+    D[0, 0] -= share * D[0, 0]
+    both = {"positive": D.tolist(), "negative": D.tolist()}
+    return replace(stage, joints={"joint_1": replace(joint, **both)})
+
+
+def test_friction_that_brakes_is_fine(robot: Robot, friction: FrictionStage) -> None:
+    assert [*friction_verdicts(friction, robot)] == []
+
+
+@pytest.mark.parametrize("share", [1.0, 2.0])
+def test_friction_that_drives_is_poor(robot: Robot, friction: FrictionStage, share: float) -> None:
+    (verdict,) = friction_verdicts(reversed_friction(friction, share), robot)
+    assert verdict.joint == "joint_1"
+    assert "it would drive the joint" in verdict.reason
+    assert "sign of torque or current" in verdict.reason
+
+
+def test_gravity_agrees_with_the_friction_trials(
+    robot: Robot, friction: FrictionStage, gravity: RigidStage
+) -> None:
+    new = judged(Stages(friction=friction), None, robot)
+    assert new.friction is not None
+    known = judged(Stages(friction=new.friction, gravity=gravity), None, robot)
+    assert known.gravity is not None
+    assert poor(known.gravity.verdicts) == []
+
+
+@pytest.mark.parametrize("factor", [-1.0, 7.2, 0.1])
+def test_gravity_of_another_size_or_sign_is_poor(
+    robot: Robot, friction: FrictionStage, gravity: RigidStage, factor: float
+) -> None:
+    off = {name: factor * value for name, value in gravity.representative.items()}
+    wrong = replace(gravity, representative=off)
+    known = judged(Stages(friction=friction, gravity=wrong), None, robot)
+    assert known.gravity is not None
+    assert poor(known.gravity.verdicts) == ["joint_1", ""]
+    assert "gravity in the friction trials" in known.gravity.verdicts[-2].reason
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "expected"), [(-0.0247, 0.0052, ["six"]), (-0.02, 0.01, [])]
+)
+def test_a_rotor_of_negative_inertia_is_poor(
+    robot: Robot, value: float, error: float, expected: list[str]
+) -> None:
+    rotor = Parameter(
+        name="Ia_6", value=value, std_error=error, unit="kg m^2", joint="six", terms={"Ia_6": 1.0}
+    )
+    stage = RigidStage(parameters=[rotor], condition=1.0, rank=1)
+    assert poor([*inertia_verdicts(stage, robot)]) == expected
+
+
+def test_a_stage_is_good_only_if_its_joints_are() -> None:
+    verdicts = [
+        Verdict(joint="a", good=True),
+        Verdict(joint="b", good=False, reason="189 % unexplained"),
+        Verdict(good=True, reason="rank 4 of 4"),
+    ]
+    whole = as_a_whole(verdicts)
+    assert poor(whole) == ["b", ""]
+    assert whole[-1].reason == "rank 4 of 4; not good: b"
+    assert as_a_whole(verdicts[::2]) == verdicts[::2]
+
+
+def test_errors_of_logs_are_verdicts_and_warnings_are_notes() -> None:
+    from msgspec.structs import replace as but
+
+    error = found("joints_swapped", "the torque of a is b's", joint="a, b", channel="torque")
+    warning = found("torque_saturated", "is at 5 in 3 %", joint="a", channel="current")
+    logs = [but(finding, log=name) for finding in (error, warning) for name in ("x", "y", "z")]
+    verdicts = verdicts_of_logs(logs)
+    assert poor(verdicts) == ["a", "b"]
+    assert verdicts[0].reason.startswith("[joints_swapped] x and 2 more logs: torque the torque")
+    assert verdicts[0].reason.endswith(error.remedy)
+    assert notes_of_logs(logs) == [
+        "a: [torque_saturated] x and 2 more logs: current is at 5 in 3 %"
+    ]
+    assert remedies(logs) == [error.remedy]

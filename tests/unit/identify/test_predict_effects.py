@@ -1,0 +1,129 @@
+"""Predictions with the effects of a parameter file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.predict_logs import LogPrediction, predict
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, FrictionStage, Stages
+from tests.unit.model.effects.scenes import (
+    COULOMB,
+    CUTOFF_HZ,
+    RATE_HZ,
+    SIGN_WIDTH,
+    VISCOUS,
+    two_joint_robot,
+    wander,
+)
+
+Array = NDArray[np.float64]
+
+ROBOT = two_joint_robot()
+TOP = 4.0
+HUMP, SPEED = 1.0, 0.3
+STRIBECK = EffectOfJoint(
+    effect="stribeck",
+    joint="joint_1",
+    settings={"stribeck_speed": SPEED, "exponent": 2.0},
+    coefficients=[HUMP],
+)
+BIAS = EffectOfJoint(effect="torque_bias", joint="joint_2", coefficients=[0.4])
+
+
+def friction() -> FrictionStage:
+    joints = {}
+    for name, coulomb, viscous in zip(ROBOT.joint_names, COULOMB, VISCOUS, strict=True):
+        half = 0.5 * viscous * TOP
+        joints[name] = FrictionJoint(
+            position_order=0,
+            velocity_order=1,
+            max_error=0.0,
+            rmse=0.0,
+            position_range=[-3.0, 3.0],
+            speed_range=[0.0, TOP],
+            sign_width=SIGN_WIDTH,
+            directional=False,
+            positive=[[coulomb + half, half]],
+            negative=[[coulomb + half, half]],
+            covariance=np.eye(2).tolist(),
+        )
+    return FrictionStage(joints=joints)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Friction with a hump and an offset; at rest the first joint holds all that it can."""
+    q = wander(20.0, seed=2)
+    dq = np.gradient(q, 1.0 / RATE_HZ, axis=0)
+    s = np.tanh(dq / SIGN_WIDTH)
+    hump = np.exp(-((dq[:, 0] / SPEED) ** 2))
+    tau = s * np.array(COULOMB) + np.array(VISCOUS) * dq
+    tau += np.column_stack([hump * s[:, 0], np.full(len(q), 0.4)])
+    t = np.arange(len(q)) / RATE_HZ
+    resting = (t > 5.3) & (t < 6.7)
+    tau[resting, 0] = COULOMB[0] + 0.95 * HUMP
+    return Recording(
+        path=Path("log.parquet"),
+        sha256="a",
+        format="parquet",
+        t=t,
+        q=q,
+        valid=np.ones(len(q), dtype=bool),
+        health=Health(rate_hz=RATE_HZ, jitter=0.0),
+        tau=tau,
+    )
+
+
+def predicted(recording: Recording, *effects: EffectOfJoint) -> LogPrediction:
+    stages = Stages(friction=friction(), effects=list(effects) or None)
+    options = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))
+    (log,) = predict([recording], ROBOT, stages, options=options)
+    return log
+
+
+def rms(log: LogPrediction, joint: int) -> float:
+    rows = log.used & log.sliding[:, joint]
+    return float(np.sqrt(np.mean((log.tau - log.predicted)[rows, joint] ** 2)))
+
+
+def test_effects_explain_what_they_stand_for(recording: Recording) -> None:
+    without, with_both = predicted(recording), predicted(recording, STRIBECK, BIAS)
+    for joint, left in ((0, 0.1), (1, 0.1)):
+        assert rms(with_both, joint) < left * rms(without, joint)
+
+
+def test_an_effect_changes_its_own_joint_by_its_own_torque(recording: Recording) -> None:
+    without, with_bias = predicted(recording), predicted(recording, BIAS)
+    rows = without.used & without.sliding[:, 1]
+    change = with_bias.predicted - without.predicted
+    np.testing.assert_allclose(change[rows, 1], 0.4, atol=1e-9)
+    np.testing.assert_array_equal(change[:, 0], 0.0)
+
+
+def test_rest_holds_what_the_effects_allow(recording: Recording) -> None:
+    """Above the friction surface, within it and the hump: no error once the hump is known."""
+    without, with_hump = predicted(recording), predicted(recording, STRIBECK)
+    still = (recording.t > 5.6) & (recording.t < 6.4)
+    assert not without.sliding[still, 0].any()
+    np.testing.assert_allclose(without.beyond[still, 0], 0.95 * HUMP, atol=0.15)
+    np.testing.assert_allclose(with_hump.beyond[still, 0], 0.0, atol=1e-6)
+
+
+def test_rest_includes_an_offset(recording: Recording) -> None:
+    """The offset moves the interval; a torque beyond it by more than that stays an error."""
+    with_bias = predicted(recording, BIAS)
+    still = (recording.t > 5.6) & (recording.t < 6.4)
+    np.testing.assert_allclose(with_bias.beyond[still, 1], 0.0, atol=1e-6)
+
+
+def test_an_unknown_effect_is_named(recording: Recording) -> None:
+    with pytest.raises(ConfigError, match="no effect named 'phlogiston'"):
+        predicted(recording, EffectOfJoint(effect="phlogiston", joint="joint_1"))

@@ -1,0 +1,281 @@
+"""Every stage on the sample logs, against the truth that the logs do not say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.identify.excitation import missing_pairs
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import identify_gravity
+from seqid_cli.identify.imu import calibrate_imus
+from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.robot.base import base_parameters, base_regressor
+from tests.plants import rigs as plants
+from tests.unit.identify.rigs import Rig, rmse
+
+Array = NDArray[np.float64]
+
+
+def true_friction(rig: Rig, joint: str) -> tuple[Array, Array, Array]:
+    """Positions, velocities and torques of the truth's table, flat."""
+    table = rig.truth["friction"][joint]
+    q, v = np.meshgrid(table["position"], table["velocity"], indexing="ij")
+    return q.ravel(), v.ravel(), np.array(table["torque"]).ravel()
+
+
+def covered(
+    rig: Rig, joint: int, surface: FrictionSurface, q: Array, v: Array
+) -> NDArray[np.bool_]:
+    """Where the trials were: at a speed v they need v^2 / 2a of the range to get there."""
+    low, high = surface.scaling.position
+    slow, fast = surface.scaling.speed
+    plant = getattr(plants, rig.name)()
+    ramp = 1.1 * v**2 / (2 * plant.acceleration_limits[joint])
+    inside = np.abs(q - (low + high) / 2) <= (high - low) / 2 - ramp
+    return np.asarray(inside & (np.abs(v) >= slow) & (np.abs(v) <= 1.001 * fast))
+
+
+def test_friction_surfaces_are_the_true_ones_where_the_trials_were(rig: Rig) -> None:
+    """Within what they claim, and within three percent of the friction."""
+    for j, (name, joint) in enumerate(rig.friction.joints.items()):
+        surface = FrictionSurface.from_stage(joint)
+        q, v, torque = true_friction(rig, name)
+        own = covered(rig, j, surface, q, v)
+        assert own.sum() > 200
+        q, v, torque = q[own], v[own], torque[own]
+        error = surface.torque(q, v) - torque
+        F = surface.columns(q, v)
+        z = error / np.sqrt(np.einsum("ni,ij,nj->n", F, surface.covariance, F))
+        assert np.sqrt(np.mean(z**2)) < 1.5, name
+        assert np.mean(np.abs(z) > 4) < 0.01, name
+        assert np.sqrt(np.mean(error**2)) < 0.03 * np.sqrt(np.mean(torque**2)), name
+
+
+def test_every_speed_of_the_friction_logs_is_used_both_ways(rig: Rig) -> None:
+    assert list(rig.friction.joints) == list(rig.robot.joint_names)
+    for joint in rig.friction.joints.values():
+        assert len(joint.speeds) == 12
+        assert not joint.directional
+        pairs = [(level.forward, level.backward) for level in joint.speeds]
+        # Two fast returns of the one-joint rig never settle to a constant velocity.
+        missing = 2 if rig.name == "one_joint" else 0
+        assert pairs.count((1, 1)) >= 12 - missing
+
+
+def test_friction_residuals_are_the_torque_noise(six_joint: Rig) -> None:
+    """Slices average the noise; what is left is below the noise of one sample."""
+    for name, joint in six_joint.friction.joints.items():
+        noise = float(six_joint.truth["torque_noise_std"][name])  # type: ignore[arg-type]
+        assert joint.rmse < 0.6 * noise
+
+
+def test_p_xi_of_the_tilted_joint_is_its_first_moment(one_joint: Rig) -> None:
+    (group,) = one_joint.friction.joints["joint_1"].gravity
+    true = [one_joint.standard["mx_1"], one_joint.standard["my_1"]]
+    off = (np.array(group.p_xi) - true) / np.array(group.std_error)
+    assert np.abs(off).max() < 4
+
+
+def within(rig: Rig, stage: RigidStage, sigmas: float) -> list[bool]:
+    """Whether each parameter is within so many standard errors of its true value."""
+    return [abs(p.value - rig.true_value(p)) < sigmas * p.std_error for p in stage.parameters]
+
+
+@pytest.mark.parametrize(("name", "count"), [("one_joint", 2), ("six_joint", 10)])
+def test_gravity_parameters_are_the_true_ones(
+    name: str, count: int, request: pytest.FixtureRequest
+) -> None:
+    rig: Rig = request.getfixturevalue(name)
+    stage = rig.gravity
+    assert stage.rank == stage.structural_rank == len(stage.parameters) == count
+    assert stage.not_excited == []
+    assert all(within(rig, stage, 4.0))
+    largest = max(stage.parameters, key=lambda p: abs(rig.true_value(p)))
+    assert largest.name.startswith("mx_")
+    assert largest.value == pytest.approx(rig.true_value(largest), rel=0.01)
+    assert {p.unit for p in stage.parameters} == {"kg m"}
+
+
+def test_gravity_of_the_planar_arm_is_empty_and_says_so(two_joint: Rig) -> None:
+    stage = two_joint.gravity
+    assert stage.parameters == []
+    assert stage.rank == 0
+    assert any("gravity loads no joint" in note for note in stage.notes)
+
+
+@pytest.mark.parametrize(("name", "rank"), [("one_joint", 3), ("two_joint", 4)])
+def test_inertia_of_the_papers_rigs_is_within_a_percent(
+    name: str, rank: int, request: pytest.FixtureRequest
+) -> None:
+    rig: Rig = request.getfixturevalue(name)
+    stage = rig.inertia
+    assert stage.rank == stage.structural_rank == rank
+    sizes = {p.unit: 0.0 for p in stage.parameters}
+    for p in stage.parameters:
+        sizes[p.unit] = max(sizes[p.unit], abs(rig.true_value(p)))
+    for p in stage.parameters:
+        true = rig.true_value(p)
+        allowed = 0.01 * (abs(true) if true else sizes[p.unit])
+        assert abs(p.value - true) < allowed, p.name
+    assert all(within(rig, stage, 4.0))
+
+
+def test_ninety_five_percent_of_the_six_joint_parameters_are_within_three_sigma(
+    six_joint: Rig,
+) -> None:
+    good = within(six_joint, six_joint.gravity, 3.0) + within(six_joint, six_joint.inertia, 3.0)
+    assert len(good) == 36
+    assert np.mean(good) >= 0.95
+
+
+def test_six_joint_inertia_has_full_rank_and_says_where_motion_came_from(six_joint: Rig) -> None:
+    stage = six_joint.inertia
+    assert stage.rank == stage.structural_rank == 36
+    assert not stage.not_excited
+    assert not stage.missing_pairs
+    assert len(stage.motion) == 15
+    assert set(stage.motion.values()) == {"fused: imu_a, imu_b"}
+    assert stage.rotor_coupling == "diagonal"
+    names = {p.name for p in stage.parameters} | {p.name for p in six_joint.gravity.parameters}
+    assert len(names) == 36
+
+
+def test_covariances_are_those_of_the_standard_errors(six_joint: Rig) -> None:
+    for stage in (six_joint.gravity, six_joint.inertia):
+        covariance = np.array(stage.covariance)
+        errors = np.array([p.std_error for p in stage.parameters])
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), errors, rtol=1e-9)
+        assert np.linalg.eigvalsh(covariance).min() > -1e-12 * np.trace(covariance)
+
+
+def test_imu_mountings_are_found_within_a_third_of_a_degree(six_joint: Rig) -> None:
+    assert set(six_joint.imu.imus) == {"imu_a", "imu_b"}
+    for name, found in six_joint.imu.imus.items():
+        true = np.array(six_joint.truth["imus"][name]["R_link_from_imu"])
+        turn = np.array(found.rotation) @ true.T
+        assert np.degrees(np.arccos(min(1.0, (np.trace(turn) - 1) / 2))) < 0.3
+        assert found.std_error_deg < 0.3
+        assert found.not_determined == []
+
+
+def test_a_mounting_about_parallel_axes_is_called_undetermined(two_joint: Rig) -> None:
+    """All axes of the planar arm, and gravity, are parallel: the first link's angle stays open."""
+    first, second = (two_joint.imu.imus[name] for name in ("imu_a", "imu_b"))
+    assert first.not_determined[0].startswith("the angle about the link's axis")
+    assert first.lever == [None, None, None]
+    # The distance between the axes shows the second link's.
+    assert second.not_determined == ["the lever along the link's z is not determined"]
+    for name, found in two_joint.imu.imus.items():
+        true = np.array(two_joint.truth["imus"][name]["R_link_from_imu"])
+        axis = np.array(found.rotation).T @ [0.0, 0.0, 1.0]
+        assert np.degrees(np.arccos(axis @ true.T @ [0.0, 0.0, 1.0])) < 0.5
+    # No joint before either IMU turns about another axis, so that it does no harm.
+    assert all(verdict.good for verdict in two_joint.imu.verdicts)
+    assert "does not matter" in two_joint.imu.verdicts[0].reason
+
+
+def test_one_step_is_worse_than_step_by_step_on_new_motions(six_joint: Rig) -> None:
+    sequential = rmse(six_joint.predictions(six_joint.stages))
+    simultaneous = rmse(six_joint.predictions(six_joint.simultaneous))
+    assert (sequential < simultaneous).all()
+    assert np.mean(sequential / simultaneous) < 0.8
+
+
+def test_imus_do_better_than_the_coarse_encoder_alone(two_joint: Rig) -> None:
+    """Table II of the paper: which motion the inertia is identified from matters."""
+    logs = two_joint.logs("inertia")
+    with_imus, encoder = two_joint.inertia, two_joint.inertia_of(logs, source="encoder")
+    errors = [np.array([p.std_error for p in stage.parameters]) for stage in (with_imus, encoder)]
+    assert (errors[0] < errors[1]).all()
+    assert set(encoder.motion.values()) == {"encoder"}
+
+
+def test_a_prediction_is_used_away_from_the_ends(six_joint: Rig) -> None:
+    for found in six_joint.predictions(six_joint.stages):
+        assert found.tau.shape == found.predicted.shape == found.sliding.shape
+        assert 0.8 < found.used.mean() < 1.0
+        assert not found.used[[0, -1]].any()
+        assert not any("taken as zero" in note for note in found.notes)
+
+
+def one_pair(rig: Rig, *names: str) -> RigidStage:
+    """Inertia from the logs whose file is named after one of these pairs."""
+    return rig.inertia_of([log for log in rig.logs("inertia") if log.path.stem in names])
+
+
+def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) -> None:
+    stage = one_pair(six_joint, "elbow__wrist_1")
+    assert stage.rank < stage.structural_rank == 36
+    assert stage.not_excited
+    assert stage.missing_pairs
+    open_names = {text.split()[0].lstrip("-") for text in stage.not_excited}
+    assert not open_names & {p.name for p in stage.parameters}
+    full = {p.name for p in six_joint.inertia.parameters}
+    assert open_names | {p.name for p in stage.parameters} == full
+    assert any(not verdict.good and not verdict.joint for verdict in stage.verdicts)
+    assert any("not excited" in note for note in stage.notes)
+
+
+def rank_of_pairs(rig: Rig, pairs: list[list[str]]) -> int:
+    """Rank of random states of pairs of joints, with gravity known before."""
+    robot = rig.robot
+    basis = base_parameters(robot, rotor=())
+    rng = np.random.default_rng(1)
+    rows = [np.eye(basis.size)[basis.gravity]]
+    for pair in pairs:
+        moving = [robot.joint_names.index(name) for name in pair]
+        q = rng.uniform(-2.5, 2.5, (200, robot.n))
+        dq, ddq = np.zeros_like(q), np.zeros_like(q)
+        dq[:, moving], ddq[:, moving] = rng.normal(size=(2, 200, len(moving)))
+        H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
+        rows.append(H.reshape(-1, basis.size))
+    W = np.vstack(rows)
+    return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6))
+
+
+def test_the_missing_pairs_would_give_full_rank_and_none_is_idle(six_joint: Rig) -> None:
+    own = ["elbow", "wrist_1"]
+    missing = one_pair(six_joint, "__".join(own)).missing_pairs
+    assert rank_of_pairs(six_joint, [own]) < 36
+    assert rank_of_pairs(six_joint, [own, *missing]) == 36
+    for pair in missing:
+        assert rank_of_pairs(six_joint, [own, *(p for p in missing if p != pair)]) < 36
+
+
+def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: Rig) -> None:
+    basis = base_parameters(six_joint.robot, rotor=())
+    pairs = missing_pairs(six_joint.robot, basis, np.eye(basis.size))
+    assert rank_of_pairs(six_joint, pairs) == basis.size
+    assert len({tuple(pair) for pair in pairs}) == len(pairs)
+    basis = base_parameters(one_joint.robot, rotor=())
+    assert missing_pairs(one_joint.robot, basis, np.eye(basis.size)) == [["joint_1"]]
+    assert missing_pairs(one_joint.robot, basis, np.zeros((basis.size, 0))) == []
+
+
+def test_stages_in_the_wrong_order_are_refused(one_joint: Rig) -> None:
+    logs, robot = one_joint.logs("gravity"), one_joint.robot
+    with pytest.raises(UsageError, match="friction stage"):
+        identify_gravity(logs, robot, Stages(), options=MotionOptions())
+    with pytest.raises(UsageError, match="friction stage"):
+        identify_inertia(logs, robot, Stages(), options=InertiaOptions())
+
+
+def test_logs_without_what_a_stage_needs_are_refused(six_joint: Rig) -> None:
+    robot, validation = six_joint.robot, six_joint.logs("validation")[:1]
+    with pytest.raises(QualityError, match="moves by itself at constant velocity"):
+        identify_friction(validation, robot, options=FrictionOptions())
+    with pytest.raises(QualityError, match="no log moves a joint before an IMU"):
+        calibrate_imus(six_joint.logs("friction")[:1], robot, None, options=MotionOptions())
+
+
+def test_too_high_a_velocity_order_is_refused(one_joint: Rig) -> None:
+    options = FrictionOptions(velocity_order=12)
+    with pytest.raises(QualityError, match="needs at least 13 speeds, these logs hold 12"):
+        identify_friction(one_joint.logs("friction"), one_joint.robot, options=options)

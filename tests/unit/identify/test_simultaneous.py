@@ -1,0 +1,141 @@
+"""One least squares for rigid body, Coulomb, viscous friction and offset (Eq. 5-6)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.predict_logs import predict
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.robot.types import Robot
+from tests.plants.rigid import PHI_NAMES
+from tests.plants.rigs import six_joint
+from tests.plants.trajectories import fourier
+from tests.unit.identify.rigs import rmse
+from tests.unit.robot.robots import arm_6r
+
+Array = NDArray[np.float64]
+
+RATE = 100.0
+COULOMB, VISCOUS, OFFSET = 4.0 - 0.5 * np.arange(6), 2.0 - 0.2 * np.arange(6), 0.1 * np.arange(6)
+NOISE = 0.3
+PHI = six_joint().arm.phi
+
+
+def robot() -> Robot:
+    plain = arm_6r()
+    return replace(plain, joints=tuple(replace(j, rotor_inertia=0.0) for j in plain.joints))
+
+
+def record(seed: int, seconds: float = 60.0) -> Recording:
+    """Exact inverse dynamics with the classical friction, on one Fourier series."""
+    rng = np.random.default_rng(seed)
+    high = np.full(6, 2.0)
+    motion = fourier(rng, -high, high, high, 4 * high, seconds=seconds, harmonics=25, rate_hz=RATE)
+    arm = robot()
+    tau = inverse_dynamics(arm.chain, arm.gravity, PHI, motion.q, motion.dq, motion.ddq)
+    tau += COULOMB * np.sign(motion.dq) + VISCOUS * motion.dq + OFFSET
+    samples = len(tau)
+    return Recording(
+        path=Path(f"log_{seed}"),
+        sha256="",
+        format="simulated",
+        t=np.arange(samples) / RATE,
+        q=motion.q,
+        valid=np.ones(samples, dtype=bool),
+        health=Health(rate_hz=RATE, jitter=0.0),
+        tau=tau + NOISE * rng.standard_normal(tau.shape),
+    )
+
+
+@pytest.fixture(scope="module")
+def stages() -> Stages:
+    logs = [record(1), record(2)]
+    friction, inertia = identify_simultaneous(
+        logs, robot(), options=MotionOptions(8.0), offset=True
+    )
+    return Stages(friction=friction, inertia=inertia)
+
+
+def test_the_rigid_body_is_recovered(stages: Stages) -> None:
+    assert stages.inertia is not None
+    standard = {
+        f"{kind}_{i + 1}": float(PHI[i, k]) for i in range(6) for k, kind in enumerate(PHI_NAMES)
+    }
+    stage = stages.inertia
+    assert stage.rank == stage.structural_rank == len(stage.parameters) == 36
+    z = [
+        (p.value - sum(f * standard[n] for n, f in p.terms.items())) / p.std_error
+        for p in stage.parameters
+    ]
+    assert np.mean(np.abs(z) < 3) >= 0.95
+    assert np.abs(z).max() < 5
+
+
+def test_friction_is_recovered(stages: Stages) -> None:
+    assert stages.friction is not None
+    found = [[p.value for p in joint.parameters] for joint in stages.friction.joints.values()]
+    np.testing.assert_allclose(np.array(found).T, [COULOMB, VISCOUS, OFFSET], atol=0.06)
+
+
+def test_the_friction_surface_says_the_same_as_its_parameters(stages: Stages) -> None:
+    assert stages.friction is not None
+    for joint in stages.friction.joints.values():
+        coulomb, viscous, offset = (p.value for p in joint.parameters)
+        surface = FrictionSurface.from_stage(joint)
+        v = np.array([-0.9, -0.3, 0.4, 1.0]) * joint.speed_range[1]
+        expected = coulomb * np.sign(v) + viscous * v + offset
+        np.testing.assert_allclose(surface.torque(np.zeros(4), v), expected, rtol=1e-6)
+
+
+def test_a_new_motion_is_predicted_to_the_noise(stages: Stages) -> None:
+    options = InertiaOptions(motion=MotionOptions(8.0))
+    found = list(predict([record(3, 20.0)], robot(), stages, options=options))
+    # White noise below the cut-off; reversals, where the sign is smoothed, come on top.
+    assert (rmse(found) < 1.5 * NOISE * np.sqrt(2 * 8.0 / RATE) + 0.05).all()
+
+
+def test_joints_that_rest_are_named() -> None:
+    log = record(4, 20.0)
+    q = log.q.copy()
+    q[:, 5] = 0.3
+    friction, inertia = identify_simultaneous(
+        [replace(log, q=q)], robot(), options=MotionOptions(8.0)
+    )
+    verdicts = {v.joint: v for v in inertia.verdicts}
+    assert not verdicts["joint_6"].good
+    assert "does not move" in verdicts["joint_6"].reason
+    assert "joint_6" not in friction.joints
+
+
+def test_a_log_that_hardly_moves_a_joint_does_not_say_how_fast_it_slides() -> None:
+    crawling = record(5, 20.0)
+    crawling.q[:, 5] *= 1e-3
+    logs = [crawling, record(6, 20.0)]
+    friction, _ = identify_simultaneous(logs, robot(), options=MotionOptions(8.0))
+    other, _ = identify_simultaneous(logs[::-1], robot(), options=MotionOptions(8.0))
+    for name, joint in friction.joints.items():
+        assert joint.sign_width == pytest.approx(other.joints[name].sign_width)
+        assert joint.sign_width > 1e-3 * joint.speed_range[1]
+
+
+def test_friction_that_drives_is_not_good() -> None:
+    log = record(7, 20.0)
+    assert log.tau is not None
+    driven = log.tau - 2 * COULOMB * np.sign(np.gradient(log.q, axis=0)) * (np.arange(6) == 3)
+    _, inertia = identify_simultaneous(
+        [replace(log, tau=driven)], robot(), options=MotionOptions(8.0)
+    )
+    verdicts = {v.joint: v for v in inertia.verdicts if v.joint}
+    assert [name for name, v in verdicts.items() if "cannot be" in v.reason] == ["joint_4"]
+    assert not verdicts["joint_4"].good

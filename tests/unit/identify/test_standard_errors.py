@@ -1,0 +1,96 @@
+"""A 95 % interval holds the truth in 95 % of seeds, though residuals remember their past."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from seqid_cli.identify.equations import blocks
+from seqid_cli.identify.least_squares import Accumulator, solve
+from seqid_cli.identify.rigid_stage import imu_moves
+from seqid_cli.robot.base import free_basis
+from tests.plants.rigs import two_joint
+from tests.studies.lab import robot_of
+
+Array = NDArray[np.float64]
+
+RATE = 60.0
+SAMPLES = 2000
+SEEDS = 200
+THETA = np.array([1.0, -2.0, 0.5, 3.0])
+WIDTH_95 = 1.96
+
+
+def coloured(rng: np.random.Generator, pole: float, shape: tuple[int, ...]) -> Array:
+    """First-order process of unit variance."""
+    drive = rng.standard_normal(shape)
+    drive[1:] *= np.sqrt(1 - pole**2)
+    values: Array = lfilter([1.0], [1.0, -pole], drive, axis=0)
+    return values
+
+
+def standardised_errors(pole: float) -> tuple[Array, Array]:
+    """Errors over standard errors, by blocks and by the white-noise formula, (SEEDS, p) each."""
+    robust, white = [], []
+    for seed in range(SEEDS):
+        rng = np.random.default_rng(seed)
+        joints = []
+        for noise in (0.3, 1.5):
+            H = coloured(rng, 0.97, (SAMPLES, len(THETA)))
+            y = H @ THETA + noise * coloured(rng, pole, (SAMPLES,))
+            joint = Accumulator(len(THETA))
+            for block in blocks(SAMPLES, RATE):
+                joint.add(H[block], y[block])
+            joints.append(joint)
+        got = solve(joints)
+        robust.append((got.theta - THETA) / np.sqrt(np.diag(got.covariance)))
+        white.append((got.theta - THETA) / np.sqrt(np.diag(got.bread)))
+    return np.array(robust), np.array(white)
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.9])
+def errors(request: pytest.FixtureRequest) -> tuple[float, Array, Array]:
+    return (request.param, *standardised_errors(request.param))
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(errors: tuple[float, Array, Array]) -> None:
+    _, robust, _ = errors
+    covered = float(np.mean(np.abs(robust) < WIDTH_95))
+    assert 0.90 <= covered <= 0.99
+
+
+def test_the_white_noise_formula_would_not(errors: tuple[float, Array, Array]) -> None:
+    pole, _, white = errors
+    covered = float(np.mean(np.abs(white) < WIDTH_95))
+    if pole == 0.0:
+        assert 0.90 <= covered <= 0.99
+    else:
+        assert covered < 0.75
+
+
+def test_the_estimate_has_no_bias(errors: tuple[float, Array, Array]) -> None:
+    _, robust, _ = errors
+    assert np.abs(robust.mean(axis=0)).max() < 4 * robust.std() / np.sqrt(SEEDS)
+
+
+def test_an_imu_moves_the_inertias_of_the_links_that_it_follows() -> None:
+    robot = robot_of("planar", two_joint())
+    basis = free_basis(robot)
+    inertia = np.where(basis.gravity, 0.0, np.arange(1.0, basis.size + 1))
+    reflected = np.array([0.0, 0.5])
+    first, second = (replace(robot.imus[0], name=n, after_joint=j) for n, j in (("a", 0), ("b", 1)))
+    arm = replace(robot, imus=(second, first))
+    links = np.array([basis.joint_index(k) for k in range(basis.size)])
+    whole = inertia + 0.5 * np.array([name == "Izz_2" for name in basis.names])
+
+    both = imu_moves(arm, basis, inertia, reflected, {"a": 0.1, "b": 0.01})
+    assert both == pytest.approx(
+        np.column_stack([0.1 * whole * (links == 0), 0.01 * whole * (links == 1)])
+    )
+    alone = imu_moves(arm, basis, inertia, reflected, {"b": 0.01})
+    assert alone == pytest.approx(0.01 * whole[:, None])
+    assert imu_moves(arm, basis, inertia, reflected, {}).shape == (basis.size, 0)

@@ -1,0 +1,233 @@
+"""The error of a torque constant moves all that was identified, counts once, and cancels again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.compare.differences import _torque_constants_held
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.gravity_stage import GravityRows, _stage, identify_gravity
+from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.least_squares import Accumulator, Prior, solve
+from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.posterior import constant_moves
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.bodies.demand import identified
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
+from seqid_cli.robot.base import base_parameters
+from seqid_cli.robot.types import Robot
+from tests.plants.rigs import MOMENT, one_joint
+from tests.studies.lab import robot_of
+from tests.unit.identify.rigs import Rig
+from tests.unit.identify.test_gravity import NEGATIVE, POSITIVE, surface_of, trials
+
+Array = NDArray[np.float64]
+
+ERROR = 0.02  # stated
+STEP = 1e-3  # by which a joint's torque is scaled
+SEEDS = 60
+
+
+def stated(robot: Robot, error: float = ERROR, joint: int = 0) -> Robot:
+    """The robot with the error of one joint's torque constant stated."""
+    joints = list(robot.joints)
+    joints[joint] = replace(joints[joint], torque_constant_error=error)
+    return replace(robot, joints=tuple(joints))
+
+
+def scaled(logs: list[Recording], step: float, joint: int = 0) -> list[Recording]:
+    """Logs whose torque of one joint is another."""
+    result = []
+    for log in logs:
+        assert log.tau is not None
+        tau = log.tau.copy()
+        tau[:, joint] *= 1.0 + step
+        result.append(replace(log, tau=tau))
+    return result
+
+
+def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
+    """All stages by the encoders, from logs whose torque of the first joint is scaled."""
+    drills = scaled(rig.logs("friction"), step)
+    stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
+    slow = scaled(rig.logs("gravity"), step) + drills
+    stages.gravity = identify_gravity(slow, robot, stages, options=MotionOptions())
+    options = InertiaOptions(source="encoder")
+    stages.inertia = identify_inertia(
+        scaled(rig.logs("inertia"), step), robot, stages, options=options
+    )
+    return stages
+
+
+@pytest.fixture(scope="module")
+def pair(one_joint: Rig) -> tuple[Robot, Stages, Stages, Stages]:
+    """The robot; stages without a stated error, with one, and with one of scaled torque."""
+    robot = stated(one_joint.robot)
+    plain = identified_from(one_joint, one_joint.robot, 0.0)
+    found = (identified_from(one_joint, robot, step) for step in (0.0, STEP))
+    return robot, plain, *found  # type: ignore[return-value]
+
+
+def seen_and_told(before: RigidStage, after: RigidStage) -> tuple[Array, Array]:
+    """How parameters moved, and how they should have."""
+    value = [[p.value for p in stage.parameters] for stage in (before, after)]
+    told = np.array(before.torque_constant_moves["joint_1"]) * STEP / ERROR
+    return np.subtract(value[1], value[0]), told
+
+
+def test_scaled_torque_moves_friction_and_gravity_as_told(
+    pair: tuple[Robot, Stages, Stages, Stages],
+) -> None:
+    _, _, before, after = pair
+    assert before.friction
+    assert after.friction
+    surfaces = [stage.joints["joint_1"].positive for stage in (before.friction, after.friction)]
+    np.testing.assert_allclose(surfaces[1], (1.0 + STEP) * np.array(surfaces[0]), rtol=1e-9)
+    assert before.gravity
+    assert after.gravity
+    seen, told = seen_and_told(before.gravity, after.gravity)
+    np.testing.assert_allclose(seen, told, rtol=1e-6)
+
+
+def test_scaled_torque_moves_inertia_as_told_beside_a_known_rotor(
+    pair: tuple[Robot, Stages, Stages, Stages],
+) -> None:
+    robot, _, before, after = pair
+    assert robot.joints[0].rotor_inertia
+    assert before.inertia
+    assert after.inertia
+    seen, told = seen_and_told(before.inertia, after.inertia)
+    # The rotor's torque enters by thinned samples, and the weights of the rows move a little.
+    np.testing.assert_allclose(seen, told, rtol=1e-3)
+    value = before.inertia.parameters[0].value
+    assert told[0] > 1.02 * STEP * value  # the rotor does not scale
+
+
+def test_what_is_held_against_the_same_torque_does_not_change(
+    pair: tuple[Robot, Stages, Stages, Stages],
+) -> None:
+    _, plain, with_error, _ = pair
+    for name in ("gravity", "inertia"):
+        one, other = getattr(plain, name), getattr(with_error, name)
+        assert one.torque_constant_moves == {}
+        assert other.covariance == pytest.approx(np.array(one.covariance), rel=1e-9)
+        assert [p.value for p in one.parameters] == [p.value for p in other.parameters]
+        held = [p.std_error for p in _torque_constants_held(other)]
+        assert held == pytest.approx([p.std_error for p in one.parameters], rel=1e-9)
+        total = np.diag(other.covariance) + np.array(other.torque_constant_moves["joint_1"]) ** 2
+        assert [p.std_error for p in other.parameters] == pytest.approx(np.sqrt(total), rel=1e-9)
+    verdicts = [stages.friction.verdicts for stages in (plain, with_error)]
+    assert verdicts[0] == verdicts[1]
+
+
+def test_export_counts_one_error_for_gravity_and_inertia(
+    pair: tuple[Robot, Stages, Stages, Stages],
+) -> None:
+    robot, _, stages, _ = pair
+    demand = identified(stages, robot)
+    np.testing.assert_allclose(np.sqrt(np.diag(demand.covariance)), demand.errors, rtol=1e-9)
+    assert stages.inertia
+    assert stages.gravity
+    moves = [
+        x
+        for stage in (stages.inertia, stages.gravity)
+        for x in stage.torque_constant_moves["joint_1"]
+    ]
+    names = [p.name for stage in (stages.inertia, stages.gravity) for p in stage.parameters]
+    assert len(set(names)) == len(names)
+    assert demand.covariance[0, 1] == pytest.approx(moves[0] * moves[1], rel=1e-9)
+
+
+def test_the_notes_say_whose_constants_are_exact(
+    pair: tuple[Robot, Stages, Stages, Stages],
+) -> None:
+    _, plain, with_error, _ = pair
+    said = [" ".join(stages.friction.notes) for stages in (plain, with_error) if stages.friction]
+    assert "torque constants taken as exact: joint_1" in said[0]
+    assert "torque constants" not in said[1]
+
+
+def test_one_error_through_two_stages_counts_once() -> None:
+    rng = np.random.default_rng(0)
+    theta = np.array([1.0, -0.5, 2.0])
+    joint = Accumulator(3)
+    for _ in range(20):
+        H = rng.normal(size=(50, 3))
+        joint.add(H, H @ theta + 0.1 * rng.normal(size=50))
+    A = 30.0 * np.eye(2, 3)
+    prior = Prior(A, A @ (theta + 0.01))
+    solution = solve([joint], prior=prior)
+    through = {0: ERROR * (solution.bread @ A.T @ prior.b)}
+    move = constant_moves(solution, np.array([ERROR]), {}, through)[0]
+    np.testing.assert_allclose(move, ERROR * solution.theta, rtol=1e-6)
+
+
+def test_a_joint_among_others_moves_what_they_share_by_its_weight() -> None:
+    rng = np.random.default_rng(1)
+    theta = np.array([1.0, -0.5, 2.0])
+    rows = [rng.normal(size=(400, 3)) for _ in range(2)]
+    right = [H @ theta + s * rng.normal(size=400) for H, s in zip(rows, (0.1, 0.3), strict=True)]
+    joints = [Accumulator(3) for _ in range(2)]
+    for joint, H, y in zip(joints, rows, right, strict=True):
+        for part in range(0, 400, 20):
+            joint.add(H[part : part + 20], y[part : part + 20])
+    solution = solve(joints, iterations=30)
+
+    def held(scales: tuple[float, float]) -> Array:
+        """Dense least squares with the weights held."""
+        weight = 1.0 / solution.sigma
+        wide = np.vstack([w * H for w, H in zip(weight, rows, strict=True)])
+        y = np.concatenate([w * c * y for w, c, y in zip(weight, scales, right, strict=True)])
+        found: Array = np.linalg.lstsq(wide, y, rcond=None)[0]
+        return found
+
+    moves = constant_moves(solution, np.array([ERROR, 0.0]), {})
+    assert list(moves) == [0]
+    expected = (held((1.0 + STEP, 1.0)) - held((1.0, 1.0))) * ERROR / STEP
+    np.testing.assert_allclose(moves[0], expected, rtol=1e-6)
+
+
+def test_intervals_hold_the_truth_where_torque_constants_err() -> None:
+    exact = robot_of("one", one_joint())
+    robot = stated(exact)
+    found = [gravity_of(robot, seed) for seed in range(SEEDS)]
+    off = np.array([abs(stage.parameters[0].value - MOMENT) for stage in found])
+    wide = np.array([stage.parameters[0].std_error for stage in found])
+    narrow = np.sqrt([stage.covariance[0][0] for stage in found])
+    assert 0.88 <= np.mean(off < 1.96 * wide) <= 1.0
+    assert np.mean(off < 1.96 * narrow) < 0.7
+
+
+def gravity_of(robot: Robot, seed: int) -> RigidStage:
+    """Gravity by trials whose torque, friction included, is scaled by a drawn error."""
+    rng = np.random.default_rng(seed)
+    factor = 1.0 + ERROR * rng.standard_normal()
+    surface = surface_of(factor * POSITIVE, factor * NEGATIVE, np.zeros((12, 12)))
+    basis = base_parameters(robot, rotor=())
+    rows, joints = GravityRows(robot, basis, [surface]), [Accumulator(2)]
+    rows.add_joint([replace(t, tau=factor * t.tau) for t in trials(rng)], joints)
+    return _stage(robot, basis, solve(joints), rows)
+
+
+def test_the_simultaneous_way_tells_the_same(two_joint: Rig) -> None:
+    logs = two_joint.logs("inertia")
+    robot = stated(two_joint.robot)
+    found = [
+        identify_simultaneous(scaled(logs, step), robot, options=MotionOptions())
+        for step in (0.0, STEP)
+    ]
+    (friction, before), (_, after) = found
+    seen, told = seen_and_told(before, after)
+    np.testing.assert_allclose(seen, told, rtol=0.02, atol=0.01 * float(np.abs(told).max()))
+    joint = friction.joints["joint_1"]
+    assert joint.torque_constant_error == ERROR
+    assert joint.parameters[0].std_error > 0.9 * ERROR * joint.parameters[0].value
+    copied = msgspec.json.decode(msgspec.json.encode(friction), type=FrictionStage)
+    assert copied.joints["joint_1"].torque_constant_error == ERROR

@@ -1,0 +1,171 @@
+"""Torques as MCAP, read back by the readers that others use."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_typestore
+
+from seqid_cli.errors import UsageError
+from seqid_cli.identify.predict_logs import LogPrediction
+from seqid_cli.identify.torques_mcap import TOPICS, McapTorqueWriter
+from tests import ROOT
+
+LAYOUTS = ROOT / "docs" / "layouts"
+JOINTS = ("shoulder", "elbow_with_a_longer_name", "wrist")
+SAMPLES = 40
+
+
+def prediction(name: str, start: float, *, motion: bool = True, seed: int = 0) -> LogPrediction:
+    rng = np.random.default_rng(seed)
+    tau, predicted, q, dq = rng.normal(size=(4, SAMPLES, len(JOINTS)))
+    every = np.ones((SAMPLES, len(JOINTS)), dtype=bool)
+    return LogPrediction(
+        path=Path(name),
+        sha256="0" * 64,
+        samples=SAMPLES,
+        cutoff_hz=10.0,
+        t=0.004 * np.arange(SAMPLES),
+        tau=tau,
+        predicted=predicted,
+        low=predicted - 0.5,
+        high=predicted + 0.5,
+        used=every[:, 0],
+        sliding=every,
+        q=q if motion else None,
+        dq=dq if motion else None,
+        start=start,
+    )
+
+
+@dataclass(frozen=True)
+class Read:
+    """One message, decoded by mcap-ros2-support."""
+
+    topic: str
+    log_time_ns: int
+    state: Any
+
+
+def messages(path: Path) -> Iterator[Read]:
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, message, state in reader.iter_decoded_messages():
+            yield Read(channel.topic, message.log_time, state)
+
+
+def save(path: Path, *logs: LogPrediction) -> None:
+    with McapTorqueWriter.open(path, JOINTS) as writer:
+        for log in logs:
+            writer.write(log)
+
+
+@pytest.mark.parametrize("motion", [True, False])
+@pytest.mark.parametrize("name", ["a", "logs/move.parquet"])
+def test_torques_read_back(tmp_path: Path, motion: bool, name: str) -> None:
+    log = prediction(name, 1_700_000_000.25, motion=motion)
+    save(tmp_path / "out.mcap", log)
+    torques = (log.tau, log.predicted, log.tau - log.predicted, log.low, log.high)
+    expected = dict(zip(TOPICS, torques, strict=True))
+    seen = dict.fromkeys(TOPICS, 0)
+    for message in messages(tmp_path / "out.mcap"):
+        topic, state = message.topic, message.state
+        k = seen[topic]
+        seen[topic] += 1
+        assert tuple(state.name) == JOINTS
+        assert state.header.frame_id == name
+        np.testing.assert_array_equal(state.effort, expected[topic][k])
+        np.testing.assert_array_equal(state.position, [] if log.q is None else log.q[k])
+        np.testing.assert_array_equal(state.velocity, [] if log.dq is None else log.dq[k])
+        stamp = state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
+        assert stamp == message.log_time_ns
+        assert abs(stamp - (1_700_000_000_250_000_000 + k * 4_000_000)) < 1000
+    assert set(seen.values()) == {SAMPLES}
+
+
+def test_another_implementation_of_cdr_reads_the_same(tmp_path: Path) -> None:
+    log = prediction("a", 0.0)
+    save(tmp_path / "out.mcap", log)
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    rows = []
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages(topics=[TOPICS[0]]):
+            assert schema is not None
+            assert (schema.name, schema.encoding) == ("sensor_msgs/msg/JointState", "ros2msg")
+            assert channel.message_encoding == "cdr"
+            state = types.deserialize_cdr(message.data, schema.name)
+            rows.append(state.effort)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(rows, log.tau)
+
+
+def times(path: Path) -> dict[str, tuple[float, float]]:
+    """First and last time of each log, s."""
+    found: dict[str, list[float]] = {}
+    for message in messages(path):
+        found.setdefault(message.state.header.frame_id, []).append(message.log_time_ns * 1e-9)
+    return {name: (min(stamps), max(stamps)) for name, stamps in found.items()}
+
+
+def test_logs_without_a_clock_follow_each_other(tmp_path: Path) -> None:
+    save(tmp_path / "out.mcap", prediction("a", 0.0), prediction("b", 0.0), prediction("c", -5.0))
+    found = times(tmp_path / "out.mcap")
+    assert found["a"][0] == 0.0
+    assert found["b"][0] == pytest.approx(found["a"][1] + 1.0)
+    assert found["c"][0] == pytest.approx(found["b"][1] + 1.0)
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        records = {r.name: r.metadata for r in make_reader(stream).iter_metadata()}
+    assert records["seqid.logs"]["2"].startswith("b: 1.156000 to ")
+
+
+def test_logs_with_a_clock_stay_where_they_are(tmp_path: Path) -> None:
+    save(tmp_path / "out.mcap", prediction("a", 100.0), prediction("b", 250.0))
+    found = times(tmp_path / "out.mcap")
+    assert found["a"][0] == pytest.approx(100.0)
+    assert found["b"][0] == pytest.approx(250.0)
+
+
+@pytest.mark.parametrize("start", [float("nan"), float("inf"), 1e30])
+def test_a_clock_that_no_stamp_holds_starts_from_zero(tmp_path: Path, start: float) -> None:
+    save(tmp_path / "out.mcap", prediction("a", start))
+    assert times(tmp_path / "out.mcap")["a"][0] == 0.0
+
+
+def test_an_interrupted_run_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    path.write_bytes(b"old")
+
+    def interrupted() -> None:
+        with McapTorqueWriter.open(path, JOINTS) as writer:
+            writer.write(prediction("a", 0.0))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["out.mcap"]
+
+
+def test_a_folder_that_is_not_there_is_a_message(tmp_path: Path) -> None:
+    with pytest.raises(UsageError), McapTorqueWriter.open(tmp_path / "no" / "out.mcap", JOINTS):
+        pass
+
+
+def test_layouts_show_the_topics() -> None:
+    curves = [
+        curve.get("name", "")
+        for curve in ElementTree.parse(LAYOUTS / "plotjuggler.xml").iter("curve")
+    ]
+    panels = json.loads((LAYOUTS / "foxglove.json").read_text())["configById"].values()
+    paths = [path["value"] for panel in panels for path in panel["paths"]]
+    for topic in TOPICS:
+        assert f"{topic}/elbow/effort" in curves
+        assert f"{topic}.effort[5]" in paths

@@ -1,0 +1,339 @@
+"""Faults to plant into sound logs, each with the finding that it must lead to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from seqid_cli.robot.kinematics import link_motion
+from seqid_cli.robot.types import Robot
+from tests import ROOT
+from tests.unit.inspect import planting as p
+from tests.unit.inspect.planting import Columns, Plant
+
+SAMPLES = ROOT / "sample_logs"
+SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+WAVES, POINTS, SINGLE = "validation/fourier_1", "validation/point_to_point", "friction/elbow"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A change to a log or to the robot file, and the only finding that it may lead to."""
+
+    name: str
+    code: str
+    joint: str
+    plant: Plant
+    base: str = WAVES
+    channel: str | None = None
+    robot: Mapping[str, str] | None = None  # replacements in robot.toml
+    triad: bool = False  # imu_b as an ordinary IMU with a gyro
+    rig: str = "six_joint"
+
+    @property
+    def of_imus(self) -> bool:
+        """Whether IMUs play a part in it."""
+        return self.triad or self.joint.startswith("imu")
+
+
+def read_columns(path: Path) -> Columns:
+    """Read a Parquet log, columns writable."""
+    table = pq.read_table(path)
+    return {name: table[name].to_numpy().copy() for name in table.column_names}
+
+
+def write_columns(path: Path, columns: Columns) -> None:
+    """Write a Parquet log."""
+    pq.write_table(pa.table({name: pa.array(values) for name, values in columns.items()}), path)
+
+
+def with_extras(columns: Columns, joints: tuple[str, ...] = SIX) -> Columns:
+    """Add what other loggers have: velocities and temperatures."""
+    t = columns["t"]
+    kernel = np.hanning(9) / np.hanning(9).sum()
+    for k, name in enumerate(joints):
+        slope = np.gradient(columns[f"{name}.position"], t)
+        columns[f"{name}.velocity"] = np.convolve(slope, kernel, mode="same")
+        columns[f"{name}.temperature"] = 30.0 + k + 0.01 * np.round(t)
+    return columns
+
+
+def with_triad(columns: Columns, robot: Robot, rng: np.random.Generator) -> Columns:
+    """Turn the array imu_b into an ordinary IMU: its triad at the origin, and a gyro beside it."""
+    t = columns["t"]
+    q = np.column_stack([columns[f"{name}.position"] for name in SIX])
+    dq = np.gradient(q, t, axis=0)
+    dq = np.apply_along_axis(lambda x: np.convolve(x, np.hanning(11) / 5.0, "same"), 0, dq)
+    w = link_motion(robot.chain, robot.gravity, q.T, dq.T, np.zeros_like(dq.T)).w[-1].T
+    for k, axis in enumerate("xyz"):
+        columns[f"imu_b.a{axis}"] = columns[f"imu_b.a{k + 1}"]
+        columns[f"imu_b.g{axis}"] = w[:, k] + rng.normal(0.0, 0.003, len(t))
+    for k in range(1, 13):
+        del columns[f"imu_b.a{k}"]
+    return columns
+
+
+def triad_toml(text: str) -> str:
+    """Write imu_b of a robot file as an ordinary IMU."""
+    start = text.index('name = "imu_b"')
+    end = text.index("[channels]")
+    imu = 'name = "imu_b"\nafter_joint = "wrist_3"\ngyro = true\n\n'
+    return text[:start] + imu + text[end:]
+
+
+NO_LIMITS = {"position_limits = [-2.4, 2.4]\n": ""}
+DEGREES = 180.0 / np.pi
+PAIR = ("wrist_1", "wrist_2")
+
+FAULTS = (
+    Fault(
+        "degrees against limits",
+        "position_in_degrees",
+        "elbow",
+        p.scaled("elbow.position", DEGREES),
+    ),
+    Fault(
+        "degrees against velocity",
+        "position_in_degrees",
+        "elbow",
+        p.scaled("elbow.position", DEGREES),
+        robot=NO_LIMITS,
+    ),
+    Fault("motor side", "position_motor_side", "elbow", p.scaled("elbow.position", 101.0)),
+    Fault(
+        "velocity in degrees",
+        "velocity_in_degrees",
+        "wrist_1",
+        p.scaled("wrist_1.velocity", DEGREES),
+    ),
+    Fault("velocity sign", "velocity_sign", "wrist_1", p.negated("wrist_1.velocity")),
+    Fault("velocity scale", "velocity_inconsistent", "wrist_1", p.scaled("wrist_1.velocity", 1.6)),
+    Fault("velocity zero", "velocity_zero", "wrist_1", p.constant("wrist_1.velocity", 0.0)),
+    Fault(
+        "velocities swapped",
+        "joints_swapped",
+        "wrist_1, wrist_2",
+        p.swapped(("wrist_1.velocity", "wrist_2.velocity")),
+    ),
+    Fault(
+        "torques swapped",
+        "joints_swapped",
+        "elbow, wrist_1",
+        p.swapped(("elbow.current", "wrist_1.current")),
+    ),
+    Fault(
+        "torques swapped, one moves",
+        "joints_swapped",
+        "elbow, wrist_1",
+        p.swapped(("elbow.current", "wrist_1.current")),
+        base=SINGLE,
+    ),
+    Fault(
+        "limits exceeded",
+        "position_limits",
+        "shoulder_pan",
+        p.nothing,
+        robot={"[-2.8, 2.8]\nvelocity_limit = 2.2": "[-1.0, 1.0]\nvelocity_limit = 2.2"},
+    ),
+    Fault(
+        "speed limit",
+        "speed_limit",
+        "shoulder_pan",
+        p.nothing,
+        robot={"[-2.8, 2.8]\nvelocity_limit = 2.2": "[-2.8, 2.8]\nvelocity_limit = 0.3"},
+    ),
+    Fault("wraps", "position_wraps", "wrist_2", p.wrapped("wrist_2.position")),
+    Fault("spikes", "position_spikes", "wrist_2", p.spikes("wrist_2.position", 0.3)),
+    Fault("lost counts", "position_jump", "elbow", p.jump("elbow.position", 0.2)),
+    Fault("freeze", "position_frozen", "shoulder_lift", p.frozen("shoulder_lift.position", 40)),
+    Fault("resolution", "encoder_resolution", "elbow", p.quantised("elbow.position", 1e-3)),
+    Fault("position held", "channel_held", "wrist_1", p.held("wrist_1.position", 4)),
+    Fault("position missing", "values_missing", "elbow", p.missing("elbow.position", 0.05)),
+    Fault("gap", "clock_gap", "", p.cut(3.0, 3.5)),
+    Fault("jitter", "jitter", "", p.jittered),
+    Fault("time in ms", "time_unit", "", p.scaled("t", 1000.0)),
+    Fault("rows exchanged", "stamps_backwards", "", p.exchanged_rows),
+    Fault("rows repeated", "stamps_repeated", "", p.repeated_rows),
+    Fault("torque zero", "torque_zero", "elbow", p.constant("elbow.current", 0.0)),
+    Fault("torque constant", "torque_constant_value", "elbow", p.constant("elbow.current", 0.7)),
+    Fault("torque stuck", "torque_stuck", "elbow", p.stuck("elbow.current", 1.0)),
+    Fault("torque held", "channel_held", "elbow", p.held("elbow.current", 5)),
+    Fault("torque clipped", "torque_saturated", "elbow", p.clipped("elbow.current", 0.6)),
+    Fault("torque quantised", "torque_quantised", "elbow", p.quantised("elbow.current", 0.4)),
+    Fault("torque missing", "values_missing", "wrist_3", p.missing("wrist_3.current", 0.04)),
+    Fault("torque infinite", "values_absurd", "", p.spikes("wrist_3.current", 1e12)),
+    Fault("no torque", "torque_missing", "", p.without(".current")),
+    Fault("echo", "torque_echo", "elbow", p.commanded_gravity),
+    Fault("current in mA", "current_in_ma", "shoulder_lift", p.all_scaled(".current", 1000.0)),
+    Fault("torque sign", "sign_mismatch", "elbow", p.negated("elbow.current")),
+    Fault(
+        "torque sign, one moves", "sign_mismatch", "elbow", p.negated("elbow.current"), base=SINGLE
+    ),
+    Fault(
+        "position sign",
+        "sign_mismatch",
+        "wrist_1",
+        p.negated("wrist_1.position", "wrist_1.velocity"),
+    ),
+    Fault(
+        "axis",
+        "axis_flipped",
+        "elbow",
+        p.negated("elbow.position", "elbow.velocity", "elbow.current"),
+    ),
+    Fault(
+        "zero",
+        "position_zero",
+        "elbow",
+        p.shifted("elbow.position", np.pi / 2),
+        robot={"[-2.4, 2.4]": "[-4.4, 4.4]"},
+    ),
+    Fault(
+        "joints renamed",
+        "joints_swapped",
+        "elbow, wrist_1",
+        p.swapped(
+            ("elbow.position", "wrist_1.position"),
+            ("elbow.current", "wrist_1.current"),
+            ("elbow.velocity", "wrist_1.velocity"),
+        ),
+    ),
+    Fault(
+        "effort is current",
+        "effort_is_current",
+        "shoulder_lift",
+        p.ending(".current", ".torque"),
+    ),
+    Fault("joint renamed", "channel_missing", "elbow", p.renamed("elbow.", "elbow_joint.")),
+    Fault("IMU renamed", "channel_missing", "imu_b", p.renamed("imu_b.", "imuB.")),
+    Fault("IMU stuck", "imu_stuck", "imu_a", p.constant("imu_a.a4", 0.3), channel="imu_a.a4"),
+    Fault(
+        "IMU stuck for a while", "imu_stuck", "imu_a", p.stuck("imu_a.a4", 2.0), channel="imu_a.a4"
+    ),
+    Fault("IMU clipped", "imu_saturated", "imu_b", p.clipped("imu_b.a1", 0.7), channel="imu_b.a1"),
+    Fault("IMU empty", "imu_missing_values", "imu_b", p.constant("imu_b.a1", np.nan)),
+    Fault(
+        "IMU in g",
+        "imu_in_g",
+        "imu_a",
+        p.beginning("imu_a", 1.0 / 9.80665),
+    ),
+    Fault("IMU late", "imu_delay", "imu_a", p.delayed("imu_a", 4)),
+    Fault(
+        "IMUs exchanged",
+        "imu_wrong_link",
+        "imu_a",
+        p.swapped(*((f"imu_a.a{k}", f"imu_b.a{k}") for k in range(1, 13))),
+    ),
+    Fault(
+        "IMU channel flipped in motion",
+        "imu_channel_flipped",
+        "imu_a",
+        p.negated("imu_a.a5"),
+        channel="imu_a.a5",
+    ),
+    Fault("IMU far off", "imu_delay", "imu_a", p.delayed("imu_a", 150)),
+    Fault(
+        "IMU values missing",
+        "values_missing",
+        "imu_b",
+        p.missing("imu_b.a3", 0.05),
+        channel="imu_b.a3",
+    ),
+    Fault("triad, axis flipped", "imu_left_handed", "imu_b", p.negated("imu_b.ay"), triad=True),
+    Fault(
+        "triad, axes swapped",
+        "imu_left_handed",
+        "imu_b",
+        p.swapped(("imu_b.ax", "imu_b.az")),
+        triad=True,
+    ),
+    Fault(
+        "gyro in degrees",
+        "gyro_in_degrees",
+        "imu_b",
+        p.every(("imu_b.gx", "imu_b.gy", "imu_b.gz"), DEGREES),
+        triad=True,
+    ),
+    Fault("gyro axis flipped", "imu_left_handed", "imu_b", p.negated("imu_b.gz"), triad=True),
+    Fault(
+        "gyro scale",
+        "gyro_scale",
+        "imu_b",
+        p.every(("imu_b.gx", "imu_b.gy", "imu_b.gz"), 0.5),
+        triad=True,
+    ),
+    Fault("encoder dead", "position_stuck", "elbow", p.constant("elbow.position", 0.3)),
+    Fault(
+        "all in degrees, neither limits nor velocity",
+        "position_in_degrees",
+        "shoulder_pan",
+        p.both(p.without(".velocity"), p.all_scaled(".position", DEGREES)),
+        robot={"position_limits = ": "# "},
+    ),
+    Fault("kelvin", "temperature_in_kelvin", "wrist_1", p.shifted("wrist_1.temperature", 273.15)),
+    Fault(
+        "temperature off", "temperature_nonsense", "wrist_1", p.constant("wrist_1.temperature", 0.0)
+    ),
+    Fault(
+        "IMU channel flipped",
+        "imu_channel_flipped",
+        "imu_a",
+        p.negated("imu_a.a5"),
+        base="changed/held_out",
+        rig="two_joint",
+        channel="imu_a.a5",
+    ),
+    Fault(
+        "IMU channels swapped",
+        "imu_channels_swapped",
+        "imu_a",
+        p.swapped(("imu_a.a5", "imu_a.a6")),
+        base="changed/held_out",
+        rig="two_joint",
+    ),
+    Fault(
+        "IMU scale",
+        "imu_gravity",
+        "imu_b",
+        p.beginning("imu_b", 1.09),
+        base="changed/held_out",
+        rig="two_joint",
+    ),
+)
+
+# Faults of different channels that share a log, so that one inspection finds them all.
+TOGETHER = (
+    (
+        "degrees against limits",
+        "wraps",
+        "freeze",
+        "velocity in degrees",
+        "torque missing",
+        "kelvin",
+    ),
+    ("motor side", "spikes", "velocity sign", "limits exceeded", "torque held", "temperature off"),
+    ("lost counts", "velocity scale", "speed limit", "torque clipped"),
+    ("resolution", "velocity zero", "torque quantised"),
+    ("position held", "position missing", "torque zero"),
+    ("velocities swapped", "torque constant"),
+    ("rows exchanged", "rows repeated", "torque stuck"),
+    ("IMU stuck", "IMU clipped", "IMU values missing"),
+    ("IMU stuck for a while", "IMU empty"),
+    ("IMU channel flipped", "IMU scale"),
+)
+
+
+def groups() -> tuple[tuple[Fault, ...], ...]:
+    """All faults: those that share a log, and each of the others by itself."""
+    by_name = {fault.name: fault for fault in FAULTS}
+    assert len(by_name) == len(FAULTS)
+    shared = {name for names in TOGETHER for name in names}
+    return tuple(tuple(by_name[name] for name in names) for names in TOGETHER) + tuple(
+        (fault,) for fault in FAULTS if fault.name not in shared
+    )

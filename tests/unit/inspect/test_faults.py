@@ -1,0 +1,47 @@
+"""Every planted fault leads to its own finding, at the right joint, and to no other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.inspect.codes import CODES
+from tests.unit.inspect.faults import FAULTS, Fault, groups
+from tests.unit.inspect.rig import inspect_planted
+
+
+@pytest.mark.parametrize("faults", groups(), ids=lambda faults: faults[0].name)
+def test_a_planted_fault_is_found_and_nothing_else(
+    faults: tuple[Fault, ...], tmp_path: Path
+) -> None:
+    report = inspect_planted(faults, tmp_path)
+    found = {(finding.code, finding.joint, finding.message) for finding in report.findings}
+    assert {code for code, _, _ in found} == {fault.code for fault in faults}, found
+    for fault in faults:
+        mine = [f for f in report.findings if (f.code, f.joint) == (fault.code, fault.joint)]
+        assert mine, (fault.name, found)
+        if fault.channel is not None:
+            assert [finding.channel for finding in mine] == [fault.channel]
+    if len(faults) > 1 or faults[0].channel is not None:  # one channel each, so one finding each
+        assert len(report.findings) == len(faults), found
+    severities = {CODES[fault.code].severity for fault in faults}
+    assert report.verdict == ("faulty" if "error" in severities else "usable")
+    assert all(finding.remedy and finding.message for finding in report.findings)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    {(f.rig, f.base, f.triad, f.of_imus): f for f in FAULTS}.values(),
+    ids=lambda fault: f"{fault.rig}-{fault.base}-{fault.triad}-{fault.of_imus}",
+)
+def test_the_same_logs_without_the_fault_are_good(fault: Fault, tmp_path: Path) -> None:
+    report = inspect_planted([fault], tmp_path, planted=False)
+    assert report.findings == []
+    assert report.verdict == "good"
+
+
+def test_half_of_all_codes_at_least_are_planted() -> None:
+    planted = {fault.code for fault in FAULTS}
+    assert planted <= CODES.keys()
+    assert len(planted) >= 40

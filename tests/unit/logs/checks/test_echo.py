@@ -1,0 +1,129 @@
+"""Logs whose torque is an echo of the command are told; those with a drive's torque are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.logs.checks.echo import REMEDY, WARNING, _law, echoes
+from seqid_cli.logs.read import read_recording
+from seqid_cli.robot.file import load_robot
+from tests.unit.discover.drawn_logs import wander
+from tests.unit.logs.writers import write_parquet
+from tests.unit.model.effects.scenes import two_joint_robot
+
+Array = NDArray[np.float64]
+
+RATE_HZ = 500.0
+STEP = 0.01  # N m, of the torque
+PENDULUM = """
+schema = "seqid/robot@1"
+name = "pendulum"
+gravity = [0.0, 0.0, -9.81]
+
+[[joint]]
+name = "pivot"
+dh = { alpha = 1.5707963267948966, a = 0.0, d = 0.0, theta0 = 0.0 }
+"""
+
+
+def motion(seed: int = 0, speed: float = 1.0) -> tuple[Array, Array, Array, Array]:
+    """Time, position, velocity, acceleration of two joints; slower where `speed` is below 1."""
+    q = wander(30.0, seed)
+    t = np.arange(len(q)) / RATE_HZ / speed
+    dq = np.gradient(q, t, axis=0)
+    return t, q, dq, np.gradient(dq, t, axis=0)
+
+
+def gravity(q: Array) -> Array:
+    """Torque of two links in the vertical plane."""
+    both = 4.0 * np.cos(q.sum(axis=1))
+    return np.stack([9.0 * np.cos(q[:, 0]) + both, both], axis=1)
+
+
+def noisy(tau: Array, seed: int, size: float = 0.02) -> Array:
+    """With noise, and in steps, as a drive reports it."""
+    noise = np.random.default_rng(seed).normal(scale=size, size=tau.shape)
+    return np.asarray(np.round((tau + noise) / STEP) * STEP)
+
+
+def found(t: Array, q: Array, tau: Array) -> list[int]:
+    return echoes(two_joint_robot(), t, q, tau, np.ones(len(t), dtype=bool))
+
+
+def friction(dq: Array) -> Array:
+    return np.asarray(0.5 * np.tanh(dq / 0.01) + 0.3 * dq)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_gravity_compensation_moved_by_hand(seed: int) -> None:
+    t, q, _, _ = motion(seed)
+    assert found(t, q, noisy(gravity(q), seed)) == [0, 1]
+
+
+def test_constant_command() -> None:
+    t, q, _, _ = motion()
+    assert found(t, q, noisy(np.full_like(q, 0.9), 3)) == [0, 1]
+
+
+def test_stiffness_and_damping_about_a_set_point() -> None:
+    t, q, dq, _ = motion()
+    tau = 8.0 * (0.4 - q) - 1.5 * dq
+    assert found(t, q, noisy(tau, 4)) == [0, 1]
+
+
+def test_one_joint_of_two() -> None:
+    t, q, dq, _ = motion()
+    tau = gravity(q)
+    tau[:, 0] += friction(dq)[:, 0]
+    assert found(t, q, noisy(tau, 5)) == [1]
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.2])
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_torque_with_friction_is_none(speed: float, share: float) -> None:
+    t, q, dq, ddq = motion(speed=speed)
+    tau = gravity(q) + share * friction(dq) + 0.2 * ddq
+    assert found(t, q, noisy(tau, 6)) == []
+
+
+def test_torque_with_inertia_alone_is_none() -> None:
+    t, q, _, ddq = motion()
+    assert found(t, q, noisy(gravity(q) + 0.5 * ddq, 7)) == []
+
+
+def test_viscous_friction_alone_is_none() -> None:
+    t, q, dq, _ = motion(speed=0.5)
+    assert found(t, q, noisy(2.0 * dq, 8)) == []
+
+
+def test_constant_speed_one_way_says_nothing() -> None:
+    t = np.arange(0.0, 20.0, 1 / RATE_HZ)
+    q = np.stack([0.1 * t, np.zeros_like(t)], axis=1)
+    assert found(t, q, noisy(gravity(q), 9)) == []
+
+
+def test_joint_that_is_held_says_nothing() -> None:
+    t, q, _, _ = motion()
+    q[:, 1] = 0.3 + 1e-4 * np.sin(7.0 * t)
+    assert found(t, q, noisy(gravity(q), 10)) == [0]
+
+
+def test_reader_warns(tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_text(PENDULUM, encoding="utf-8")
+    robot = load_robot(tmp_path / "robot.toml")
+    t, q, dq, _ = motion()
+    q, dq = q[:, :1], dq[:, :1]
+    law = 2.0 * np.cos(q)
+    echo = write_parquet(tmp_path / "echo.parquet", t, ["pivot"], q, torque=noisy(law, 11))
+    good = noisy(law + friction(dq), 12)
+    drive = write_parquet(tmp_path / "drive.parquet", t, ["pivot"], q, torque=good)
+    assert read_recording(echo, robot).health.warnings == (f"pivot: {WARNING}; {REMEDY}",)
+    assert read_recording(drive, robot).health.warnings == ()
+
+
+def test_columns_of_a_joint_on_one_count_are_finite() -> None:
+    assert np.isfinite(_law(np.ones((20, 2)), np.full(20, 0.4), 5)).all()

@@ -1,0 +1,232 @@
+"""Samples lost without the stamps showing it: found and put right, and sound logs left alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.logs.checks.lost_samples import Mended, mended
+from seqid_cli.logs.long import open_long
+from seqid_cli.logs.raw import Stream
+from seqid_cli.logs.read import read_recording
+from tests.unit.logs.samples import JOINTS, curve, make_robot
+from tests.unit.logs.writers import write_parquet
+
+Array = NDArray[np.float64]
+RATES = (100.0, 250.0, 1000.0)
+SEEDS = range(4)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """What n joints did, sampled evenly: t (N,) s; the rest (N, n)."""
+
+    t: Array
+    q: Array
+    dq: Array
+    tau: Array
+
+    def stream(self, t: Array | None = None, *, velocity: bool = True) -> Stream:
+        """As logged, with other stamps where they are given."""
+        stamps = np.rint((self.t if t is None else t) * 1e9).astype(np.int64)
+        channels = {"position": self.q, "tau": self.tau}
+        return Stream("joints", stamps, channels | ({"velocity": self.dq} if velocity else {}))
+
+    def rows(self, kept: NDArray[np.bool_]) -> Arm:
+        """Only some of the samples."""
+        return Arm(self.t[kept], self.q[kept], self.dq[kept], self.tau[kept])
+
+
+def arm(seed: int, rate_hz: float, n: int, *, count: float = 2e-5, seconds: float = 20.0) -> Arm:
+    """Joints that swing, rest and swing again, with quantised encoders and noisy velocities."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    w, phase = rng.uniform(0.6, 3.0, (2, n)), rng.uniform(0.0, 6.0, (2, n))
+    size = rng.uniform(0.2, 0.6, (2, n)) / w
+    warp = t + 0.8 * np.sin(t)  # slow now and then: joints nearly rest
+    speed = (1 + 0.8 * np.cos(t))[:, None]
+    angle = w[:, None] * warp[None, :, None] + phase[:, None]
+    q = np.sum(size[:, None] * np.sin(angle), axis=0)
+    dq = speed * np.sum(size[:, None] * w[:, None] * np.cos(angle), axis=0)
+    tau = 3.0 * np.sign(dq) + 8.0 * dq + rng.normal(0.0, 0.3, q.shape)
+    q = count * np.round((q + rng.normal(0.0, 0.3 * count, q.shape)) / count)
+    return Arm(t, q, dq + rng.normal(0.0, 1e-3, q.shape), tau)
+
+
+def lossy(seed: int, samples: int, *, every: int, gap: int) -> NDArray[np.bool_]:
+    """Which samples are left where some are lost again and again, at uneven distances."""
+    rng = np.random.default_rng(100 + seed)
+    kept = np.ones(samples, np.bool_)
+    at = every
+    while at + gap + 10 < samples:
+        kept[at : at + int(rng.integers(max(2, gap // 2), gap + 1))] = False
+        at += int(rng.integers(every // 2, 2 * every))
+    return kept
+
+
+def error_of_time(found: Mended, true: Array) -> float:
+    """Largest error [s] of the stamps of measured samples, against their true times."""
+    stamps = found.stream.stamp_ns[~found.bridged] * 1e-9
+    off = stamps - true
+    return float(np.ptp(off))
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+@pytest.mark.parametrize("rate_hz", RATES)
+@pytest.mark.parametrize("n", [1, 2, 6])
+def test_drops_with_even_stamps_are_found_and_bridged(
+    rate_hz: float, n: int, velocity: bool
+) -> None:
+    for seed in SEEDS:
+        full = arm(seed, rate_hz, n)
+        gap = max(6, round(0.03 * rate_hz))
+        kept = lossy(seed, len(full.t), every=round(1.3 * rate_hz), gap=gap)
+        left = full.rows(kept)
+        found = mended(left.stream(full.t[: len(left.t)], velocity=velocity))
+        places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
+        sped = np.abs(left.dq[places]).max(axis=1) > 0.2
+        assert set(found.losses.rows) <= set(places)
+        assert set(places[sped]) <= set(found.losses.rows)
+        if sped.all():
+            assert error_of_time(found, left.t) < 2.5 / rate_hz
+        at = found.stream.stamp_ns * 1e-9
+        true = np.interp(at, at[~found.bridged], left.t)[found.bridged]
+        bridged = found.stream.channels["position"][found.bridged]
+        truth = np.column_stack([np.interp(true, full.t, own) for own in full.q.T])
+        assert np.sqrt(np.mean((bridged - truth) ** 2)) < 1e-3
+
+
+@pytest.mark.parametrize("rate_hz", RATES)
+@pytest.mark.parametrize("kind", ["sound", "coarse", "quantised", "differentiated", "none", "few"])
+def test_sound_logs_are_left_alone(rate_hz: float, kind: str) -> None:
+    for seed in range(12):
+        for n in (1, 3):
+            log = arm(seed, rate_hz, n, count={"coarse": 2e-3, "few": 1.6e-2}.get(kind, 2e-5))
+            if kind == "quantised":
+                log = replace(log, dq=0.02 * np.round(log.dq / 0.02))
+            if kind == "differentiated":
+                log = replace(log, dq=np.gradient(log.q, 1.0 / rate_hz, axis=0))
+            stream = log.stream(velocity=kind != "none")
+            found = mended(stream)
+            assert found.stream is stream
+            assert not found.bridged.any()
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
+def test_losses_of_a_count_are_found_by_the_velocity(rate_hz: float) -> None:
+    """An encoder of 400 counts: a joint loses about one of them."""
+    full = arm(0, rate_hz, 1, count=2.0 * np.pi / 400)
+    gap = round(0.03 * rate_hz)
+    kept = np.arange(len(full.t)) % round(rate_hz) >= gap
+    left = full.rows(kept)
+    found = mended(left.stream(full.t[: len(left.t)])).losses
+    places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
+    sped = places[np.abs(left.dq[places, 0]) > 0.9]
+    near = np.abs(found.rows[:, None] - places).min(axis=1)
+    assert (near < 0.02 * rate_hz).all()  # a loss is somewhere within a count
+    assert len(sped) == 5
+    assert (np.abs(found.rows - sped[:, None]).min(axis=1) < 0.02 * rate_hz).all()
+    assert np.median(found.seconds) == pytest.approx(0.03, rel=0.2)
+    assert not len(mended(left.stream(full.t[: len(left.t)], velocity=False)).losses)
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
+def test_losses_that_recur_are_found_where_the_joint_turns_back(rate_hz: float) -> None:
+    for seed in SEEDS:
+        full = arm(seed, rate_hz, 1)
+        gap = round(0.04 * rate_hz)
+        kept = np.arange(len(full.t)) % (round(0.1 * rate_hz) + gap) >= gap
+        left = full.rows(kept)
+        found = mended(left.stream(full.t[: len(left.t)])).losses
+        places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
+        shown = places[np.abs(left.dq[places, 0]) > 0.02]  # 40 counts
+        assert set(found.rows) <= set(places)
+        assert np.mean(np.isin(shown, found.rows)) > 0.97
+        assert np.isin(places, found.rows).mean() > 0.9
+
+
+@pytest.mark.parametrize("rate_hz", RATES)
+@pytest.mark.parametrize("kind", ["quantised", "differentiated"])
+def test_poor_velocity_channels_do_not_hide_losses(rate_hz: float, kind: str) -> None:
+    full = arm(7, rate_hz, 3)
+    kept = lossy(7, len(full.t), every=round(rate_hz), gap=max(4, round(0.03 * rate_hz)))
+    left = full.rows(kept)
+    dq = 0.02 * np.round(left.dq / 0.02)
+    if kind == "differentiated":
+        dq = np.gradient(left.q, 1.0 / rate_hz, axis=0)
+    found = mended(replace(left, dq=dq).stream(full.t[: len(left.t)]))
+    places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
+    sped = np.abs(left.dq[places]).max(axis=1) > 0.2
+    assert set(places[sped]) <= set(found.losses.rows) <= set(places)
+
+
+@pytest.mark.parametrize("rate_hz", RATES)
+def test_drops_with_true_stamps_are_not_counted_twice(rate_hz: float) -> None:
+    for seed in SEEDS:
+        full = arm(seed, rate_hz, 3)
+        kept = lossy(seed, len(full.t), every=round(rate_hz), gap=max(3, round(0.03 * rate_hz)))
+        stream = full.rows(kept).stream()
+        assert mended(stream).stream is stream
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+@pytest.mark.parametrize("rate_hz", RATES)
+def test_held_positions_are_bridged_and_lose_no_time(rate_hz: float, velocity: bool) -> None:
+    for seed in SEEDS:
+        log = arm(seed, rate_hz, 3)
+        gone = ~lossy(seed, len(log.t), every=round(2 * rate_hz), gap=max(4, round(0.03 * rate_hz)))
+        source = np.maximum.accumulate(np.where(gone, 0, np.arange(len(log.t))))
+        held = replace(log, q=log.q[source])
+        found = mended(held.stream(velocity=velocity))
+        assert not len(found.losses)
+        assert found.held > 0
+        before = np.abs(held.q - log.q).max()
+        after = np.abs(found.stream.channels["position"] - log.q)[found.bridged].max()
+        assert after < 0.1 * before
+
+
+def test_a_spike_is_not_a_loss() -> None:
+    log = arm(3, 500.0, 2)
+    log.q[2000:2003] += 0.02
+    stream = log.stream()
+    assert mended(stream).stream is stream
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_spike_of_a_coarse_encoder_is_not_a_loss(seed: int) -> None:
+    log = arm(seed, 111.0, 1, count=2.0 * np.pi / 600)
+    for at in range(200, len(log.t) - 200, 37):
+        q = log.q.copy()
+        q[at] += 0.3
+        assert not len(mended(replace(log, q=q).stream(velocity=False)).losses)
+
+
+def test_a_step_of_one_joint_alone_is_not_lost_time() -> None:
+    log = arm(5, 500.0, 3)
+    rows = np.flatnonzero(np.abs(log.dq).min(axis=1) > 0.2)[::50]
+    for row in rows:
+        log.q[row:, 1] += 0.03 * np.sign(log.dq[row, 1])
+    assert not len(mended(log.stream()).losses)
+
+
+def test_the_recording_says_it_and_long_logs_are_read_whole(tmp_path: Path) -> None:
+    t = np.arange(4000) / 500.0
+    kept = np.ones(len(t), np.bool_)
+    kept[300::100] = kept[301::100] = kept[302::100] = kept[303::100] = False
+    even = t[: kept.sum()]
+    true = t[kept]
+    q, tau = curve(true, 3), 20.0 * curve(true, 3, 1.0)
+    path = write_parquet(tmp_path / "log.parquet", even, JOINTS, q, torque=tau)
+    recording = read_recording(path, make_robot())
+    assert any("samples are lost at" in text for text in recording.health.mended)
+    assert recording.bridged is not None
+    assert recording.bridged.sum() == pytest.approx((~kept).sum(), abs=20)
+    assert recording.t[-1] == pytest.approx(true[-1], abs=0.05)
+    assert np.abs(recording.q - curve(recording.t, 3)).max() < 2e-3
+    assert open_long(path, make_robot()) is None
+    sound = write_parquet(tmp_path / "sound.parquet", t, JOINTS, curve(t, 3), torque=curve(t, 3))
+    assert open_long(sound, make_robot()) is not None

@@ -1,0 +1,147 @@
+"""Read damaged logs for a given time: `python -m tests.unit.logs.fuzz [--seconds S] [--seed N]`.
+
+Every file must give a recording or an error of seqid's own; anything else is kept and shown. What
+a damaged MCAP file still gives must be rows of the sound one, as long as checksums are on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.read import read_recording
+from seqid_cli.robot.types import Robot
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, read_raw
+from tests.unit.logs.writers import rewrite, write_mcap, write_parquet
+
+ROBOT = make_robot(imus=(ARRAY, GYRO), constants=0.1)
+Damage = Callable[[bytearray, np.random.Generator], None]
+
+
+def flip(data: bytearray, rng: np.random.Generator) -> None:
+    """Change a few bytes."""
+    for at in rng.integers(0, len(data), rng.integers(1, 12)):
+        data[at] ^= int(rng.integers(1, 256))
+
+
+def cut(data: bytearray, rng: np.random.Generator) -> None:
+    """Lose the end."""
+    del data[int(rng.integers(0, len(data))) :]
+
+
+def lose(data: bytearray, rng: np.random.Generator) -> None:
+    """Lose a piece in the middle."""
+    at = int(rng.integers(0, len(data)))
+    del data[at : at + int(rng.integers(1, 5_000))]
+
+
+def zero(data: bytearray, rng: np.random.Generator) -> None:
+    """A block that was never written."""
+    at, size = int(rng.integers(0, len(data))), int(rng.integers(1, 5_000))
+    size = min(size, len(data) - at)
+    data[at : at + size] = bytes(size)
+
+
+def junk(data: bytearray, rng: np.random.Generator) -> None:
+    """Bytes of another file."""
+    at = int(rng.integers(0, len(data)))
+    size = int(rng.integers(1, 500))
+    data[at : at + size * int(rng.integers(0, 2))] = rng.bytes(size)
+
+
+DAMAGES: tuple[Damage, ...] = (flip, cut, lose, zero, junk)
+
+
+def samples(folder: Path) -> Mapping[str, Path]:
+    """Sound logs of every encoding and storage."""
+    motion = make_motion(grid(300))
+    found = {}
+    for encoding in ("cdr", "json"):
+        source = write_mcap(
+            folder / f"{encoding}.mcap",
+            motion.t,
+            JOINTS,
+            motion.q,
+            encoding=encoding,  # type: ignore[arg-type]
+            dq=motion.dq,
+            effort=motion.tau,
+            accelerometers=motion.accelerometers,
+            gyros=motion.gyros,
+        )
+        for compression in ("none", "lz4", "zstd"):
+            for crc in (True, False):
+                name = f"{encoding}-{compression}-{'crc' if crc else 'no_crc'}"
+                found[name] = rewrite(
+                    source,
+                    folder / name,
+                    compression=compression,
+                    crc=crc,
+                    summary=crc,
+                    chunk_size=8192,
+                )
+        name = f"{encoding}-unchunked"
+        found[name] = rewrite(source, folder / name, chunking=False)
+    found["parquet"] = write_parquet(
+        folder / "parquet", motion.t, JOINTS, motion.q, current=motion.tau
+    )
+    return found
+
+
+def problem(path: Path, robot: Robot, sound: np.ndarray | None) -> str:
+    """Read a damaged log; returns what went wrong, empty if nothing."""
+    try:
+        read_recording(path, robot)
+        if sound is not None:
+            rows = read_raw(path, robot).joints.channels["position"]
+            known = {row.tobytes() for row in sound}
+            strange = sum(row.tobytes() not in known for row in np.ascontiguousarray(rows))
+            return f"{strange} of {len(rows)} rows are made up" if strange else ""
+    except InputError:
+        return ""
+    except Exception:
+        return traceback.format_exc()
+    return ""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run until the time is over; 1 if something was found."""
+    parser = argparse.ArgumentParser(prog="python -m tests.unit.logs.fuzz", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args(arguments)
+    rng = np.random.default_rng(chosen.seed)
+    counts: Counter[str] = Counter()
+    with TemporaryDirectory() as name:
+        logs = {kind: path.read_bytes() for kind, path in samples(Path(name)).items()}
+        sound = np.ascontiguousarray(make_motion(grid(300)).q)
+        path = Path(name) / "damaged"
+        end = time.monotonic() + chosen.seconds
+        while time.monotonic() < end:
+            kind = list(logs)[int(rng.integers(len(logs)))]
+            damage = DAMAGES[int(rng.integers(len(DAMAGES)))]
+            data = bytearray(logs[kind])
+            damage(data, rng)
+            path.write_bytes(data)
+            checked = "crc" in kind.split("-") and "none" not in kind
+            found = problem(path, ROBOT, sound if checked else None)
+            counts[kind] += 1
+            if found:
+                kept = Path(f"fuzz_{kind}_{damage.__name__}_{chosen.seed}")
+                kept.write_bytes(data)
+                sys.stderr.write(f"{kept}: {found}\n")
+                return 1
+    sys.stderr.write(f"{sum(counts.values())} damaged logs of {len(counts)} kinds read\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,405 @@
+"""MCAP logs: encodings, file variants, partial content, damage."""
+
+from __future__ import annotations
+
+import random
+import struct
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.mcap.reader import list_topics
+from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.recording import Recording
+from seqid_cli.robot.types import Channels
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, Motion, grid, make_motion, make_robot
+from tests.unit.logs.writers import (
+    Message,
+    header,
+    imu_messages,
+    joint_messages,
+    rewrite,
+    write_mcap,
+    write_messages,
+    write_parquet,
+)
+
+T0 = 1_700_000_000_000_000_000
+ROBOT = make_robot(imus=(ARRAY, GYRO))
+
+
+def stamps(t: np.ndarray) -> np.ndarray:
+    return T0 + np.rint(t * 1e9).astype(np.int64)
+
+
+def write_full(path: Path, motion: Motion, encoding: str = "cdr", **options: object) -> Path:
+    return write_mcap(  # type: ignore[arg-type]
+        path,
+        motion.t,
+        JOINTS,
+        motion.q,
+        encoding=encoding,
+        dq=motion.dq,
+        effort=motion.tau,
+        accelerometers=motion.accelerometers,
+        gyros=motion.gyros,
+        **options,
+    )
+
+
+def assert_holds(recording: Recording, motion: Motion, atol: float = 1e-9) -> None:
+    np.testing.assert_allclose(recording.t, motion.t, atol=1e-9)
+    np.testing.assert_allclose(recording.q, motion.q, atol=atol)
+    assert recording.dq is not None
+    assert recording.tau is not None
+    np.testing.assert_allclose(recording.dq, motion.dq, atol=atol)
+    np.testing.assert_allclose(recording.tau, motion.tau, atol=20 * atol)
+    for name, values in motion.accelerometers.items():
+        np.testing.assert_allclose(recording.accelerometers[name], values, atol=atol)
+    for name, values in motion.gyros.items():
+        np.testing.assert_allclose(recording.gyros[name], values, atol=atol)
+    assert recording.valid.all()
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("chunking", [True, False])
+@pytest.mark.parametrize("bare", [True, False])
+def test_every_variant_gives_the_same_arrays(
+    tmp_path: Path, encoding: str, compression: str, chunking: bool, bare: bool
+) -> None:
+    motion = make_motion(grid(100))
+    source = write_full(tmp_path / "source.mcap", motion, encoding)
+    path = rewrite(
+        source,
+        tmp_path / "log.mcap",
+        compression=compression,
+        chunking=chunking,
+        index=not bare,
+        crc=not bare,
+        summary=not bare,
+        chunk_size=4096,
+    )
+    recording = read_recording(path, ROBOT)
+    assert_holds(recording, motion)
+    assert recording.format == "mcap"
+    assert recording.partial == ""
+    assert not recording.health.resampled
+    assert recording.health.warnings == ()
+
+
+def test_parquet_and_both_encodings_agree(tmp_path: Path) -> None:
+    motion = make_motion(grid(500, 480.0))
+    recordings = [
+        read_recording(write_full(tmp_path / f"{encoding}.mcap", motion, encoding), ROBOT)
+        for encoding in ("cdr", "json")
+    ]
+    parquet = write_parquet(
+        tmp_path / "log.parquet",
+        motion.t,
+        JOINTS,
+        motion.q,
+        dq=motion.dq,
+        torque=motion.tau,
+        accelerometers=motion.accelerometers,
+        gyros=motion.gyros,
+    )
+    recordings.append(read_recording(parquet, ROBOT))
+    for recording in recordings:
+        assert_holds(recording, motion)
+        assert recording.rate_hz == pytest.approx(480.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_joints_are_matched_by_name(tmp_path: Path, encoding: str) -> None:
+    motion = make_motion(grid(100))
+    order = [2, 0, 1]
+    wide = np.column_stack([motion.q[:, order], np.full(len(motion.t), 9.0)])
+    path = write_mcap(
+        tmp_path / "log.mcap",
+        motion.t,
+        [*(JOINTS[i] for i in order), "gripper"],
+        wide,
+        encoding=encoding,  # type: ignore[arg-type]
+    )
+    recording = read_recording(path, make_robot())
+    np.testing.assert_array_equal(recording.q, motion.q)
+    assert recording.dq is None
+    assert recording.tau is None
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.002])
+def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) -> None:
+    t = grid(200)
+    motion, later = make_motion(t), make_motion(t + delay_s)
+    first = joint_messages(stamps(t), JOINTS[:1], motion.q[:, :1], effort=motion.tau[:, :1])
+    second = joint_messages(
+        stamps(t + delay_s), JOINTS[1:], later.q[:, 1:], effort=later.tau[:, 1:]
+    )
+    messages = [message for pair in zip(first, second, strict=True) for message in pair]
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
+    recording = read_recording(path, make_robot())
+    assert recording.rate_hz == pytest.approx(100.0)
+    assert recording.health.duplicates == 0
+    expected = make_motion(recording.t + (0.01 if delay_s else 0.0))
+    np.testing.assert_allclose(recording.q[2:-2], expected.q[2:-2], atol=1e-7)
+    assert recording.tau is not None
+    np.testing.assert_allclose(recording.tau[2:-2], expected.tau[2:-2], atol=1e-5)
+    assert recording.valid[1:-1].all()
+
+
+def test_layout_that_changes_from_message_to_message(tmp_path: Path) -> None:
+    t = grid(120)
+    motion = make_motion(t)
+    messages: list[Message] = []
+    rng = random.Random(1)
+    for i, stamp in enumerate(stamps(t)):
+        order = rng.sample(range(3), 3)
+        names = [JOINTS[k] for k in order] + ["x" * rng.randrange(6) for _ in range(i % 3)]
+        padding = [0.0] * (len(names) - 3)
+        content = SimpleNamespace(
+            header=header(int(stamp), "f" * rng.randrange(9)),
+            name=names,
+            position=[*(float(motion.q[i, k]) for k in order), *padding],
+            velocity=[] if i % 5 else [1.0] * len(names),
+            effort=[*(float(motion.tau[i, k]) for k in order), *padding],
+        )
+        messages.append(("/joint_states", int(stamp), content))
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
+    recording = read_recording(path, make_robot())
+    np.testing.assert_allclose(recording.q, motion.q, atol=1e-12)
+    assert recording.tau is not None
+    np.testing.assert_allclose(recording.tau, motion.tau, atol=1e-12)
+
+
+def test_effort_is_torque_or_current_as_the_robot_file_says(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    path = write_full(tmp_path / "log.mcap", motion)
+    drive = {"constants": 0.1, "gear_ratio": 50.0}
+    as_torque = read_recording(path, make_robot(**drive))  # type: ignore[arg-type]
+    current = Channels(effort="current")
+    as_current = read_recording(path, make_robot(**drive, channels=current))  # type: ignore[arg-type]
+    assert as_torque.tau is not None
+    assert as_current.tau is not None
+    np.testing.assert_allclose(as_current.tau, 5.0 * as_torque.tau)
+    lacking = read_recording(path, make_robot(channels=current))
+    assert lacking.tau is None
+    assert any("torque_constant" in warning for warning in lacking.health.warnings)
+
+
+def test_header_stamps_and_log_times(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    path = write_full(tmp_path / "log.mcap", motion, log_offset_ns=3_000_000)
+    recording = read_recording(path, ROBOT)
+    assert recording.health.log_minus_header_s == pytest.approx(0.003)
+    assert_holds(read_recording(path, ROBOT, time_source="log"), motion)
+
+
+def test_zero_header_stamps_fall_back_to_log_times(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    path = write_full(tmp_path / "log.mcap", motion, zero_stamps=True)
+    recording = read_recording(path, ROBOT)
+    assert_holds(recording, motion)
+    assert recording.health.log_minus_header_s is None
+    assert any("all zero" in warning for warning in recording.health.warnings)
+
+
+def test_imu_with_its_own_rate_and_span(tmp_path: Path) -> None:
+    t, t_imu = grid(300), 0.5 + grid(600, 333.0)
+    motion, imu = make_motion(t), make_motion(t_imu)
+    messages = joint_messages(stamps(t), JOINTS, motion.q)
+    messages += imu_messages(
+        stamps(t_imu), "/hand/data", imu.accelerometers["hand"], imu.gyros["hand"]
+    )
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
+    recording = read_recording(path, ROBOT)
+    inside = (t >= t_imu[0]) & (t <= t_imu[-1])
+    np.testing.assert_array_equal(recording.valid, inside)
+    assert "array" not in recording.accelerometers
+    wanted = motion.accelerometers["hand"][inside][3:-3]
+    np.testing.assert_allclose(recording.accelerometers["hand"][inside][3:-3], wanted, atol=1e-4)
+    assert any("/hand/data covers" in warning for warning in recording.health.warnings)
+
+
+def test_imu_on_another_clock_is_left_out(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    messages = joint_messages(stamps(motion.t), JOINTS, motion.q)
+    messages += imu_messages(
+        stamps(motion.t + 1e6), "/hand/data", motion.accelerometers["hand"], motion.gyros["hand"]
+    )
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
+    recording = read_recording(path, ROBOT)
+    assert recording.accelerometers == {}
+    assert recording.valid.all()
+    assert any("do not overlap" in warning for warning in recording.health.warnings)
+
+
+def test_half_an_accelerometer_array_is_an_error(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    source = write_full(tmp_path / "source.mcap", motion)
+    path = rewrite(source, tmp_path / "log.mcap", keep=lambda topic: topic != "/array/accel_2")
+    with pytest.raises(InputError, match="/array/accel_2"):
+        read_recording(path, ROBOT)
+
+
+def test_no_joint_states_lists_the_topics(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    messages = joint_messages(stamps(motion.t), JOINTS, motion.q, topic="/arm/joint_states")
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
+    with pytest.raises(InputError) as caught:
+        read_recording(path, make_robot())
+    assert "/arm/joint_states (sensor_msgs/msg/JointState, 100)" in caught.value.message
+    assert "/arm/joint_states" in caught.value.hint
+    (topic,), _ = list_topics(path)
+    assert (topic.topic, topic.encoding, topic.messages) == ("/arm/joint_states", "cdr", 100)
+
+
+def test_other_joint_names_are_listed(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    path = write_mcap(tmp_path / "log.mcap", motion.t, ["a", "b", "c"], motion.q, encoding="cdr")
+    with pytest.raises(InputError, match="names in the log: a, b, c"):
+        read_recording(path, make_robot())
+    path = write_mcap(tmp_path / "two.mcap", motion.t, JOINTS[:2], motion.q[:, :2], encoding="cdr")
+    with pytest.raises(InputError, match="no position of joint wrist"):
+        read_recording(path, make_robot())
+
+
+def test_unknown_encoding_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as out:
+        writer = Writer(out)
+        writer.start()
+        channel = writer.register_channel("/joint_states", "cbor", 0)
+        for i in range(50):
+            writer.add_message(channel, i, b"\0" * 40, i)
+        writer.finish()
+    with pytest.raises(InputError, match="cbor"):
+        read_recording(path, make_robot())
+
+
+def test_big_endian_cdr(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as out:
+        writer = Writer(out)
+        writer.start()
+        channel = writer.register_channel("/joint_states", "cdr", 0)
+        for stamp, q in zip(stamps(motion.t), motion.q, strict=True):
+            sec, nanosec = divmod(int(stamp), 10**9)
+            body = struct.pack(">iII", sec, nanosec, 1) + b"\0" + b"\0" * 3 + struct.pack(">I", 3)
+            for name in JOINTS:
+                text = name.encode() + b"\0"
+                body += struct.pack(">I", len(text)) + text + b"\0" * (-len(text) % 4)
+            body += struct.pack(">I", 3)
+            body += b"\0" * (-len(body) % 8) + struct.pack(">3d", *q) + struct.pack(">II", 0, 0)
+            writer.add_message(channel, int(stamp), b"\0\0\0\0" + body, int(stamp))
+        writer.finish()
+    np.testing.assert_array_equal(read_recording(path, make_robot()).q, motion.q)
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("chunk_size", [8192, 1 << 22])
+def test_truncated_file_is_salvaged(tmp_path: Path, compression: str, chunk_size: int) -> None:
+    rng = np.random.default_rng(0)
+    t = grid(4000)
+    q = rng.normal(size=(len(t), 3))  # does not compress: half the file is half the log
+    source = write_mcap(
+        tmp_path / "source.mcap",
+        t,
+        JOINTS,
+        q,
+        encoding="cdr",
+        compression=compression,
+        chunk_size=chunk_size,
+    )
+    path = tmp_path / "log.mcap"
+    path.write_bytes(source.read_bytes()[: source.stat().st_size // 2])
+    recording = read_recording(path, make_robot())
+    assert "breaks off" in recording.partial
+    assert "messages were read" in recording.partial
+    assert 500 < len(recording.t) < len(t)
+    np.testing.assert_array_equal(recording.q, q[: len(recording.t)])
+
+
+def test_damaged_chunk_is_left_out_and_counted(tmp_path: Path) -> None:
+    motion = make_motion(grid(1000))
+    source = write_full(tmp_path / "source.mcap", motion, chunk_size=32_768)
+    data = bytearray(source.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path = tmp_path / "log.mcap"
+    path.write_bytes(data)
+    recording = read_recording(path, ROBOT)
+    assert "chunk" in recording.partial
+    assert "messages are lost" in recording.partial
+    assert recording.health.gaps
+    assert 0.3 < recording.valid.mean() < 1.0
+    np.testing.assert_allclose(recording.q[recording.valid], motion.q[recording.valid], atol=1e-6)
+
+
+def test_recording_that_was_not_closed(tmp_path: Path) -> None:
+    motion = make_motion(grid(200))
+    path = tmp_path / "log.mcap"
+    source = write_mcap(
+        tmp_path / "source.mcap", motion.t, JOINTS, motion.q, encoding="cdr", compression="none"
+    )
+    plain = rewrite(source, tmp_path / "plain.mcap", chunking=False, index=False, summary=False)
+    end = plain.read_bytes().rindex(b"\x0f\x04\0\0\0\0\0\0\0")  # the DataEnd record
+    path.write_bytes(plain.read_bytes()[:end])
+    recording = read_recording(path, make_robot())
+    assert len(recording.t) == 200
+    assert "not closed" in recording.partial
+
+
+def test_nothing_to_salvage_is_an_error(tmp_path: Path) -> None:
+    motion = make_motion(grid(200))
+    source = write_full(tmp_path / "source.mcap", motion)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(source.read_bytes()[:60])
+    with pytest.raises(InputError, match="nothing can be salvaged"):
+        read_recording(path, ROBOT)
+
+
+def test_checksum_of_unchunked_data(tmp_path: Path) -> None:
+    motion = make_motion(grid(200))
+    source = write_full(tmp_path / "source.mcap", motion)
+    path = rewrite(source, tmp_path / "log.mcap", chunking=False)
+    assert read_recording(path, ROBOT).partial == ""
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<d", motion.q[100, 1]))
+    data[at] ^= 1
+    path.write_bytes(data)
+    assert "checksum" in read_recording(path, ROBOT).partial
+
+
+def test_malformed_messages_are_counted(tmp_path: Path) -> None:
+    motion = make_motion(grid(200))
+    messages = joint_messages(stamps(motion.t), JOINTS, motion.q)
+    for _, _, content in messages[50:53]:
+        content.position = [1.0, 2.0]
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
+    recording = read_recording(path, make_robot())
+    assert "3 of 200 messages of /joint_states could not be decoded" in recording.partial
+    np.testing.assert_allclose(recording.q, motion.q, atol=1e-4)
+
+
+def test_json_with_other_spellings_of_the_stamp(tmp_path: Path) -> None:
+    motion = make_motion(grid(100))
+    messages = joint_messages(stamps(motion.t), JOINTS, motion.q)
+    for i, (_, _, content) in enumerate(messages):
+        stamp = content.header.stamp
+        spellings = [
+            SimpleNamespace(sec=stamp.sec, nsec=stamp.nanosec),
+            SimpleNamespace(secs=stamp.sec, nsecs=stamp.nanosec),
+            SimpleNamespace(seconds=stamp.sec, nanos=stamp.nanosec),
+        ]
+        content.header.stamp = spellings[i % 3]
+        content.effort = [None, 1.0, float("nan")] if i % 2 else [1.0, 1.0, 1.0]
+    path = write_messages(tmp_path / "log.mcap", messages, encoding="json")
+    recording = read_recording(path, make_robot())
+    np.testing.assert_allclose(recording.t, motion.t, atol=1e-9)
+    assert recording.tau is not None
+    np.testing.assert_allclose(recording.tau, 1.0)

@@ -1,0 +1,291 @@
+"""ROS bags: whole, damaged, without the library."""
+
+from __future__ import annotations
+
+import sqlite3
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap_ros2.writer import Writer as Ros2Writer
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.files import expand
+from seqid_cli.robot.types import Channels
+from tests.unit.logs.format_writers import (
+    DYNAMIC,
+    DYNAMIC_DEFINITION,
+    T0_NS,
+    Array,
+    Data,
+    ros_messages,
+    rosbag1,
+    rosbag2_mcap,
+    rosbag2_sqlite,
+)
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
+from tests.unit.logs.writers import header
+
+MOTION = make_motion(grid())
+DATA = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
+IMU = "sensor_msgs/msg/Imu"
+STATE = "sensor_msgs/msg/JointState"
+
+
+def storage(folder: Path) -> Path:
+    (path,) = expand([str(folder)])
+    return path
+
+
+def bag_with_imus(path: Path, version: int) -> Path:
+    """Joint states, an array of six accelerometers and an IMU with a gyro."""
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_JAZZY)
+    types, more = store.types, {"seq": 0} if version == 1 else {}
+    vector, head = types["geometry_msgs/msg/Vector3"], types["std_msgs/msg/Header"]
+    time, quaternion = types["builtin_interfaces/msg/Time"], types["geometry_msgs/msg/Quaternion"]
+
+    def stamp(i: int) -> Any:
+        sec, nanosec = divmod(DATA.stamps_ns[i], 10**9)
+        return head(stamp=time(sec=sec, nanosec=nanosec), frame_id="", **more)
+
+    def imu(i: int, a: Array, w: Array) -> object:
+        nine = np.zeros(9)
+        return types[IMU](
+            header=stamp(i),
+            orientation=quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation_covariance=nine,
+            angular_velocity=vector(*map(float, w)),
+            angular_velocity_covariance=nine,
+            linear_acceleration=vector(*map(float, a)),
+            linear_acceleration_covariance=nine,
+        )
+
+    array, hand = MOTION.accelerometers["array"], MOTION.accelerometers["hand"]
+    writer = Bag1Writer(path) if version == 1 else Bag2Writer(path, version=9)
+    serialize = store.serialize_ros1 if version == 1 else store.serialize_cdr
+    with writer:
+        topics = {"/joint_states": STATE, "/hand/data": IMU}
+        topics |= {"/array/accel_1": IMU, "/array/accel_2": IMU, "/chatter": "std_msgs/msg/String"}
+        links = {t: writer.add_connection(t, kind, typestore=store) for t, kind in topics.items()}
+        for i, at in enumerate(DATA.stamps_ns):
+            state = types[STATE](
+                header=stamp(i),
+                name=list(JOINTS),
+                position=MOTION.q[i],
+                velocity=np.zeros(0),
+                effort=MOTION.tau[i],
+            )
+            rows = {
+                "/joint_states": state,
+                "/hand/data": imu(i, hand[i], MOTION.gyros["hand"][i]),
+                "/array/accel_1": imu(i, array[i, :3], np.zeros(3)),
+                "/array/accel_2": imu(i, array[i, 3:], np.zeros(3)),
+                "/chatter": types["std_msgs/msg/String"](data="hello"),
+            }
+            for topic, message in rows.items():
+                writer.write(links[topic], at, serialize(message, topics[topic]))
+    return path
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_joints_and_imus(tmp_path: Path, version: int) -> None:
+    path = bag_with_imus(tmp_path / ("log.bag" if version == 1 else "log"), version)
+    recording = read_recording(path, make_robot(imus=(ARRAY, GYRO)))
+    assert recording.tau is not None
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+    np.testing.assert_array_equal(recording.tau, MOTION.tau)
+    assert recording.dq is None
+    for name in ("array", "hand"):
+        np.testing.assert_array_equal(recording.accelerometers[name], MOTION.accelerometers[name])
+    np.testing.assert_array_equal(recording.gyros["hand"], MOTION.gyros["hand"])
+    assert (recording.partial, recording.format) == ("", f"rosbag{version}")
+    assert recording.start == pytest.approx(T0_NS * 1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("defined", [True, False])
+def test_dynamic_joint_states(tmp_path: Path, defined: bool) -> None:
+    """Without a definition in the bag (before 2023) the usual one is taken."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    text = DYNAMIC_DEFINITION.split("=" * 80)
+    store.register(get_types_from_msg(text[1].split("\n", 2)[2], "control_msgs/msg/InterfaceValue"))
+    body = text[0].replace("InterfaceValue[]", "control_msgs/InterfaceValue[]")
+    store.register(get_types_from_msg(body, DYNAMIC))
+    value = store.types["control_msgs/msg/InterfaceValue"]
+    head = store.types["std_msgs/msg/Header"]
+    time = store.types["builtin_interfaces/msg/Time"]
+    with Bag2Writer(tmp_path / "bag", version=9) as writer:
+        link = writer.add_connection("/dynamic_joint_states", DYNAMIC, typestore=store)
+        for i, at in enumerate(DATA.stamps_ns):
+            stamp = time(sec=at // 10**9, nanosec=at % 10**9)
+            values = [
+                value(["position", "current"], np.array([MOTION.q[i, j], MOTION.tau[i, j]]))
+                for j in range(3)
+            ]
+            message = store.types[DYNAMIC](head(stamp, ""), list(JOINTS), values)
+            writer.write(link, at, store.serialize_cdr(message, DYNAMIC))
+    path = storage(tmp_path)
+    if not defined:
+        with sqlite3.connect(path) as base:
+            base.execute("UPDATE message_definitions SET encoded_message_definition = ''")
+        base.close()
+    robot = make_robot(constants=0.1, gear_ratio=10.0, channels=Channels(effort="current"))
+    recording = read_recording(path, robot)
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+    assert recording.tau is not None
+    np.testing.assert_allclose(recording.tau, MOTION.tau, rtol=1e-15)
+    assert read_recording(path, make_robot()).tau is None
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
+def test_compression(tmp_path: Path, mode: CompressionMode) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    writer = Bag2Writer(tmp_path / "bag", version=9)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        link = writer.add_connection("/joint_states", STATE, typestore=store)
+        for at, message in ros_messages(DATA, store.types, {}):
+            writer.write(link, at, store.serialize_cdr(message, STATE))
+    if mode == CompressionMode.MESSAGE:
+        np.testing.assert_array_equal(read_recording(tmp_path / "bag", make_robot()).q, MOTION.q)
+    else:
+        with pytest.raises(InputError, match="ROS 2 bag without") as caught:
+            read_recording(tmp_path / "bag", make_robot())
+        assert "zstd -d" in caught.value.hint
+
+
+def outcome(path: Path) -> Recording | InputError:
+    try:
+        return read_recording(path, make_robot())
+    except InputError as error:
+        return error
+
+
+def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(tmp_path: Path) -> None:
+    path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
+    whole = path.read_bytes()
+    refused = 0
+    for page in range(1, len(whole) // 4096):
+        data = bytearray(whole)
+        data[4096 * page : 4096 * (page + 1)] = b"\xff" * 4096
+        path.write_bytes(data)
+        found = outcome(path)
+        if isinstance(found, InputError):
+            refused += 1
+            assert ".recover" in found.hint or found.hint.startswith("Record ")
+            assert found.where == str(path)
+        elif not found.partial:
+            np.testing.assert_array_equal(found.q, MOTION.q)
+    assert refused > 10
+
+
+def test_cut_sqlite_file(tmp_path: Path) -> None:
+    path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
+    path.write_bytes(path.read_bytes()[:20_000])
+    with pytest.raises(InputError, match="cannot be read") as caught:
+        read_recording(path, make_robot())
+    assert "recover" in caught.value.hint
+
+
+def test_sqlite_file_that_is_no_bag(tmp_path: Path) -> None:
+    path = tmp_path / "places.db3"
+    with sqlite3.connect(path) as base:
+        base.execute("CREATE TABLE places (x)")
+    base.close()
+    with pytest.raises(InputError, match="missing tables"):
+        read_recording(path, make_robot())
+
+
+def test_journal_of_a_recorder_that_was_killed_is_told(tmp_path: Path) -> None:
+    path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
+    path.with_name(path.name + "-wal").write_bytes(b"x" * 100)
+    partial = read_recording(path, make_robot()).partial
+    assert "100 bytes" in partial
+    assert "wal_checkpoint" in partial
+
+
+@pytest.mark.parametrize("change", ["cut", "index", "chunk"])
+def test_damaged_ros1_bag(tmp_path: Path, change: str) -> None:
+    path = rosbag1(tmp_path / "log", DATA)
+    data = bytearray(path.read_bytes())
+    if change == "cut":
+        data = data[: len(data) // 2]
+    elif change == "index":
+        at = data.index(b"index_pos=") + len(b"index_pos=")
+        data[at : at + 8] = bytes(8)
+    else:
+        at = len(data) // 2
+        data[at : at + 200] = b"\xff" * 200
+    path.write_bytes(data)
+    found = outcome(path)
+    if isinstance(found, InputError):
+        assert found.where == str(path)
+        assert "rosbag reindex" in found.hint
+    else:
+        assert change == "chunk"
+        assert found.partial
+
+
+def test_bag_without_joint_states_lists_its_topics(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Bag2Writer(tmp_path / "bag", version=9) as writer:
+        link = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
+        text = store.types["std_msgs/msg/String"](data="x")
+        writer.write(link, 1, store.serialize_cdr(text, "std_msgs/msg/String"))
+    with pytest.raises(InputError, match=r"/chatter \(std_msgs/msg/String, 1\)"):
+        read_recording(tmp_path / "bag", make_robot())
+
+
+@pytest.mark.parametrize("write", [rosbag1, rosbag2_sqlite])
+def test_without_the_library_the_way_to_install_it_is_told(
+    tmp_path: Path, write: Callable[[Path, Data], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "log", DATA)
+    for name in [name for name in sys.modules if name.split(".")[0] == "rosbags"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(InputError, match="not installed") as caught:
+        read_recording(path, make_robot())
+    assert 'pip install "seqid[bags]"' in caught.value.hint
+
+
+def test_bag_folder_with_mcap_inside_needs_no_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rosbag2_mcap(tmp_path / "log", DATA)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    np.testing.assert_array_equal(read_recording(tmp_path / "log", make_robot()).q, MOTION.q)
+
+
+def test_interfaces_of_dynamic_joint_states_in_mcap(tmp_path: Path) -> None:
+    """Effort itself counts before an interface that is called current or torque."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as out:
+        writer = Ros2Writer(out)
+        schema = writer.register_msgdef(DYNAMIC, DYNAMIC_DEFINITION)
+        for i, at in enumerate(DATA.stamps_ns):
+            values = [
+                SimpleNamespace(
+                    interface_names=["temperature", "torque", "position"],
+                    values=[40.0, MOTION.tau[i, j], MOTION.q[i, j]],
+                )
+                for j in range(3)
+            ]
+            message = SimpleNamespace(
+                header=header(at), joint_names=list(JOINTS), interface_values=values
+            )
+            writer.write_message("/arm/states", schema, message, at, at)
+        writer.finish()  # type: ignore[no-untyped-call]
+    recording = read_recording(path, make_robot())
+    assert recording.tau is not None
+    np.testing.assert_array_equal(recording.tau, MOTION.tau)
+    np.testing.assert_array_equal(recording.q, MOTION.q)

@@ -1,0 +1,170 @@
+"""Damaged MCAP files: what is lost is counted, the rest is used; and memory stays flat."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.mcap.reader import read_blocks
+from seqid_cli.logs.tables import parquet
+from tests.benchmarks.make_logs import JOINTS as PANDA
+from tests.benchmarks.make_logs import write_cdr, write_columns
+from tests.unit.logs import fuzz
+from tests.unit.logs.samples import GYRO, JOINTS, grid, make_robot, read_raw
+from tests.unit.logs.writers import rewrite, write_mcap
+
+ROBOT = make_robot()
+COUNT = 2_000
+
+
+@pytest.fixture(scope="module")
+def q() -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(COUNT, 3))
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory, q: np.ndarray) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "source.mcap"
+    return write_mcap(path, grid(COUNT), JOINTS, q, encoding="cdr", chunk_size=20_000)
+
+
+def records(data: bytes, opcode: int) -> list[int]:
+    """Where the records of a kind begin."""
+    found, at = [], 8
+    while at + 9 <= len(data):
+        kind, length = struct.unpack_from("<BQ", data, at)
+        if kind == opcode:
+            found.append(at)
+        at += 9 + length
+        if kind == 0x0F:
+            break
+    return found
+
+
+def assert_rows_of(path: Path, q: np.ndarray, least: int) -> str:
+    """The rows that are read are rows of the log, in order; returns what was said."""
+    raw = read_raw(path, ROBOT)
+    rows = raw.joints.channels["position"]
+    known = {row.tobytes(): i for i, row in enumerate(q)}
+    order = [known[row.tobytes()] for row in np.ascontiguousarray(rows)]
+    assert order == sorted(set(order))
+    assert len(order) >= least
+    return raw.partial
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+@pytest.mark.parametrize("summary", [True, False])
+@pytest.mark.parametrize("damage", ["opcode", "length", "zeros"])
+def test_reading_goes_on_behind_garbage(
+    tmp_path: Path, source: Path, q: np.ndarray, compression: str, summary: bool, damage: str
+) -> None:
+    path = rewrite(
+        source, tmp_path / "log", compression=compression, summary=summary, chunk_size=20_000
+    )
+    data = bytearray(path.read_bytes())
+    chunks = records(data, 0x06)
+    assert len(chunks) > 10
+    at = chunks[4]
+    if damage == "opcode":
+        data[at] = 0x55
+        data[at + 1 : at + 9] = b"\xff" * 8
+    elif damage == "length":
+        struct.pack_into("<Q", data, at + 1, 1_234)
+    else:
+        data[at - 50 : at + 200] = bytes(250)
+    path.write_bytes(data)
+    partial = assert_rows_of(path, q, int(0.8 * COUNT))
+    assert "damaged bytes" in partial
+    if summary:
+        lost = COUNT - len(read_raw(path, ROBOT).joints)
+        assert not lost or f"{lost} of {COUNT} messages are lost" in partial
+
+
+def test_dropped_chunk_is_counted_without_statistics(
+    tmp_path: Path, source: Path, q: np.ndarray
+) -> None:
+    path = rewrite(source, tmp_path / "log", summary=False, chunk_size=20_000)
+    data = bytearray(path.read_bytes())
+    data[records(data, 0x06)[3] + 100] ^= 0xFF
+    path.write_bytes(data)
+    partial = assert_rows_of(path, q, int(0.8 * COUNT))
+    lost = COUNT - len(read_raw(path, ROBOT).joints)
+    assert lost > 0
+    assert f"{lost} messages are lost" in partial
+
+
+def test_garbage_between_loose_messages(tmp_path: Path, source: Path, q: np.ndarray) -> None:
+    path = rewrite(source, tmp_path / "log", chunking=False, crc=False)
+    data = bytearray(path.read_bytes())
+    messages = records(data, 0x05)
+    data[messages[500] : messages[503]] = b"\xee" * (messages[503] - messages[500])
+    path.write_bytes(data)
+    partial = assert_rows_of(path, q, COUNT - 3)
+    assert f"3 of {COUNT} messages are lost" in partial
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_blocks_of_a_cut_file(tmp_path: Path, source: Path, q: np.ndarray, share: float) -> None:
+    data = source.read_bytes()
+    path = tmp_path / "log"
+    path.write_bytes(data[: int(share * len(data))])
+    blocks = list(read_blocks(path, ROBOT, rows=100))
+    rows = np.vstack([block.joints.channels["position"] for block in blocks])
+    np.testing.assert_array_equal(rows, q[: len(rows)])
+    assert abs(len(rows) / COUNT - share) < 0.1
+    assert [bool(block.partial) for block in blocks] == [False] * (len(blocks) - 1) + [True]
+
+
+def test_blocks_of_a_file_without_joints(tmp_path: Path, source: Path) -> None:
+    path = rewrite(source, tmp_path / "log", keep=lambda topic: False)
+    with pytest.raises(InputError, match="no messages on /joint_states"):
+        list(read_blocks(path, ROBOT))
+    with pytest.raises(InputError, match="names in the log"):
+        list(read_blocks(source, make_robot(["other"])))
+
+
+def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    robot = make_robot(PANDA, imus=(GYRO,))
+
+    def peak(count: int) -> int:
+        path = write_cdr(tmp_path / str(count), count)
+        tracemalloc.start()
+        for block in read_blocks(path, robot, rows=2_000):
+            assert len(block.joints) < 8_000
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size
+
+    short = peak(10_000)
+    assert peak(60_000) < 1.2 * short
+
+
+def test_parquet_blocks_are_the_whole(tmp_path: Path) -> None:
+    path = write_columns(tmp_path / "log.parquet", 150_000)
+    robot = make_robot(PANDA)
+    whole = read_raw(path, robot)
+    blocks = [block.joints for block in parquet.read_blocks(path, robot, rows=40_000)]
+    assert max(map(len, blocks)) == 40_000
+    stamps = np.concatenate([block.stamp_ns for block in blocks])
+    np.testing.assert_array_equal(stamps, whole.joints.stamp_ns)
+    for name, values in whole.joints.channels.items():
+        parts = [block.channels[name] for block in blocks]
+        np.testing.assert_array_equal(np.vstack(parts), values)
+
+
+def test_damaged_parquet_blocks(tmp_path: Path) -> None:
+    path = write_columns(tmp_path / "log.parquet", 1_000)
+    data = bytearray(path.read_bytes())
+    data[100:3_000] = bytes(2_900)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"):
+        list(parquet.read_blocks(path, make_robot(PANDA)))
+
+
+def test_a_little_fuzzing() -> None:
+    assert fuzz.main(["--seconds", "3", "--seed", "7"]) == 0

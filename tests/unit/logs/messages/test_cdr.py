@@ -1,0 +1,202 @@
+"""CDR decoding against the library's own decoder, and unusual definitions."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+from mcap_ros2.writer import Writer
+
+from seqid_cli.logs.messages import cdr, fields, parsers
+from seqid_cli.logs.messages.batch import NameMap, Payloads
+from seqid_cli.logs.read import read_recording
+from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
+from tests.unit.logs.writers import (
+    DEFINITIONS,
+    IMU,
+    JOINT_STATE,
+    header,
+    imu_messages,
+    payloads,
+    write_messages,
+)
+
+NAMES = ("a", "joint_with_a_long_name", "c3")
+
+
+def random_joint_state(rng: random.Random) -> SimpleNamespace:
+    entries = rng.sample((*NAMES, "other", "", "\u00e9"), rng.randrange(7))
+
+    def some() -> list[float]:
+        return [rng.gauss(0.0, 1.0) for _ in entries] if rng.random() < 0.7 else []
+
+    return SimpleNamespace(
+        header=header(rng.randrange(10**18), "f" * rng.randrange(10)),
+        name=entries,
+        position=some(),
+        velocity=some(),
+        effort=some(),
+    )
+
+
+def test_joint_states_match_the_library(tmp_path: Path) -> None:
+    rng = random.Random(7)
+    messages = [("/joint_states", i, random_joint_state(rng)) for i in range(300)]
+    batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
+    decoded = cdr.decoder("joint_state", NameMap(NAMES))(Payloads.of(batch))
+    schema = Schema(1, DEFINITIONS[JOINT_STATE].encode(), "ros2msg", JOINT_STATE)
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    assert decode is not None
+    assert decoded.good.all()
+    for i, data in enumerate(batch):
+        wanted = np.full((3, 3), np.nan)
+        message = decode(data)
+        for row, values in enumerate((message.position, message.velocity, message.effort)):
+            for name, value in zip(message.name, values, strict=False):
+                if name in NAMES:
+                    wanted[row, NAMES.index(name)] = value
+        np.testing.assert_array_equal(decoded.values[i], wanted.ravel())
+        stamp = message.header.stamp
+        assert decoded.stamp_ns[i] == stamp.sec * 10**9 + stamp.nanosec
+
+
+def test_imus_match_what_was_written(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    a, w = rng.normal(size=(2, 50, 3))
+    stamps = np.arange(50) * 7_000_001
+    messages = imu_messages(stamps, "/imu", a, w)
+    for i, (_, _, content) in enumerate(messages):
+        content.header.frame_id = "f" * (i % 11)
+    batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
+    decoded = cdr.decoder("imu", NameMap(NAMES))(Payloads.of(batch))
+    np.testing.assert_array_equal(decoded.values, np.hstack([a, w]))
+    np.testing.assert_array_equal(decoded.stamp_ns, stamps)
+
+
+def test_damaged_payloads_are_refused_one_by_one(tmp_path: Path) -> None:
+    rng = random.Random(9)
+    messages = [("/joint_states", i, random_joint_state(rng)) for i in range(40)]
+    batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
+    broken = [data[: len(data) // 2] if i % 2 else data for i, data in enumerate(batch)]
+    broken += [b"", b"\0", b"\0\1\0\0", b"\0\x02\0\0" + bytes(60)]
+    decoded = cdr.decoder("joint_state", NameMap(NAMES))(Payloads.of(broken))
+    assert decoded.good[0:40:2].all()
+    assert not decoded.good[40:].any()
+    assert not decoded.good[[i for i in range(1, 40, 2) if messages[i][2].name]].any()
+
+
+def test_definition_with_other_fields(tmp_path: Path) -> None:
+    definition = DEFINITIONS[JOINT_STATE].replace(
+        "string[] name", "uint8 mode\nstring[] name\n# not the usual one"
+    )
+    motion = make_motion(grid(100))
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as out:
+        writer = Writer(out)
+        schema = writer.register_msgdef(JOINT_STATE, definition)
+        for t, q in zip(motion.t, motion.q, strict=True):
+            content = SimpleNamespace(
+                header=header(round((t + 1.0) * 1e9)),
+                mode=3,
+                name=list(JOINTS),
+                position=list(q),
+                velocity=[],
+                effort=[],
+            )
+            writer.write_message("/joint_states", schema, content, 0)
+        writer.finish()
+    np.testing.assert_array_equal(read_recording(path, make_robot()).q, motion.q)
+
+
+@pytest.mark.parametrize("comments", [True, False])
+def test_usual_definition_is_recognised(comments: bool) -> None:
+    text = DEFINITIONS[IMU]
+    if comments:
+        text = "# This is a message\n" + text.replace("float64[9] ", "float64[9]   ", 1)
+    assert parsers.is_usual(Schema(1, text.encode(), "ros2msg", IMU), "imu")
+    other = text.replace("geometry_msgs/Quaternion orientation\n", "")
+    assert not parsers.is_usual(Schema(1, other.encode(), "ros2msg", IMU), "imu")
+
+
+def test_dynamic_joint_states(tmp_path: Path) -> None:
+    kind = "control_msgs/msg/DynamicJointState"
+    line = "=" * 80
+    definition = (
+        "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
+        f"{line}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+        + DEFINITIONS[JOINT_STATE][DEFINITIONS[JOINT_STATE].index(line) :]
+    )
+    motion = make_motion(grid(100))
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as out:
+        writer = Writer(out)
+        schema = writer.register_msgdef(kind, definition)
+        for i, t in enumerate(motion.t):
+            interfaces = [
+                SimpleNamespace(
+                    interface_names=["effort", "position", "other"],
+                    values=[motion.tau[i, k], motion.q[i, k], 5.0],
+                )
+                for k in (2, 0, 1)
+            ]
+            content = SimpleNamespace(
+                header=header(round((t + 1.0) * 1e9)),
+                joint_names=[JOINTS[k] for k in (2, 0, 1)],
+                interface_values=interfaces,
+            )
+            writer.write_message("/dynamic_joint_states", schema, content, 0)
+        writer.finish()
+    recording = read_recording(path, make_robot())
+    np.testing.assert_array_equal(recording.q, motion.q)
+    np.testing.assert_array_equal(recording.tau, motion.tau)
+    assert recording.dq is None
+
+
+@pytest.mark.parametrize("effort", ["torque", "current"])
+def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) -> None:
+    kind, line = "control_msgs/msg/DynamicJointState", "=" * 80
+    definition = (
+        "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
+        f"{line}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+        + DEFINITIONS[JOINT_STATE][DEFINITIONS[JOINT_STATE].index(line) :]
+    )
+    rng = random.Random(4)
+    path = tmp_path / "log.mcap"
+    kinds = ("position", "velocity", "effort", "torque", "current", "other")
+    with path.open("wb") as out:
+        writer = Writer(out)
+        schema = writer.register_msgdef(kind, definition)
+        for i in range(200):
+            if i % 20 == 0:
+                names = rng.sample((*NAMES, "x"), rng.randrange(5))
+                interfaces = [rng.sample(kinds, rng.randrange(6)) for _ in names]
+            values = [
+                SimpleNamespace(interface_names=each, values=[rng.gauss(0, 1) for _ in each])
+                for each in interfaces
+            ]
+            content = SimpleNamespace(
+                header=header(i + 1), joint_names=names, interface_values=values
+            )
+            writer.write_message("/dynamic_joint_states", schema, content, 0)
+        writer.finish()
+    batch = payloads(path)
+    found = Schema(1, definition.encode(), "ros2msg", kind)
+    assert parsers.is_usual(found, "dynamic_joint_state")
+    assert not parsers.is_usual(
+        Schema(1, definition.replace("float64[] v", "float32[] v").encode(), "ros2msg", kind),
+        "dynamic_joint_state",
+    )
+    parse = parsers.schema_parser("cdr", found)
+    decode = parsers.decoder("cdr", found, "dynamic_joint_state", NameMap(NAMES, effort))
+    assert parse is not None
+    assert decode is not None
+    slow = fields.decoder("dynamic_joint_state", NameMap(NAMES, effort), parse)(Payloads.of(batch))
+    fast = decode(Payloads.of(batch))
+    assert fast.good.all()
+    np.testing.assert_array_equal(fast.values, slow.values)
+    np.testing.assert_array_equal(fast.stamp_ns, slow.stamp_ns)

@@ -1,0 +1,71 @@
+"""What a log holds, without a robot file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from seqid_cli.logs.contents import survey
+from seqid_cli.logs.read import read_recording
+from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
+from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
+from tests.unit.logs.writers import write_mcap, write_parquet
+
+MOTION = make_motion(grid(100))
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_mcap(tmp_path: Path, encoding: str) -> None:
+    path = write_mcap(
+        tmp_path / "log.mcap",
+        MOTION.t,
+        JOINTS,
+        MOTION.q,
+        encoding=encoding,  # type: ignore[arg-type]
+        accelerometers=MOTION.accelerometers,
+    )
+    found = survey(path)
+    assert found.joints == JOINTS
+    counts = {channel.name: channel.samples for channel in found.channels}
+    assert counts["/joint_states"] == counts["/array/accel_2"] == 100
+
+
+def test_parquet_with_default_names(tmp_path: Path) -> None:
+    path = write_parquet(tmp_path / "log.parquet", MOTION.t, JOINTS, MOTION.q, torque=MOTION.tau)
+    found = survey(path)
+    assert found.joints == JOINTS
+    assert next((c.name, c.kind, c.samples) for c in found.channels) == ("t", "double", 100)
+
+
+@pytest.mark.parametrize(("prefix", "first"), [("q_", 1), ("q_", 0), ("actual_q_", 0)])
+def test_parquet_with_numbered_names(tmp_path: Path, prefix: str, first: int) -> None:
+    columns = {"t": MOTION.t} | {f"{prefix}{first + i}": MOTION.q[:, i] for i in range(3)}
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(columns), path)
+    found = survey(path)
+    assert found.joints == ("joint_1", "joint_2", "joint_3")
+    recording = read_recording(path, make_robot(found.joints, channels=found.names))
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+
+
+@pytest.mark.parametrize("label", ["csv", "csv rtde", "csv libfranka", "rosbag1", "lerobot"])
+def test_other_formats(tmp_path: Path, label: str) -> None:
+    data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
+    path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
+    found = survey(path)
+    named = label in ("csv", "rosbag1")
+    assert set(found.joints) == set(JOINTS if named else ("joint_1", "joint_2", "joint_3"))
+    assert {channel.samples for channel in found.channels} == {100}
+    recording = read_recording(path, make_robot(found.joints, channels=found.names))
+    order = [found.joints.index(name) for name in JOINTS] if named else [0, 1, 2]
+    np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)
+
+
+def test_nothing_known(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"time": MOTION.t, "angle": MOTION.t}), path)
+    assert survey(path).joints == ()

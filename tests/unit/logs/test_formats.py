@@ -1,0 +1,126 @@
+"""The sample logs in every format: the same recording, and the same parameters."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.logs.read import read_recording, read_recordings
+from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.files import check_log, expand
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.schema import FrictionJoint
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests import ROOT
+from tests.unit.logs.format_writers import EXACT, FLOAT32, Array, Data
+
+SAMPLES = ROOT / "sample_logs"
+ONE = SAMPLES / "one_joint"
+SIX = SAMPLES / "six_joint"
+FLOAT32_STEP = 2.0**-23
+
+
+@cache
+def robot(folder: Path) -> Robot:
+    return load_robot(folder / "robot.toml")
+
+
+@cache
+def sample(folder: Path, name: str, every: int) -> Data:
+    """A sample log; velocities are made up: it has none."""
+    table = pq.read_table(folder / f"{name}.parquet")
+    joints = robot(folder).joint_names
+
+    def columns(quantity: str) -> Array:
+        return np.column_stack([table.column(f"{j}.{quantity}").to_numpy() for j in joints])[
+            ::every
+        ]
+
+    t = np.rint(table.column("t").to_numpy()[::every] * 1e3) / 1e3
+    q, current = columns("position"), columns("current")
+    constants = np.array([j.torque_per_ampere or 0.0 for j in robot(folder).joints])
+    return Data(t, joints, q, np.gradient(q, t, axis=0), current, current * constants)
+
+
+def check_arrays(recording: Recording, data: Data, label: str) -> None:
+    step = FLOAT32_STEP if label in FLOAT32 else 2.0**-50
+    late = 2e-9 if label not in FLOAT32 else FLOAT32_STEP * float(data.t[-1])
+    np.testing.assert_allclose(recording.t, data.t - data.t[0], rtol=0, atol=late)
+    np.testing.assert_allclose(recording.q, data.q, rtol=step, atol=0)
+    assert recording.tau is not None
+    scale = np.abs(data.torque).max(axis=0)
+    assert (np.abs(recording.tau - data.torque) <= 2 * step * scale).all()
+    if recording.dq is not None:
+        np.testing.assert_allclose(recording.dq, data.dq, rtol=step, atol=0)
+    assert (recording.dq is None) == (label in FLOAT32 or "json" in label)
+    assert recording.valid.all()
+    assert recording.partial == ""
+    assert recording.health.gaps == ()
+
+
+@pytest.mark.parametrize("label", [*EXACT, *FLOAT32])
+@pytest.mark.parametrize(
+    ("folder", "name"), [(ONE, "gravity/joint_1"), (SIX, "inertia/elbow__wrist_1")]
+)
+def test_same_recording(tmp_path: Path, label: str, folder: Path, name: str) -> None:
+    data = sample(folder, name, 4 if folder == ONE else 1)
+    path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
+    found = expand([str(tmp_path)])
+    assert len(found) == 1
+    check_arrays(read_recording(found[0], robot(folder)), data, label)
+    if path.is_dir():
+        check_arrays(read_recording(path, robot(folder)), data, label)
+
+
+@pytest.mark.parametrize("label", EXACT)
+def test_format_is_told_by_content(tmp_path: Path, label: str) -> None:
+    """The suffix does not matter."""
+    data = sample(ONE, "gravity/joint_1", 40)
+    EXACT[label](tmp_path / "log", data)
+    (path,) = expand([str(tmp_path)])
+    renamed = path.rename(tmp_path / "log.dat")
+    kinds = {"parquet": "parquet", "mcap": "mcap", "csv": "csv", "rosbag1": "rosbag1"}
+    kind = "rosbag2" if label == "rosbag2 sqlite" else kinds.get(label.split()[0], "mcap")
+    assert check_log(renamed) == kind
+    assert read_recording(renamed, robot(ONE)).format == kind
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> FrictionJoint:
+    return friction(tmp_path_factory.mktemp("reference"), "parquet")
+
+
+def friction(folder: Path, label: str) -> FrictionJoint:
+    """Friction of the one joint, from every eighth sample of its log."""
+    ({**EXACT, **FLOAT32})[label](folder / "log", sample(ONE, "friction/joint_1", 8))
+    recordings = read_recordings(expand([str(folder)]), robot(ONE))
+    options = FrictionOptions(position_order=2, velocity_order=3)
+    (joint,) = identify_friction(recordings, robot(ONE), options=options).joints.values()
+    return joint
+
+
+@pytest.mark.parametrize("label", list(EXACT)[1:])
+def test_same_friction(tmp_path: Path, label: str, reference: FrictionJoint) -> None:
+    found = friction(tmp_path, label)
+    np.testing.assert_allclose(found.positive, reference.positive, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.negative, reference.negative, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.rmse, reference.rmse, rtol=1e-9)
+
+
+@pytest.mark.parametrize("label", FLOAT32)
+def test_friction_of_rounded_samples_stays_inside_its_errors(
+    tmp_path: Path, label: str, reference: FrictionJoint
+) -> None:
+    """Rounding may end a constant-velocity stretch a sample earlier."""
+    one, other = (FrictionSurface.from_stage(j) for j in (reference, friction(tmp_path, label)))
+    q, v = (m.ravel() for m in np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(0.5, 7.5, 8)))
+    columns = one.columns(q, v)
+    error = np.sqrt(np.einsum("ij,jk,ik->i", columns, one.covariance, columns))
+    assert (np.abs(one.torque(q, v) - other.torque(q, v)) < error).all()

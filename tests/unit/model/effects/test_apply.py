@@ -1,0 +1,362 @@
+"""Effects from a parameter file: restored exactly, placed on any log, taken out again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError, InputError
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.model.effects.apply import (
+    added_torque,
+    effect_torque,
+    filtered_effect_torque,
+    placed,
+    session_of,
+    without_effects,
+)
+from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.fitted import (
+    FittedEffect,
+    FittedTerm,
+    as_stage,
+    effect_notes,
+    fitted_effects,
+)
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import Axis
+from seqid_cli.model.effects.unexplained import SmoothTerm
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import (
+    EffectOfJoint,
+    EffectSession,
+    FrictionJoint,
+    FrictionStage,
+    Parameter,
+    Stages,
+)
+from tests.unit.model.effects.scenes import (
+    CUTOFF_HZ,
+    RATE_HZ,
+    SIGN_WIDTH,
+    scene_of,
+    scenes_of_logs,
+    settings_of,
+    two_joint_robot,
+    wander,
+)
+
+Array = NDArray[np.float64]
+
+ROBOT = two_joint_robot()
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[Scene]:
+    return scenes_of_logs()
+
+
+def fitted(name: str, joint: int | None, c: list[float], **settings: float) -> FittedEffect:
+    return FittedEffect(CATALOGUE[name], joint, settings, np.array(c), 1e-4 * np.eye(len(c)))
+
+
+def stribeck(level: float = 1.0) -> FittedEffect:
+    return fitted("stribeck", 0, [level], stribeck_speed=0.1, exponent=2.0)
+
+
+def recording_of(q: Array, tau: Array | None, sha256: str = "a", start: float = 0.0) -> Recording:
+    return Recording(
+        path=Path("log.parquet"),
+        sha256=sha256,
+        format="parquet",
+        t=np.arange(len(q)) / RATE_HZ,
+        q=q,
+        valid=np.ones(len(q), dtype=bool),
+        health=Health(rate_hz=RATE_HZ, jitter=0.0),
+        tau=tau,
+        start=start,
+    )
+
+
+def through_a_file(effects: list[EffectOfJoint]) -> Stages:
+    return msgspec.json.decode(msgspec.json.encode(Stages(effects=effects)), type=Stages)
+
+
+@pytest.mark.parametrize("name", sorted(set(CATALOGUE) - {"external_contact"}))
+def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> None:
+    """Whatever `values` makes of the coefficients."""
+    effect: Effect = CATALOGUE[name]
+    joint = None if effect.arm else 0
+    if not effect.available(logs, joint):
+        pytest.skip("not available on these logs")
+    grid = settings_of(effect, logs, joint) or [
+        {setting.name: max(setting.low, 0.5) for setting in effect.settings}
+    ]
+    count = len(effect.coefficients(grid[-1]))
+    rng = np.random.default_rng(3)
+    given = FittedEffect(
+        effect,
+        joint,
+        grid[-1],
+        0.01 * rng.normal(size=count),
+        1e-6 * np.eye(count),
+        EffectSession(logs=["a", "b"], starts=[0.0, 300.0], origin=1.7e9),
+    )
+    (restored,) = fitted_effects(through_a_file([as_stage(given, ROBOT)]), ROBOT)
+    assert isinstance(restored, FittedEffect)
+    assert restored.session == given.session
+    np.testing.assert_array_equal(restored.covariance, given.covariance)
+    np.testing.assert_array_equal(
+        effect_torque(logs[1], [restored]), effect_torque(logs[1], [given])
+    )
+
+
+def test_parameters_alone_do_where_they_are_the_coefficients() -> None:
+    entry = as_stage(stribeck(0.7), ROBOT)
+    entry.coefficients, entry.covariance = [], []
+    (restored,) = fitted_effects(Stages(effects=[entry]), ROBOT)
+    assert isinstance(restored, FittedEffect)
+    assert restored.coefficients == [0.7]
+
+
+def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene]) -> None:
+    """A cubic spring had no square."""
+    now = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
+    earlier = as_stage(now, ROBOT)
+    earlier.coefficients = earlier.coefficients[:3]
+    earlier.covariance = [row[:3] for row in earlier.covariance[:3]]
+    (restored,) = fitted_effects(through_a_file([earlier]), ROBOT)
+    assert isinstance(restored, FittedEffect)
+    assert restored.covariance.shape == (4, 4)
+    assert not restored.covariance[3].any()
+    np.testing.assert_array_equal(effect_torque(logs[1], [restored]), effect_torque(logs[1], [now]))
+
+
+def entry(**changes: object) -> EffectOfJoint:
+    return msgspec.structs.replace(as_stage(stribeck(), ROBOT), **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"effect": "phlogiston"}, r"effects\[1\]\.effect: no effect named 'phlogiston'"),
+        ({"joint": None}, r"\.joint: stribeck is an effect of one joint"),
+        ({"joint": "knee"}, r"\.joint: 'knee' is none of the robot's joints: joint_1, joint_2"),
+        ({"effect": "payload"}, r"\.joint: payload is of the whole arm"),
+        ({"settings": {"exponent": 2.0}}, r"settings\.stribeck_speed: is missing"),
+        (
+            {"settings": {"stribeck_speed": 0.1, "exponent": 2.0, "colour": 1.0}},
+            r"settings\.colour: stribeck takes stribeck_speed, exponent",
+        ),
+        ({"settings": {"stribeck_speed": -1.0, "exponent": 2.0}}, "must lie within .*, is -1.0"),
+        ({"settings": {"stribeck_speed": "fast", "exponent": 2.0}}, "must be a number, is 'fast'"),
+        ({"coefficients": [1.0, 2.0]}, r"\.coefficients: stribeck takes 1 numbers, has 2"),
+        ({"coefficients": [], "parameters": []}, r"\.coefficients: stribeck lacks"),
+        ({"covariance": [[1.0, 0.0]]}, r"\.covariance: must have 1 rows of 1"),
+    ],
+)
+def test_what_is_wrong_is_named(changes: dict[str, object], message: str) -> None:
+    if changes.get("effect") == "payload":
+        changes = {**changes, "settings": {"from_log": 0.0}, "coefficients": [0.0] * 10}
+        changes["covariance"] = []
+    wrong = Stages(effects=[entry(), entry(**changes)])
+    with pytest.raises(ConfigError, match=message):
+        fitted_effects(wrong, ROBOT)
+
+
+def test_torques_add_up_each_with_its_own_filtering(logs: list[Scene]) -> None:
+    scene, motion = logs[0], logs[0].motion
+    both = [stribeck(), fitted("torque_constant", 1, [0.1])]
+    total = filtered_effect_torque(scene, both)
+    rubbing = both[0].torques(scene)[0]
+    np.testing.assert_allclose(total[:, 0], motion.filtered(rubbing, times=2), atol=1e-12)
+    gain = 0.1 * (motion.filtered(scene.rigid) + motion.filtered(scene.friction, times=2))
+    np.testing.assert_allclose(total[:, 1], gain[:, 1], atol=1e-10)
+
+
+def test_a_delay_of_all_joints_touches_all(logs: list[Scene]) -> None:
+    shared = fitted("time_skew", None, [0.004], around=0.004)
+    each = [fitted("time_skew", j, [0.004], around=0.004) for j in range(2)]
+    np.testing.assert_allclose(
+        effect_torque(logs[0], [shared]), effect_torque(logs[0], each), atol=1e-12
+    )
+    (restored,) = fitted_effects(Stages(effects=[as_stage(shared, ROBOT)]), ROBOT)
+    assert isinstance(restored, FittedEffect)
+    assert restored.joint is None
+
+
+SESSION = EffectSession(logs=["a", "b", "c"], starts=[0.0, 100.0, 200.0], origin=1.7e9)
+UNCLOCKED = EffectSession(logs=["a", "b", "c"])
+
+
+@pytest.mark.parametrize(
+    ("session", "sha256", "start", "expected"),
+    [
+        (SESSION, "b", 5.0, (1, 100.0, True)),  # known by its contents, whatever its clock
+        (SESSION, "x", 1.7e9 + 150.0, (1, 150.0, True)),
+        (SESSION, "x", 1.7e9 - 50.0, (-1, -50.0, True)),
+        (SESSION, "x", 1.7e9 + 900.0, (2, 900.0, True)),
+        (SESSION, "x", 0.0, (3, 0.0, False)),
+        (UNCLOCKED, "c", 1.7e9, (2, 0.0, False)),
+        (UNCLOCKED, "x", 1.7e9, (3, 0.0, False)),
+        (None, "x", 1.7e9, (0, 0.0, False)),
+    ],
+)
+def test_logs_find_their_place_in_a_session(
+    logs: list[Scene],
+    session: EffectSession | None,
+    sha256: str,
+    start: float,
+    expected: tuple[int, float, bool],
+) -> None:
+    alone = replace(logs[0], log=0, start=0.0, shared_clock=False)
+    log = recording_of(alone.motion.q, None, sha256, start)
+    scene = placed(alone, log, session)
+    assert (scene.log, scene.start, scene.shared_clock) == expected
+
+
+def test_a_session_is_described_by_its_logs(logs: list[Scene]) -> None:
+    recordings = [
+        recording_of(scene.motion.q, None, name, 1.7e9 + scene.start)
+        for scene, name in zip(logs, "abc", strict=True)
+    ]
+    starts = [scene.start for scene in logs]
+    session = session_of(recordings, starts, True)
+    assert (session.logs, session.starts, session.origin) == (["a", "b", "c"], starts, 1.7e9)
+    for scene, recording in zip(logs, recordings, strict=True):
+        again = placed(replace(scene, log=7, start=0.0), recording, session)
+        assert (again.log, again.start) == (scene.log, scene.start)
+    assert session_of(recordings, starts, False) == EffectSession(logs=["a", "b", "c"])
+
+
+def test_effects_of_different_sessions_keep_their_clocks(logs: list[Scene]) -> None:
+    """Two ramps, one counted from a hundred seconds earlier."""
+    scene = replace(logs[0], log=0, start=0.0, shared_clock=False)
+    log = recording_of(scene.motion.q, None, "x", 1000.0)
+    ramps = [
+        replace(
+            fitted("drift", 0, [0.0, 1e-3], duration=1e4),
+            session=EffectSession(logs=["a"], starts=[0.0], origin=origin),
+        )
+        for origin in (1000.0, 900.0)
+    ]
+    added = added_torque(scene, log, ramps, np.zeros(2)).torque
+    usable = scene.motion.usable
+    expected = 1e-3 * (2 * scene.motion.t + 100.0)
+    np.testing.assert_allclose(added[usable, 0], expected[usable], atol=1e-6)
+
+
+def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
+    """Stribeck friction at the slowest speed, either way; a spring or an offset does not."""
+    scene = logs[0]
+    log = recording_of(scene.motion.q, None)
+    added = added_torque(
+        scene, log, [stribeck(), fitted("torque_bias", 1, [3.0])], np.full(2, 0.02)
+    )
+    np.testing.assert_allclose(
+        added.high[:, 0], np.exp(-0.04) * np.tanh(0.02 / SIGN_WIDTH), rtol=1e-9
+    )
+    np.testing.assert_allclose(added.low, -added.high, atol=1e-12)
+    assert not added.high[:, 1].any()
+    np.testing.assert_allclose(added.torque[:, 1], 3.0)
+
+
+def stages_of(scene: Scene) -> Stages:
+    """Friction as in the scene's model; rigid body left out."""
+    joints = {}
+    for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True):
+        assert surface is not None
+        joints[name] = FrictionJoint(
+            position_order=0,
+            velocity_order=1,
+            max_error=0.0,
+            rmse=0.0,
+            position_range=[-3.0, 3.0],
+            speed_range=[0.0, 4.0],
+            sign_width=surface.sign_width,
+            directional=False,
+            positive=surface.positive.tolist(),
+            negative=surface.negative.tolist(),
+            covariance=surface.covariance.tolist(),
+        )
+    return Stages(friction=FrictionStage(joints=joints))
+
+
+def test_a_recording_is_freed_of_its_effects() -> None:
+    """A hump of friction and an offset on one joint, a wrong gain on the other."""
+    scene = scene_of(wander(20.0, seed=4, rests=()))
+    q, dq = scene.motion.q, scene.motion.dq
+    clean = scene.model.friction(q, dq)
+    hump = np.exp(-((dq[:, 0] / 0.1) ** 2)) * np.tanh(dq[:, 0] / 0.01)
+    dirty = clean + np.column_stack([hump + 0.3, 0.05 * clean[:, 1]])
+    effects = [
+        stribeck(),
+        fitted("torque_bias", 0, [0.3]),
+        fitted("torque_constant", 1, [0.05]),
+    ]
+    freed = without_effects(
+        recording_of(q, dirty),
+        ROBOT,
+        stages_of(scene),
+        effects,
+        motion=MotionOptions(cutoff_hz=CUTOFF_HZ),
+    )
+    assert freed.tau is not None
+    usable = scene.motion.usable
+    np.testing.assert_allclose(freed.tau[usable, 1], clean[usable, 1], atol=1e-9)
+    left = freed.tau[usable, 0] - clean[usable, 0]
+    assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(np.mean((hump[usable] + 0.3) ** 2))
+    assert freed.q is q
+
+
+def test_an_encoder_error_is_taken_off_the_angle() -> None:
+    scene = scene_of(wander(8.0, seed=4, rests=()))
+    q = scene.motion.q
+    gear = ROBOT.joints[0].gear_ratio
+    assert gear is not None
+    error = 1e-3 * np.sin(gear * q[:, 0]) - 2e-3 * np.cos(gear * q[:, 0])
+    item = fitted("encoder_eccentricity", 0, [1e-3, -2e-3], order=1.0)
+    given = recording_of(q, np.zeros_like(q))
+    freed = without_effects(given, ROBOT, Stages(), [item], motion=MotionOptions())
+    np.testing.assert_allclose(freed.q[:, 0], q[:, 0] - error, atol=1e-12)
+    np.testing.assert_array_equal(freed.q[:, 1], q[:, 1])
+    assert freed.tau is given.tau
+
+
+def test_a_log_without_torque_cannot_be_freed() -> None:
+    with pytest.raises(InputError, match="neither joint torque nor motor current"):
+        without_effects(
+            recording_of(np.zeros((100, 2)), None), ROBOT, Stages(), [], motion=MotionOptions()
+        )
+
+
+def test_a_smooth_term_counts_when_asked(logs: list[Scene]) -> None:
+    term = SmoothTerm(
+        joint=0,
+        quantities=("position",),
+        axes=(Axis("position", 0, (-2.0, 0.0, 2.0)),),
+        factor="one",
+        coefficients=np.linspace(-1.0, 1.0, 5),
+    )
+    stages = through_a_file([as_stage(stribeck(), ROBOT), term.to_stage(ROBOT)])
+    assert len(fitted_effects(stages, ROBOT)) == 1
+    both = fitted_effects(stages, ROBOT, unexplained=True)
+    assert isinstance(both[1], FittedTerm)
+    np.testing.assert_allclose(effect_torque(logs[0], both[1:])[:, 0], term.torque(logs[0]))
+    without, with_it = effect_notes(stages, ROBOT), effect_notes(stages, ROBOT, unexplained=True)
+    assert without[0] == "effects in the prediction: stribeck (joint_1)"
+    assert "--with-unexplained" in without[1]
+    assert with_it == ["effects in the prediction: stribeck (joint_1), unexplained (joint_1)"]
+
+
+def test_parameters_are_reported_in_physical_terms() -> None:
+    parameters = as_stage(stribeck(0.7), ROBOT).parameters
+    assert parameters[0] == Parameter(
+        name="stribeck_torque", value=0.7, std_error=0.01, unit="N m", joint="joint_1"
+    )

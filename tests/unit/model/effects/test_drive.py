@@ -1,0 +1,236 @@
+"""Drive and measurement effects: parameters come back from torque distorted at a finer rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.measurement import TorqueMeasurement
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
+from tests.unit.model.effects.measured import (
+    FINE,
+    Distortion,
+    best_fitted,
+    fitted,
+    left_over,
+    scene_measuring,
+)
+from tests.unit.model.effects.scenes import RATE_HZ
+
+Array = NDArray[np.float64]
+
+FINE_HZ = FINE * RATE_HZ
+NOISE = 0.3  # N m per sample; the torque's RMS is 49 and 28 N m
+
+
+def honest(t: Array, tau: Array) -> Array:
+    return tau
+
+
+def late(samples: int) -> Distortion:
+    """Torque as it was some fine samples before (after, where negative)."""
+
+    def read(t: Array, tau: Array) -> Array:
+        out = np.roll(tau, samples, axis=0)
+        if samples > 0:
+            out[:samples] = tau[0]
+        elif samples < 0:
+            out[samples:] = tau[-1]
+        return out
+
+    return read
+
+
+def lagging(constant: float) -> Distortion:
+    """Return the command whose lagged version is the torque, by the inverse recursion."""
+    past = np.exp(-1.0 / (FINE_HZ * constant))
+
+    def read(t: Array, tau: Array) -> Array:
+        return np.vstack([tau[:1], (tau[1:] - past * tau[:-1]) / (1.0 - past)])
+
+    return read
+
+
+def saturating(b: float) -> Distortion:
+    """Bisect m (1 - b m^2) = tau on its rising branch."""
+
+    def read(t: Array, tau: Array) -> Array:
+        low, high = np.zeros_like(tau), np.full_like(tau, 1.0 / np.sqrt(3.0 * b))
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            less = middle * (1.0 - b * middle**2) < np.abs(tau)
+            low, high = np.where(less, middle, low), np.where(less, high, middle)
+        return np.sign(tau) * low
+
+    return read
+
+
+def scenes(distortion: Distortion, noise: float = NOISE) -> list[Scene]:
+    return [scene_measuring(distortion, seed=seed, noise=noise) for seed in range(2)]
+
+
+def rms(scene: Scene, joint: int) -> float:
+    return float(np.sqrt(np.mean(left_over(scene)[scene.motion.usable, joint] ** 2)))
+
+
+@pytest.fixture(scope="module")
+def floor() -> Array:
+    """RMS (2,) N m that honest torque leaves."""
+    clean = scenes(honest)
+    return np.array([np.sqrt(np.mean([rms(s, j) ** 2 for s in clean])) for j in range(2)])
+
+
+@pytest.mark.parametrize("samples", [10, -10, 2, 40])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_delay_comes_back_down_to_the_floor(floor: Array, samples: int, joint: int) -> None:
+    skewed = scenes(late(samples))
+    _, c, left = best_fitted(CATALOGUE["time_skew"], skewed, joint)
+    assert c[0] == pytest.approx(samples / FINE_HZ, abs=3e-5)
+    assert left < 1.05 * floor[joint]
+    assert rms(skewed[0], joint) > (5.0 if abs(samples) > 5 else 1.2) * floor[joint]
+
+
+@pytest.mark.parametrize("samples", [-30, 10, 40])
+def test_a_delay_sharpens_to_where_it_is(samples: int) -> None:
+    """From a first guess that base parameters have made too short, and no further once there."""
+    effect = CATALOGUE["time_skew"]
+    skewed = scenes(late(samples))
+    d = samples / FINE_HZ
+    settings = effect.sharpened({"around": 0.0}, np.array([0.7 * d]))
+    for _ in range(3):
+        assert settings is not None
+        c, _ = fitted(effect, skewed, 0, settings)
+        assert effect.plausible(skewed, 0, settings, c)
+        settings = effect.sharpened(settings, c)
+    assert settings is not None
+    assert settings["around"] == pytest.approx(d, abs=3e-5)
+    longest = effect.sharpened(settings, np.array([np.sign(d) * 7.0]))
+    assert longest == {"around": np.sign(d) * 0.1}
+
+
+def test_one_delay_of_all_joints(floor: Array) -> None:
+    skewed = scenes(late(10))
+    _, c, left = best_fitted(CATALOGUE["time_skew"], skewed, None)
+    assert c[0] == pytest.approx(10 / FINE_HZ, abs=2e-5)
+    assert left < 1.05 * np.sqrt(np.mean(floor**2))
+
+
+def test_the_delayed_column_beats_its_first_order(floor: Array) -> None:
+    """20 ms are not small against the friction's steps and the motion."""
+    skewed = scenes(late(48))
+    effect = CATALOGUE["time_skew"]
+    _, first = fitted(effect, skewed, 0, {"around": 0.0})
+    _, exact = fitted(effect, skewed, 0, {"around": 0.02})
+    assert exact < 1.05 * floor[0]
+    assert first > 2.0 * exact
+
+
+@pytest.mark.parametrize("constant", [0.002, 0.01])
+def test_a_lag_comes_back(floor: Array, constant: float) -> None:
+    lagged = scenes(lagging(constant))
+    _, c, left = best_fitted(CATALOGUE["actuator_lag"], lagged, 0)
+    assert c[0] == pytest.approx(constant - 0.5 / FINE_HZ, abs=5e-5)  # held over a fine sample
+    assert left < 1.05 * floor[0]
+
+
+def test_lag_and_delay_part_in_the_second_order() -> None:
+    """A lag of 20 ms, fitted as a delay, leaves more than it does as a lag."""
+    lagged = scenes(lagging(0.02))
+    _, _, as_lag = best_fitted(CATALOGUE["actuator_lag"], lagged, 0)
+    _, _, as_skew = best_fitted(CATALOGUE["time_skew"], lagged, 0)
+    assert as_skew > 1.5 * as_lag
+
+
+@pytest.mark.parametrize("share", [0.05, 0.12])
+def test_saturation_comes_back(floor: Array, share: float) -> None:
+    clean = scenes(honest)
+    peak = max(float(np.max(np.abs(s.modelled[s.motion.usable, 0]))) for s in clean)
+    b = share / peak**2
+    effect = CATALOGUE["torque_saturation"]
+    bent = scenes(saturating(b))
+    settings, c, left = best_fitted(effect, bent, 0)
+    assert c[0] == pytest.approx(b, rel=0.1)
+    assert effect.plausible(bent, 0, settings, c)
+    exact, least = fitted(effect, bent, 0, {"around": b})
+    assert exact[0] == pytest.approx(b, rel=0.01)
+    assert least < 1.05 * floor[0]
+    assert left < 1.5 * floor[0]
+
+
+def test_a_wrong_torque_constant_comes_back(floor: Array) -> None:
+    _, c, left = best_fitted(CATALOGUE["torque_constant"], scenes(lambda t, x: 1.08 * x), 1)
+    assert c[0] == pytest.approx(0.08, abs=1e-3)
+    assert left < 1.05 * 1.08 * floor[1]
+
+
+def test_an_offset_and_a_drift_come_back() -> None:
+    wander = [
+        scene_measuring(
+            lambda t, x: x + np.outer(0.3 + 1e-3 * t, [1.0, 0.0]),
+            seed=seed,
+            noise=NOISE,
+            start=100.0 * seed,
+            shared_clock=True,
+            log=seed,
+        )
+        for seed in range(3)
+    ]
+    settings, c, _ = best_fitted(CATALOGUE["drift"], wander, 0)
+    assert settings["duration"] == pytest.approx(220.0, abs=0.1)
+    assert c[0] == pytest.approx(0.3, abs=0.02)
+    assert c[1] == pytest.approx(1e-3, abs=2e-4)
+    _, bias, _ = best_fitted(CATALOGUE["torque_bias"], scenes(lambda t, x: x + 0.5), 0)
+    assert bias[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_drift_is_held_beyond_the_session() -> None:
+    effect = CATALOGUE["drift"]
+    (scene,) = [scene_measuring(honest, seconds=5.0, start=1e6, shared_clock=True)]
+    column = effect.columns(scene, 0, {"duration": 200.0})[0]
+    assert np.all(column == [1.0, 200.0])
+
+
+TRUTHS = [
+    ("torque_constant", {}, [0.08], lambda t, x: 1.08 * x),
+    ("torque_bias", {}, [0.7], lambda t, x: x + 0.7),
+    ("torque_saturation", {"around": 0.0}, [3e-6], saturating(3e-6)),
+    ("time_skew", {"around": 0.0}, [20 / FINE_HZ], late(20)),
+    ("actuator_lag", {}, [0.005 - 0.5 / FINE_HZ], lagging(0.005)),
+]
+
+
+@pytest.mark.parametrize(("name", "settings", "c", "distortion"), TRUTHS)
+def test_true_torque_undoes_the_distortion(
+    name: str, settings: dict[str, float], c: list[float], distortion: Distortion
+) -> None:
+    effect = CATALOGUE[name]
+    assert isinstance(effect, TorqueMeasurement)
+    t = np.arange(5000) / FINE_HZ
+    tau = np.stack([80 * np.sin(3 * t) + 20 * np.cos(11 * t), 40 * np.cos(5 * t)], axis=1)
+    undone = effect.true_torque(distortion(t, tau), FINE_HZ, settings, np.array(c))
+    np.testing.assert_allclose(undone[200:-200], tau[200:-200], atol=5e-3)
+
+
+@pytest.mark.parametrize("name", ["time_skew", "actuator_lag"])
+def test_timing_effects_say_so(name: str) -> None:
+    effect: Effect = CATALOGUE[name]
+    assert effect.timing
+    assert effect.shared
+
+
+def test_saturation_beyond_its_largest_torque_is_finite() -> None:
+    effect = CATALOGUE["torque_saturation"]
+    scene = scene_measuring(honest, seconds=5.0)
+    column = effect.columns(scene, 0, {"around": 1e-2})[0]
+    assert np.all(np.isfinite(column))
+    assert not effect.plausible([scene], 0, {"around": 1e-2}, np.array([1e-4]))
+
+
+def test_contact_is_a_name() -> None:
+    effect = CATALOGUE["external_contact"]
+    assert effect.columns(scene_measuring(honest, seconds=5.0), 0, {}) == {}
+    assert effect.coefficients({}) == ()
+    assert not effect.available([], 0)

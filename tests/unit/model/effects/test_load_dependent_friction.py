@@ -1,0 +1,47 @@
+"""Friction that grows with the load, told from friction that does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seqid_cli.model.effects.load_dependent_friction import LoadDependentFriction
+from seqid_cli.model.torque import TorqueModel
+from tests.unit.model.effects.fitting import Array, direction, fit, trial
+from tests.unit.model.effects.scenes import scene_of, torque_model, two_joint_robot, wander
+from tests.unit.model.effects.test_gear_efficiency import link_torque
+
+SHARE = 0.08
+
+
+def law(t: Array, q: Array, dq: Array) -> Array:
+    """Tooth friction on top of a seal's."""
+    return (2.0 + SHARE * np.abs(link_torque(q, dq))) * direction(dq) + 0.3 * dq
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_the_share_comes_back(joint: int) -> None:
+    trials = [trial(law, seed=k, noise=0.2) for k in range(2)]
+    found = fit(LoadDependentFriction(), trials, joint)
+    assert found.c[0] == pytest.approx(SHARE, rel=0.05)
+    assert found.left < 0.05
+
+
+def test_without_a_rigid_body_there_is_no_load() -> None:
+    robot = two_joint_robot()
+    unknown = TorqueModel(robot, torque_model(robot).surfaces, None, None, "diagonal")
+    effect, q = LoadDependentFriction(), wander(10.0)
+    assert effect.available([scene_of(q)], 0)
+    assert not effect.available([scene_of(q), scene_of(q, model=unknown)], 0)
+
+
+def test_the_own_rotor_is_no_load() -> None:
+    """Its torque does not pass the gear."""
+    scene = scene_of(wander(10.0))
+    heavy = torque_model(scene.robot)
+    rotors = TorqueModel(scene.robot, heavy.surfaces, heavy.phi, np.array([0.1, 0.2]), "diagonal")
+    other = scene_of(wander(10.0), model=rotors)
+    effect = LoadDependentFriction()
+    np.testing.assert_allclose(
+        effect.columns(other, 0, {})[0], effect.columns(scene, 0, {})[0], atol=1e-9
+    )

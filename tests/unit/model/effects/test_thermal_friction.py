@@ -1,0 +1,131 @@
+"""Friction of a gear whose grease warms up, from a simulated heat balance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from seqid_cli.model.effects.thermal_friction import ThermalFriction
+from tests.unit.model.effects.fitting import Array, Trial, direction, fit, trial
+from tests.unit.model.effects.scenes import scene_of, wander
+
+AMBIENT, CAPACITY, LOSS, POWER = 22.0, 600.0, 2.0, 40.0  # degC, J/K, W/K, W
+TIME_CONSTANT = CAPACITY / LOSS
+COULOMB_SLOPE, VISCOUS_SLOPE = 0.02, -0.05  # N m/K, N m s/(rad K)
+APART, LOGS, SECONDS = 200.0, 6, 12.0
+
+
+def heat_balance(end: float, dt: float = 0.05) -> Array:
+    """Temperature [degC] of a gear that starts at the ambient's, every dt s."""
+    temperature, level = [], AMBIENT
+    for _ in range(round(end / dt)):
+        temperature.append(level)
+        level += dt * (POWER - LOSS * (level - AMBIENT)) / CAPACITY
+    return np.array(temperature)
+
+
+HISTORY = heat_balance(1300.0)
+
+
+def temperature(t: Array) -> Array:
+    return np.interp(t, 0.05 * np.arange(len(HISTORY)), HISTORY)
+
+
+def law(t: Array, q: Array, dq: Array) -> Array:
+    """Friction of both joints at the temperature of the moment."""
+    warmer = (temperature(t) - AMBIENT)[:, None]
+    coulomb, viscous = 2.0 + COULOMB_SLOPE * warmer, 1.5 + VISCOUS_SLOPE * warmer
+    return coulomb * direction(dq) + viscous * dq
+
+
+@pytest.fixture(scope="module")
+def trials() -> list[Trial]:
+    """Logs minutes apart, the robot working on in between."""
+    starts = [k * APART for k in range(LOGS)]
+    return [
+        trial(law, seed=k, seconds=SECONDS, log=k, start=start, noise=0.05)
+        for k, start in enumerate(starts)
+    ]
+
+
+def logged(each: Trial) -> Trial:
+    """Return the same log with a temperature channel of whole degrees."""
+    degrees = np.round(temperature(each.scene.time))
+    return replace(
+        each, scene=replace(each.scene, temperature=np.stack([degrees, degrees], axis=1))
+    )
+
+
+def test_slopes_come_back_from_logged_temperature(trials: list[Trial]) -> None:
+    found = fit(ThermalFriction(), [logged(each) for each in trials], joint=0)
+    assert found.settings["logged"] == 1.0
+    assert AMBIENT < found.settings["reference_temperature"] < AMBIENT + POWER / LOSS
+    assert found.c == pytest.approx([COULOMB_SLOPE, VISCOUS_SLOPE], rel=0.1)
+    assert found.left < 0.05
+
+
+def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Trial]) -> None:
+    """Friction was identified at 12 degC: even logs of one temperature are warmer than that."""
+    scene = logged(trials[-1]).scene
+    warm = replace(scene, temperature=np.full((scene.samples, 2), 52.0))
+    surfaces = tuple(replace(surface, temperature=12.0) for surface in scene.model.surfaces)
+    known = replace(warm, model=replace(scene.model, surfaces=surfaces))
+    effect = ThermalFriction()
+    assert {point["logged"] for point in effect.grid([warm], 0, [])} <= {0.0}
+    (point,) = effect.grid([known], 0, [])
+    assert point["reference_temperature"] == 12.0
+    columns = effect.columns(known, 0, point)[0]
+    np.testing.assert_allclose(columns[:, 1], 40.0 * scene.motion.dq[:, 0])
+    assert effect.searched(point) == 0
+    assert effect.searched({**point, "logged": 0.0}) == 1
+
+
+def test_the_time_constant_comes_back_from_the_clock(trials: list[Trial]) -> None:
+    """Cold friction less warm friction, and how fast it goes."""
+    found = fit(ThermalFriction(), trials, joint=1)
+    rise = POWER / LOSS
+    assert found.settings["logged"] == 0.0
+    assert found.settings["warm_up_time"] == pytest.approx(TIME_CONSTANT, rel=0.05)
+    assert found.c == pytest.approx([-COULOMB_SLOPE * rise, -VISCOUS_SLOPE * rise], rel=0.1)
+    assert found.left < 0.05
+
+
+def test_a_later_clock_is_only_less_cold(trials: list[Trial]) -> None:
+    """Nothing but the coefficients' meaning hangs on when the clock began."""
+    scene = trials[1].scene
+    point = {"warm_up_time": 250.0, "logged": 0.0, "reference_temperature": 0.0}
+    late = replace(scene, start=scene.start + 100.0)
+    effect = ThermalFriction()
+    here, there = (effect.columns(each, 0, point)[0] for each in (scene, late))
+    np.testing.assert_allclose(there, here * np.exp(-100.0 / 250.0), rtol=1e-9, atol=1e-12)
+
+
+def test_a_constant_temperature_leaves_the_clock(trials: list[Trial]) -> None:
+    effect = ThermalFriction()
+    constant = [replace(e.scene, temperature=np.full((e.scene.samples, 2), 30.0)) for e in trials]
+    grid = list(effect.grid(constant, 0, []))
+    assert {point["logged"] for point in grid} == {0.0}
+    assert len(grid) == 8
+    names = [spec.name for spec in effect.coefficients(grid[0])]
+    assert names == ["coulomb_when_cold", "viscous_when_cold"]
+
+
+def test_damaged_temperature_is_not_used(trials: list[Trial]) -> None:
+    """Not numbers, or not degrees Celsius."""
+    effect = ThermalFriction()
+    for bad in (np.nan, np.inf, 4000.0):
+        scenes = [logged(each).scene for each in trials]
+        assert scenes[0].temperature is not None
+        scenes[0].temperature[7, 0] = bad
+        grid = list(effect.grid(scenes, 0, []))
+        assert {point["logged"] for point in grid} == {0.0}
+        hot = {"warm_up_time": 100.0, "logged": 1.0, "reference_temperature": 25.0}
+        assert np.all(np.isfinite(effect.columns(scenes[0], 0, hot)[0]))
+
+
+def test_short_logs_without_a_shared_clock_say_nothing() -> None:
+    q = wander(20.0)
+    assert not ThermalFriction().available([scene_of(q), scene_of(q)], 0)
+    assert ThermalFriction().available([scene_of(wander(150.0))], 0)

@@ -1,0 +1,113 @@
+"""A motor that turns with two joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from seqid_cli.model.effects.transmission_coupling import TransmissionCoupling
+from tests.unit.model.effects.added import scenes_with
+from tests.unit.model.effects.fitting import FINE_HZ, Array, Law
+from tests.unit.model.effects.measured import fitted
+from tests.unit.model.effects.scenes import SIGN_WIDTH, scene_of, two_joint_robot, wander
+
+COULOMB, VISCOUS, INERTIA = 2.1, 0.6, 0.05
+RATIOS = (1.0, -1.0, 0.3, -0.3)
+
+
+def friction_and_inertia(rate: Array) -> Array:
+    change = np.gradient(rate, 1.0 / FINE_HZ)
+    return COULOMB * np.tanh(rate / SIGN_WIDTH) + VISCOUS * rate + INERTIA * change
+
+
+def with_both(ratio: float) -> Law:
+    """Power of the motor's friction and inertia, shared out as its rate is; else on joint 1."""
+
+    def law(t: Array, q: Array, dq: Array) -> Array:
+        torque = friction_and_inertia(dq[:, 0] + ratio * dq[:, 1])
+        return np.stack([torque - friction_and_inertia(dq[:, 0]), ratio * torque], axis=1)
+
+    return law
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_friction_and_inertia_of_the_motor_come_back(ratio: float) -> None:
+    scenes = scenes_with(with_both(ratio))
+    c, rms = fitted(TransmissionCoupling(), scenes, 0, {"neighbour": 1.0, "ratio": ratio})
+    assert c == pytest.approx([COULOMB, VISCOUS, INERTIA], rel=0.05)
+    assert rms < 0.1
+    wrong = fitted(TransmissionCoupling(), scenes, 0, {"neighbour": 1.0, "ratio": -ratio})[1]
+    assert wrong > 5 * rms
+
+
+def test_both_neighbours_are_tried() -> None:
+    scenes = scenes_with(with_both(1.0), logs=1)
+    offered = [
+        (j, s["neighbour"])
+        for j in (0, 1)
+        for s in TransmissionCoupling().grid(scenes, j, [])
+        if s["ratio"] == 1.0
+    ]
+    assert offered == [(0, 1.0), (1, -1.0)]
+
+
+def test_equal_drives_are_one_torque_beside_each_joints_own_friction() -> None:
+    """Where the drive turns with both joints alike, whose it is makes no difference."""
+    scene = scenes_with(with_both(1.0), logs=1)[0]
+    effect = TransmissionCoupling()
+    own = [
+        np.column_stack([scene.sign[:, j], scene.motion.dq[:, j], scene.motion.ddq[:, j]])
+        for j in (0, 1)
+    ]
+    here = effect.columns(scene, 0, {"neighbour": 1.0, "ratio": 1.0})
+    there = effect.columns(scene, 1, {"neighbour": -1.0, "ratio": 1.0})
+    np.testing.assert_allclose(here[0] + own[0], there[0], atol=1e-12)
+    np.testing.assert_allclose(here[1], there[1] + own[1], atol=1e-12)
+
+
+def test_a_drive_is_the_same_from_either_joint() -> None:
+    """Coefficients differ by the ratio: speed and torque are told at the other joint."""
+    ratio = 0.4
+    scene, effect = scenes_with(with_both(ratio), logs=1)[0], TransmissionCoupling()
+    scene = replace(scene, sign_width=SIGN_WIDTH * np.array([ratio, 1.0]))
+    settings = {"neighbour": 1.0, "ratio": ratio}
+    here = effect.columns(scene, 0, settings)
+    seen = effect.seen_from_partner(0, settings)
+    assert seen == (1, {"neighbour": -1.0, "ratio": pytest.approx(1 / ratio)})
+    there = effect.columns(scene, *seen)
+    v, a = scene.motion.dq, scene.motion.ddq
+    own = [
+        np.column_stack([np.tanh(v[:, j] / scene.sign_width[j]), v[:, j], a[:, j]]) for j in (0, 1)
+    ]
+    scale = np.array([ratio, ratio**2, ratio**2])
+    np.testing.assert_allclose(here[0] + own[0], there[0] * scale, atol=1e-12)
+    np.testing.assert_allclose(here[1], (there[1] + own[1]) * scale, atol=1e-12)
+
+
+def test_a_screw_that_slides_and_turns() -> None:
+    """Ratios between a slide and a turn are in units of their top speeds."""
+    q = wander(20.0, seed=4, rests=()) * np.array([1.0, 0.05])
+    scene, effect = scene_of(q, robot=two_joint_robot(prismatic=True)), TransmissionCoupling()
+    top = np.max(np.abs(scene.motion.dq), axis=0)
+    ratios = [s["ratio"] for s in effect.grid([scene], 1, [])]
+    assert max(ratios) == pytest.approx(top[1] / top[0])
+    assert max(ratios) < 0.2
+    partner, settings = effect.seen_from_partner(1, {"neighbour": -1.0, "ratio": max(ratios)})
+    assert partner == 0
+    assert settings["ratio"] in [pytest.approx(s["ratio"]) for s in effect.grid([scene], 0, [])]
+
+
+def test_nobody_can_say_what_a_drive_that_sticks_has() -> None:
+    """Though both joints move: there is no friction of the one drive that both have."""
+    slow = wander(20.0, seed=4, rests=())[:, :1]
+    q = np.hstack([slow, -slow])
+    middle = len(q) // 2
+    q[middle:, 1] *= -1.0
+    scene, effect = scene_of(q, robot=two_joint_robot()), TransmissionCoupling()
+    guessed = effect.guessed(scene, 1, {"neighbour": -1.0, "ratio": 1.0})
+    assert sorted(guessed) == [0, 1]
+    assert guessed[0][200 : middle - 200].all()
+    assert 0.0 < guessed[1][middle + 200 :].mean() < 0.6
+    np.testing.assert_array_equal(guessed[0], guessed[1])

@@ -1,0 +1,112 @@
+"""A motor and a pendulum with a gear between them that gives or has play, in small time steps.
+
+Nothing of it is shared with the package but what reads its log: semi-implicit Euler steps of two
+masses, a position controller, a motor that rubs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.motion import decimated
+from seqid_cli.robot.dh import DhRow, chain_from_dh
+from tests.unit.model.effects.scenes import SIGN_WIDTH, friction_surface, motion_of
+from tests.unit.robot.robots import robot_from_chain
+
+Array = NDArray[np.float64]
+
+MOTOR, LINK = 0.4, 0.8  # kg m^2 at the joint
+WEIGHT = 8.0  # N m, of the level link
+COULOMB, VISCOUS = 3.0, 1.0
+STEP_S, LOG_HZ = 2e-5, 1000.0
+
+
+@dataclass(frozen=True)
+class Gear:
+    """Stiffness [N m/rad], damping [N m s/rad] and gap [rad] of the gear."""
+
+    stiffness: float
+    damping: float
+    gap: float = 0.0
+
+    def torque(self, lead: float, rate: float) -> float:
+        """Torque on the link, N m; flanks push and do not pull, where there is play."""
+        if self.gap == 0.0:
+            return self.stiffness * lead + self.damping * rate
+        depth = abs(lead) - 0.5 * self.gap
+        if depth <= 0.0:
+            return 0.0
+        side = math.copysign(1.0, lead)
+        return side * max(0.0, self.stiffness * depth + side * self.damping * rate)
+
+
+@dataclass(frozen=True)
+class Log:
+    """Angles of motor and link (N,) rad, motor torque (N,) N m."""
+
+    motor: Array
+    link: Array
+    torque: Array
+
+
+def run(gear: Gear, *, seed: int = 0, seconds: float = 8.0, top_hz: float = 2.0) -> Log:
+    """Follow a sum of sines; logged in the middle of each control period."""
+    every = round(1 / (LOG_HZ * STEP_S))
+    rows = []
+    plan = _plan(seed, round(seconds / STEP_S), top_hz)
+    angle, speed, _ = next(plan)
+    link, link_speed, command = angle, speed, 0.0
+    motor, motor_speed = angle + WEIGHT * math.sin(angle) / gear.stiffness, speed
+    for k, (wanted, rate, acceleration) in enumerate(plan):
+        if k % every == 0:
+            rub = COULOMB * math.tanh(rate / SIGN_WIDTH) + VISCOUS * rate
+            known = (MOTOR + LINK) * acceleration + WEIGHT * math.sin(wanted) + rub
+            command = 3000 * (wanted - motor) + 70 * (rate - motor_speed) + known
+        if k % every == every // 2:
+            rows.append((motor, link, command))
+        passed = gear.torque(motor - link, motor_speed - link_speed)
+        rub = COULOMB * math.tanh(motor_speed / SIGN_WIDTH) + VISCOUS * motor_speed
+        motor_speed += STEP_S * (command - passed - rub) / MOTOR
+        link_speed += STEP_S * (passed - WEIGHT * math.sin(link)) / LINK
+        motor += STEP_S * motor_speed
+        link += STEP_S * link_speed
+    return Log(*np.array(rows).T)
+
+
+def _plan(seed: int, steps: int, top_hz: float) -> Iterator[tuple[float, float, float]]:
+    rng = np.random.default_rng(seed)
+    omega = 2 * np.pi * rng.uniform(0.2, top_hz, 5)[:, None]
+    weight = rng.normal(size=(5, 1)) / omega
+    weight *= 0.6 / np.linalg.norm(weight)
+    phase = omega * np.arange(steps) * STEP_S + rng.uniform(0, 2 * np.pi, (5, 1))
+    angle = np.sum(weight * np.sin(phase), axis=0)
+    speed = np.sum(weight * omega * np.cos(phase), axis=0)
+    acceleration = -np.sum(weight * omega**2 * np.sin(phase), axis=0)
+    return zip(angle.tolist(), speed.tolist(), acceleration.tolist(), strict=True)
+
+
+def scene(log: Log, *, cutoff_hz: float, side: str = "motor", noise: float = 0.03) -> Scene:
+    """Return what the log's reader sees, knowing all but the gear: encoder counts of 1e-5 rad."""
+    angle = log.motor if side == "motor" else log.link
+    counts = np.round(angle / 1e-5)[:, None] * 1e-5
+    hiss = noise * np.random.default_rng(7).normal(size=(len(angle), 1))
+    motion = motion_of(counts, rate_hz=LOG_HZ, cutoff_hz=cutoff_hz, tau=log.torque[:, None] + hiss)
+    settled = motion.usable.copy()
+    settled[:500] = False
+    motion = decimated(replace(motion, usable=settled), 24)
+    robot = robot_from_chain(
+        chain_from_dh([DhRow(0.0, 0.0, 0.0, 0.0)]), gravity=np.array([0.0, -9.81, 0.0])
+    )
+    robot = replace(robot, joints=(replace(robot.joints[0], rotor_inertia=MOTOR, gear_ratio=1.0),))
+    phi = np.zeros((1, 10))
+    phi[0, 2], phi[0, 9] = -WEIGHT / 9.81, LINK
+    surface = friction_surface(COULOMB, VISCOUS, top=20.0)
+    model = TorqueModel(robot, [surface], phi, np.array([MOTOR]), "diagonal")
+    return Scene(robot=robot, motion=motion, model=model, sign_width=np.array([SIGN_WIDTH]))

@@ -1,0 +1,238 @@
+"""The torque model is the sum of its terms, filtered like the measured torque."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_samples import sampled_friction
+from seqid_cli.model.torque import (
+    TorqueModel,
+    friction_surfaces,
+    known_rotors,
+    sliding,
+    standard_parameters,
+)
+from seqid_cli.motion.filters.bandwidth import Cutoff
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.motion.motion import Motion
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
+from seqid_cli.robot.base import base_parameters, base_regressor, standard_names
+from seqid_cli.robot.regressor import rotor_regressor
+from seqid_cli.robot.types import Robot
+from tests.plants.rigid import Rigid
+from tests.plants.rigs import six_joint
+from tests.unit.robot.robots import arm_6r
+
+Array = NDArray[np.float64]
+
+RATE = 200.0
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return arm_6r(gear_ratio=101.0)
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    """All joints on sines; the torque is any smooth one."""
+    t = np.arange(800) / RATE
+    lowpass = Lowpass(8.0, RATE)
+    q = lowpass(np.sin(t[:, None] * np.linspace(1.5, 4.0, 6) + np.arange(6)))
+    dq, ddq = differentiate(q, RATE)
+    valid = np.ones(800, dtype=bool)
+    usable = valid.copy()
+    usable[:60] = usable[-60:] = False
+    return Motion(
+        t=t,
+        q=q,
+        dq=dq,
+        ddq=ddq,
+        tau=lowpass(lowpass(10 * np.cos(q))),
+        moving=np.ones_like(q, dtype=bool),
+        usable=usable,
+        valid=valid,
+        rate_hz=RATE,
+        lowpass=lowpass,
+        cutoff=Cutoff(8.0, np.zeros(6), 0.0, True, np.zeros(6)),
+    )
+
+
+def representative(phi: Array, rotor: Array) -> dict[str, float]:
+    names = standard_names(len(rotor))
+    return dict(zip(names, [float(x) for x in np.concatenate([phi.ravel(), rotor])], strict=True))
+
+
+def rigid_stage(phi: Array, rotor: Array, coupling: str = "diagonal") -> RigidStage:
+    return RigidStage(
+        parameters=[],
+        condition=1.0,
+        rank=36,
+        representative=representative(phi, rotor),
+        rotor_coupling=coupling,
+    )
+
+
+def friction_joint(level: float) -> FrictionJoint:
+    return FrictionJoint(
+        position_order=1,
+        velocity_order=1,
+        max_error=0.0,
+        rmse=0.0,
+        position_range=[-1.0, 1.0],
+        speed_range=[0.1, 4.0],
+        sign_width=0.01,
+        directional=False,
+        positive=[[level, 0.3 * level], [0.1 * level, 0.0]],
+        negative=[[level, 0.3 * level], [0.1 * level, 0.0]],
+        covariance=np.eye(4).tolist(),
+    )
+
+
+def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
+    arm = six_joint().arm
+    joints = {name: friction_joint(3.0 / (j + 1)) for j, name in enumerate(robot.joint_names)}
+    inertia = rigid_stage(arm.phi, arm.rotor_inertia, coupling)
+    return Stages(friction=FrictionStage(joints=joints), inertia=inertia)
+
+
+@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
+def test_the_rigid_torque_is_the_plants(robot: Robot, motion: Motion, coupling: str) -> None:
+    """Pinocchio's RNEA with rotors, as the simulated arm of the same geometry has it."""
+    arm = replace(six_joint().arm, rotor_coupling=coupling == "gyroscopic")
+    model = TorqueModel.from_stages(stages(robot, coupling), robot)
+    rows = slice(0, 800, 40)
+    state = (motion.q[rows], motion.dq[rows], motion.ddq[rows])
+    rigid = Rigid(arm)
+    expected = [rigid.inverse(*s) for s in zip(*state, strict=True)]
+    np.testing.assert_allclose(model.rigid(*state), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
+def test_prediction_is_the_regressor_times_the_parameters(
+    robot: Robot, motion: Motion, coupling: str
+) -> None:
+    """H pi of Eq. 4, filtered once, plus friction, filtered twice."""
+    own = stages(robot, coupling)
+    model = TorqueModel.from_stages(own, robot)
+    basis = base_parameters(robot, rotor=range(6), coupling=model.coupling)
+    arm = six_joint().arm
+    phi = np.concatenate([arm.phi.ravel(), arm.rotor_inertia])
+    H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
+    rigid = motion.filtered(H) @ (basis.expression @ phi)
+    friction = sampled_friction(friction_surfaces(own, robot), motion)
+    expected = rigid + motion.filtered(motion.filtered(friction))
+    np.testing.assert_allclose(model.predict(motion), expected, atol=1e-8)
+
+
+def test_friction_is_each_joints_own_surface(robot: Robot, motion: Motion) -> None:
+    own = stages(robot)
+    model = TorqueModel.from_stages(own, robot)
+    got = model.friction(motion.q, motion.dq)
+    assert own.friction is not None
+    for j, name in enumerate(robot.joint_names):
+        surface = FrictionSurface.from_stage(own.friction.joints[name])
+        np.testing.assert_array_equal(got[:, j], surface.torque(motion.q[:, j], motion.dq[:, j]))
+
+
+def test_a_joint_without_friction_has_none(robot: Robot, motion: Motion) -> None:
+    own = stages(robot)
+    assert own.friction is not None
+    del own.friction.joints["joint_3"]
+    model = TorqueModel.from_stages(own, robot)
+    assert model.surfaces[2] is None
+    assert not model.friction(motion.q, motion.dq)[:, 2].any()
+    assert not model.outside(motion)[:, 2].any()
+
+
+def test_gravity_alone_and_friction_alone_are_models_too(robot: Robot, motion: Motion) -> None:
+    arm = six_joint().arm
+    gravity = rigid_stage(arm.phi, np.zeros(6))
+    alone = TorqueModel.from_stages(Stages(gravity=gravity), robot)
+    still = np.zeros_like(motion.q)
+    rigid = Rigid(arm)
+    expected = [rigid.gravity_torque(q) for q in motion.q[:10]]
+    np.testing.assert_allclose(alone.rigid(motion.q, still, still)[:10], expected, atol=1e-9)
+    rubbing = TorqueModel.from_stages(Stages(friction=stages(robot).friction), robot)
+    assert not rubbing.rigid(motion.q, motion.dq, motion.ddq).any()
+    np.testing.assert_allclose(
+        rubbing.predict(motion),
+        motion.filtered(sampled_friction(rubbing.surfaces, motion), times=2),
+        atol=1e-12,
+    )
+
+
+def test_a_known_rotor_is_one_column_of_its_own(robot: Robot, motion: Motion) -> None:
+    """Doubling rotor inertias adds exactly N^2 I_m ddq on the diagonal."""
+    arm = six_joint().arm
+    once = TorqueModel.from_stages(stages(robot), robot)
+    twice_stage = rigid_stage(arm.phi, 2 * arm.rotor_inertia)
+    twice = TorqueModel.from_stages(Stages(inertia=twice_stage), robot)
+    state = (motion.q, motion.dq, motion.ddq)
+    np.testing.assert_allclose(
+        twice.rigid(*state) - once.rigid(*state), arm.reflected * motion.ddq, atol=1e-9
+    )
+
+
+def test_known_rotors_are_the_robot_files(robot: Robot) -> None:
+    joints = tuple(
+        replace(joint, rotor_inertia=1e-4 if k % 2 else None)
+        for k, joint in enumerate(robot.joints)
+    )
+    known = known_rotors(replace(robot, joints=joints))
+    np.testing.assert_array_equal(known, [0, 1e-4, 0, 1e-4, 0, 1e-4])
+
+
+def test_rotors_coupled_to_links_differ_from_diagonal_ones(robot: Robot, motion: Motion) -> None:
+    state = (robot.chain, motion.q, motion.dq, motion.ddq, np.full(6, 101.0))
+    off = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
+    models = [TorqueModel.from_stages(stages(robot, c), robot) for c in ("gyroscopic", "diagonal")]
+    rigid = [m.rigid(motion.q, motion.dq, motion.ddq) for m in models]
+    np.testing.assert_allclose(rigid[0] - rigid[1], off @ six_joint().arm.rotor_inertia, atol=1e-9)
+
+
+def test_standard_parameters_of_a_stage() -> None:
+    arm = six_joint().arm
+    stage = rigid_stage(arm.phi, arm.rotor_inertia)
+    del stage.representative["Ixy_4"]
+    phi, rotor = standard_parameters(stage, 6)
+    expected = arm.phi.copy()
+    expected[3, 5] = 0.0
+    np.testing.assert_array_equal(phi, expected)
+    np.testing.assert_array_equal(rotor, arm.rotor_inertia)
+
+
+def test_at_rest_the_model_allows_what_friction_can_hold(robot: Robot, motion: Motion) -> None:
+    model = TorqueModel.from_stages(stages(robot), robot)
+    rigid = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
+    held = np.zeros_like(motion.moving)
+    bands = [s.at_rest(motion.q[:, j]) for j, s in enumerate(model.surfaces) if s is not None]
+    low, high = (np.stack(side, axis=1) for side in zip(*bands, strict=True))
+    own = model.predict(motion)
+    at_rest = model.predict_set(motion, held)
+    np.testing.assert_array_equal(at_rest.value, own)
+    np.testing.assert_allclose(at_rest.low, np.minimum(rigid + low, own), atol=1e-9)
+    np.testing.assert_allclose(at_rest.high, np.maximum(rigid + high, own), atol=1e-9)
+    moving = model.predict_set(motion, ~held)
+    for found in (moving.value, moving.low, moving.high):
+        np.testing.assert_array_equal(found, own)
+    blind = model.predict_set(replace(motion, tau=None), held)
+    np.testing.assert_array_equal(blind.low, at_rest.low)
+
+
+def test_sliding_leaves_out_rest_and_its_neighbourhood(motion: Motion) -> None:
+    slow = np.full(6, 0.3)
+    slides = sliding(motion, slow)
+    assert slides.any()
+    assert not slides[~motion.usable].any()
+    assert not (slides & (np.abs(motion.dq) < slow)).any()
+    reach = int(0.25 * RATE / 8.0)
+    crossing = np.flatnonzero(np.diff(np.sign(motion.dq[:, 0])))
+    for k in crossing[(crossing > reach) & (crossing < 800 - reach)]:
+        assert not slides[k - reach + 1 : k + reach, 0].any()

@@ -1,0 +1,273 @@
+"""The accelerometer equation, solved where the layout allows and refused elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.motion.imu.array import (
+    array_inverse,
+    array_matrix,
+    calibrated,
+    layout,
+    layout_report,
+    read_angular,
+    speed_about,
+)
+from seqid_cli.params.schema import ImuCalibration
+from seqid_cli.robot.types import Imu
+from seqid_cli.typing import Array
+from tests.plants.rigid import LinkMotion
+from tests.plants.sensors import AccelerometerArray, tetrahedral_array
+from tests.unit.motion.imu.two_joints import angular_velocity
+
+OPEN = Lowpass(1e9, 100.0)  # passes everything
+
+
+def imu_of(positions: Array, axes: Array, *, gyro: bool = False) -> Imu:
+    return Imu("imu_a", 0, positions, axes, gyro=gyro)
+
+
+def rigid_motion(rng: np.random.Generator, samples: int = 50) -> tuple[Array, Array, Array]:
+    """Specific force, angular velocity and acceleration of the IMU's frame, (N, 3) each."""
+    f, w, dw = rng.standard_normal((3, samples, 3))
+    return 10 * f, 4 * w, 30 * dw
+
+
+def readings(imu: Imu, f: Array, w: Array, dw: Array) -> Array:
+    """The simulated instrument's own arithmetic, mounted on the link frame itself."""
+    array = AccelerometerArray("a", 0, imu.positions, imu.axes, np.eye(3), np.zeros(3))
+    turn = np.broadcast_to(np.eye(3), (len(f), 3, 3))
+    return array.ideal(LinkMotion(turn, w, dw, f))
+
+
+@pytest.fixture(params=["tetrahedron", "random"])
+def imu(request: pytest.FixtureRequest) -> Imu:
+    """Twelve accelerometers that see everything."""
+    if request.param == "tetrahedron":
+        return imu_of(*tetrahedral_array(0.05))
+    rng = np.random.default_rng(0)
+    axes = rng.standard_normal((12, 3))
+    return imu_of(
+        rng.uniform(-0.1, 0.1, (12, 3)), axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    )
+
+
+def test_twelve_accelerometers_give_the_motion_exactly(imu: Imu) -> None:
+    f, w, dw = rigid_motion(np.random.default_rng(1))
+    values = readings(imu, f, w, dw)
+    got = read_angular(imu, values, None, OPEN, np.ones(len(f), dtype=bool))
+    np.testing.assert_allclose(got.force, f, atol=1e-8)
+    np.testing.assert_allclose(got.dw, dw, atol=1e-7)
+    np.testing.assert_allclose(got.products, w[:, :, None] * w[:, None, :], atol=1e-7)
+    assert got.speed_known
+
+
+def test_the_matrix_is_the_equation_of_the_docstring(imu: Imu) -> None:
+    f, w, dw = rigid_motion(np.random.default_rng(2), 20)
+    w_products = [w[:, i] * w[:, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    unknowns = np.column_stack([f, dw, *w_products])
+    r, s = imu.positions[None], imu.axes[None]
+    spin, turn = np.broadcast_arrays(w[:, None], r + dw[:, None])[0], dw[:, None]
+    expected = np.sum(s * (f[:, None] + np.cross(turn, r) + np.cross(spin, np.cross(spin, r))), 2)
+    np.testing.assert_allclose(unknowns @ array_matrix(imu).T, expected, atol=1e-10)
+
+
+def test_a_good_layout_is_called_good(imu: Imu) -> None:
+    seen = layout(imu)
+    assert seen.acceleration
+    assert seen.products
+    assert 1 <= seen.condition < 100
+
+
+def test_at_one_point_neither_acceleration_nor_speed_is_seen() -> None:
+    axes = tetrahedral_array(0.05)[1]
+    for positions in (np.zeros((12, 3)), np.tile([0.3, -0.1, 0.2], (12, 1))):
+        seen = layout(imu_of(positions, axes))
+        assert not seen.acceleration
+        assert not seen.products
+
+
+def test_in_one_plane_with_axes_across_only_part_is_seen() -> None:
+    """Sensing across the plane alone shows tilting of the plane, not the turn in it."""
+    rng = np.random.default_rng(3)
+    positions = np.column_stack([rng.uniform(-0.1, 0.1, (12, 2)), np.zeros(12)])
+    seen = layout(imu_of(positions, np.tile([0.0, 0.0, 1.0], (12, 1))))
+    assert not seen.acceleration
+    assert not seen.products
+
+
+def test_triads_in_one_plane_are_judged_by_their_null_space() -> None:
+    rng = np.random.default_rng(4)
+    corners = np.column_stack([rng.uniform(-0.1, 0.1, (4, 2)), np.zeros(4)])
+    imu = imu_of(np.repeat(corners, 3, axis=0), np.tile(np.eye(3), (4, 1)))
+    assert _claims_hold(imu)
+
+
+@pytest.mark.parametrize("count", [6, 9, 11])
+def test_fewer_accelerometers_see_no_more_than_their_number(count: int) -> None:
+    positions, axes = tetrahedral_array(0.05)
+    seen = layout(imu_of(positions[:count], axes[:count]))
+    assert not (seen.acceleration and seen.products)
+    assert _claims_hold(imu_of(positions[:count], axes[:count]))
+
+
+def _claims_hold(imu: Imu) -> bool:
+    """Whether `layout` says a group is seen exactly where no null direction touches it."""
+    A = array_matrix(imu)
+    _, s, Vt = np.linalg.svd(A)
+    null = Vt[np.sum(s > 1e-9 * s[0]) :]
+    seen = layout(imu)
+    acceleration = bool(np.abs(null[:, 3:6]).max(initial=0.0) < 1e-9)
+    products = bool(np.abs(null[:, 6:]).max(initial=0.0) < 1e-9)
+    return (seen.acceleration, seen.products) == (acceleration, products)
+
+
+def test_random_layouts_are_judged_by_their_null_space() -> None:
+    rng = np.random.default_rng(5)
+    for count in range(3, 15):
+        axes = np.eye(3)[rng.integers(0, 3, count)]
+        positions = 0.05 * rng.integers(-1, 2, (count, 3)).astype(float)
+        assert _claims_hold(imu_of(positions, axes))
+
+
+def test_without_products_they_are_zero_and_said_to_be() -> None:
+    positions, axes = tetrahedral_array(0.05)
+    imu = imu_of(positions[:9], axes[:9])
+    f, w, dw = rigid_motion(np.random.default_rng(6))
+    got = read_angular(imu, readings(imu, f, w, dw), None, OPEN, np.ones(len(f), dtype=bool))
+    assert not got.speed_known
+    assert not got.products.any()
+
+
+def test_a_gyro_is_differentiated() -> None:
+    t = np.arange(2000) / 500.0
+    w = np.column_stack([np.sin(3 * t), 0.5 * np.cos(2 * t), 0.2 * t])
+    dw = np.column_stack([3 * np.cos(3 * t), -np.sin(2 * t), np.full_like(t, 0.2)])
+    f = np.tile([0.1, 0.2, 9.8], (len(t), 1))
+    imu = imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)
+    lowpass, valid = Lowpass(20.0, 500.0), np.ones(len(t), dtype=bool)
+    got = read_angular(imu, f, w, lowpass, valid)
+    inner = slice(2 * lowpass.settling, -2 * lowpass.settling)
+    np.testing.assert_allclose(got.dw[inner], dw[inner], atol=1e-3)
+    np.testing.assert_allclose(
+        got.products[inner], (w[:, :, None] * w[:, None, :])[inner], atol=1e-3
+    )
+    np.testing.assert_allclose(got.force, f, atol=1e-6)
+    assert got.speed_known
+
+
+def test_readings_go_through_the_low_pass_once(imu: Imu) -> None:
+    values = np.random.default_rng(7).standard_normal((600, 12))
+    lowpass, valid = Lowpass(10.0, 500.0), np.ones(600, dtype=bool)
+    once = read_angular(imu, values, None, lowpass, valid).dw
+    before = read_angular(imu, lowpass(values), None, OPEN, valid).dw
+    np.testing.assert_allclose(once, before, atol=1e-10)
+
+
+def test_the_sign_of_the_velocity_comes_from_the_reference() -> None:
+    t = np.arange(1000) / 250.0
+    w = np.column_stack([2 * np.sin(4 * t), np.sin(4 * t), -np.sin(4 * t)])
+    rng = np.random.default_rng(8)
+    rough = w + 0.3 * rng.standard_normal(w.shape) * (np.linalg.norm(w, axis=1) > 0.9)[:, None]
+    got = angular_velocity(w[:, :, None] * w[:, None, :], rough)
+    np.testing.assert_allclose(got, w, atol=1e-7)
+
+
+def test_a_wild_reference_sample_does_not_turn_the_sign_and_silence_keeps_it() -> None:
+    t = np.arange(800) / 200.0
+    w = np.column_stack([np.zeros_like(t), np.zeros_like(t), 1.5 * np.cos(2 * t)])
+    reference = np.zeros_like(w)
+    reference[::3] = w[::3]
+    reference[30:33] = -20 * w[30:33]
+    reference[400:560] = 0.0  # silent over half of a stretch
+    got = angular_velocity(w[:, :, None] * w[:, None, :], reference)
+    np.testing.assert_allclose(got, w, atol=1e-7)
+
+
+def test_noisy_accelerometers_count_less_and_the_covariance_says_so(imu: Imu) -> None:
+    """Redundant array: the spread over noise is what the covariance promises, and the least."""
+    rng = np.random.default_rng(11)
+    wide = imu_of(np.vstack([imu.positions, -imu.positions]), np.vstack([imu.axes, imu.axes]))
+    noise = np.where(np.arange(24) < 12, 0.02, 0.5)
+    inverse, covariance = array_inverse(wide, noise)
+    plain, _ = array_inverse(wide)
+    errors = noise * rng.standard_normal((4000, 24))
+    np.testing.assert_allclose(np.var(errors @ inverse.T, axis=0), np.diag(covariance), rtol=0.15)
+    assert np.all(np.diag(covariance) < np.var(errors @ plain.T, axis=0))
+    np.testing.assert_allclose(inverse @ array_matrix(wide), np.eye(12), atol=1e-8)
+
+
+def test_the_report_says_in_words_what_a_layout_does_not_see(imu: Imu) -> None:
+    good = layout_report(imu)
+    assert good.statements == ()
+    assert np.isfinite(good.errors).all()
+    positions, axes = tetrahedral_array(0.05)
+    point = layout_report(imu_of(np.zeros((12, 3)), axes))
+    assert not point.acceleration
+    assert point.force
+    assert "the angular acceleration cannot be told from the rest" in point.statements
+    assert any("one point" in text for text in point.statements)
+    few = layout_report(imu_of(positions[:9], axes[:9]))
+    assert any("fewer than the 12" in text for text in few.statements)
+    assert np.isinf(few.errors).any()
+    flat = positions.copy()
+    flat[:, 2] = 0.0
+    assert any("plane" in text for text in layout_report(imu_of(flat, axes)).statements)
+    assert layout_report(imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)).statements == ()
+
+
+def test_errors_of_the_report_are_those_of_the_covariance(imu: Imu) -> None:
+    _, covariance = array_inverse(imu)
+    np.testing.assert_allclose(layout_report(imu).errors, np.sqrt(np.diag(covariance)), rtol=1e-8)
+
+
+def test_calibrated_readings_are_those_of_an_instrument_without_faults() -> None:
+    rng = np.random.default_rng(12)
+    imu = imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)
+    tilt = 0.02 * rng.standard_normal((2, 3, 3))
+    skew = np.eye(3) + tilt
+    skew /= np.linalg.norm(skew, axis=2, keepdims=True)
+    f, w = rng.standard_normal((2, 40, 3))
+    scale, bias = 1.0 + 0.1 * rng.standard_normal((2, 3)), rng.standard_normal((2, 3))
+    calibration = ImuCalibration(
+        rotation=np.eye(3).tolist(),
+        std_error_deg=0.1,
+        accelerometer_scale=scale[0].tolist(),
+        accelerometer_bias=bias[0].tolist(),
+        accelerometer_axes=skew[0].tolist(),
+        gyro_scale=scale[1].tolist(),
+        gyro_bias=bias[1].tolist(),
+        gyro_axes=skew[1].tolist(),
+    )
+    mended, values, gyro = calibrated(
+        imu, calibration, scale[0] * (f @ skew[0].T) + bias[0], scale[1] * (w @ skew[1].T) + bias[1]
+    )
+    np.testing.assert_allclose(values @ np.linalg.pinv(mended.axes).T, f, atol=1e-12)
+    assert gyro is not None
+    np.testing.assert_allclose(gyro, w, atol=1e-12)
+    untold = ImuCalibration(rotation=np.eye(3).tolist(), std_error_deg=0.1)
+    untold.accelerometer_bias = [None, 0.5, None]
+    np.testing.assert_allclose(calibrated(imu, untold, f, None)[1], f - [0.0, 0.5, 0.0])
+
+
+def test_speed_about_an_axis_is_its_component() -> None:
+    w = np.random.default_rng(9).standard_normal((30, 3))
+    axis = np.array([0.6, 0.0, -0.8])
+    np.testing.assert_allclose(
+        speed_about(w[:, :, None] * w[:, None, :], axis), np.abs(w @ axis), atol=1e-12
+    )
+
+
+def test_derivative_of_the_recovered_velocity_is_the_recovered_acceleration() -> None:
+    """Two independent parts of the array's reading agree with each other."""
+    t = np.arange(3000) / 1000.0
+    w = np.column_stack([1 + np.sin(3 * t), 0.5 * np.cos(2 * t), 2 + 0.3 * np.sin(5 * t)])
+    dw = np.column_stack([3 * np.cos(3 * t), -np.sin(2 * t), 1.5 * np.cos(5 * t)])
+    imu = imu_of(*tetrahedral_array(0.05))
+    values = readings(imu, np.zeros_like(w), w, dw)
+    got = read_angular(imu, values, None, OPEN, np.ones(len(t), dtype=bool))
+    slope, _ = differentiate(angular_velocity(got.products, w), 1000.0)
+    np.testing.assert_allclose(slope[10:-10], got.dw[10:-10], atol=1e-6)

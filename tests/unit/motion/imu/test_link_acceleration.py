@@ -1,0 +1,163 @@
+"""Accelerations from IMUs and encoders on a simulated arm, where the truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from seqid_cli.errors import InputError, UsageError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.imu.link_acceleration import axes_in_link, best_motion
+from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.robot.kinematics import link_angular_motion
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+from tests.plants.experiments import inertia_trials
+from tests.plants.rigs import two_joint
+from tests.plants.simulate import simulate
+from tests.studies.lab import recording_of, robot_of
+from tests.unit.robot.robots import random_model
+
+DENSITY = 0.05  # rad/s^2/sqrt(Hz), of accelerometers with 0.03 m/s^2 of noise 0.05 m apart
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A log of two joints moving together, calibrations, and the true accelerations."""
+
+    recording: Recording
+    robot: Robot
+    stage: ImuStage
+    motion: Motion
+    true: Array
+
+    def error(self, motion: Motion) -> Array:
+        """RMS error (n,) of the accelerations, rad/s^2."""
+        off = (motion.ddq - self.true)[motion.usable]
+        return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
+
+    def best(self, changed: Mapping[str, Array] | None = None, *, source: str = "auto") -> Motion:
+        """Run with some IMUs' readings replaced."""
+        readings: Mapping[str, Array] = self.recording.accelerometers | dict(changed or {})
+        recording = replace(self.recording, accelerometers=dict(readings))
+        return best_motion(recording, self.robot, self.stage, self.motion, source=source)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """The planar rig with its coarse encoders, three seconds at 250 Hz."""
+    plant = two_joint()
+    posture = np.array([0.0, 0.5])
+    trial = inertia_trials(plant, [posture], np.random.default_rng(0), seconds=3.0)[0]
+    log = simulate(plant, trial.reference, 0, every=4)
+    stage = ImuStage(
+        imus={
+            imu.name: ImuCalibration(
+                rotation=imu.rotation.tolist(), std_error_deg=0.1, noise_density=DENSITY
+            )
+            for imu in plant.imus
+        }
+    )
+    robot, recording = robot_of("two_joint", plant), recording_of(plant, "log", log)
+    motion = estimate_motion(recording, robot, MotionOptions())
+    return Scene(recording, robot, stage, motion, motion.lowpass(log.truth.ddq))
+
+
+def test_imus_beat_the_encoders(scene: Scene) -> None:
+    """The arrays' biases, worth a radian per second squared, do not get through."""
+    encoder = scene.error(scene.best(source="encoder"))
+    imu = scene.error(scene.best(source="imu"))
+    assert (imu < 0.4 * encoder).all()
+
+
+def test_the_source_and_its_imus_are_named(scene: Scene) -> None:
+    for source in ("encoder", "imu", "fused"):
+        best = scene.best(source=source)
+        assert best.source == source
+        assert best.imus == (() if source == "encoder" else ("imu_a", "imu_b"))
+        assert best.warnings == ()
+    assert scene.best().source == "fused"
+
+
+def test_only_the_accelerations_change(scene: Scene) -> None:
+    best = scene.best(source="imu")
+    np.testing.assert_array_equal(best.q, scene.motion.q)
+    np.testing.assert_array_equal(best.dq, scene.motion.dq)
+    assert best.ddq.shape == scene.motion.ddq.shape
+
+
+def test_what_imus_leave_of_error_is_said(scene: Scene) -> None:
+    """Noise, and what calibrations usually leave; these are perfect."""
+    best = scene.best(source="imu")
+    assert (scene.error(best) < best.acceleration_error).all()
+    assert (best.acceleration_error < 4 * scene.error(best)).all()
+    assert best.encoder_error is not None
+    np.testing.assert_array_equal(best.encoder_error, scene.motion.acceleration_error)
+
+
+@pytest.mark.parametrize("name", ["imu_a", "imu_b"])
+def test_an_imu_with_its_sign_flipped_is_left_out(scene: Scene, name: str) -> None:
+    flipped = {name: -scene.recording.accelerometers[name]}
+    other = {"imu_a": "imu_b", "imu_b": "imu_a"}[name]
+    got = scene.best(flipped, source="imu")
+    assert got.imus == (other,)
+    assert got.warnings == (f"{name} is left out: it contradicts the encoders",)
+
+
+def test_flipped_or_dead_imus_alone_are_an_error_that_names_them(scene: Scene) -> None:
+    for factor in (-1.0, 0.0):
+        bad = {k: factor * v for k, v in scene.recording.accelerometers.items()}
+        with pytest.raises(InputError, match=r"imu_a is left out.*imu_b is left out") as caught:
+            scene.best(bad, source="imu")
+        assert "--motion encoder" in caught.value.hint
+        assert caught.value.where == "log"
+
+
+def test_constant_biases_of_the_accelerometers_do_not_matter(scene: Scene) -> None:
+    bias = np.random.default_rng(1).normal(0, 0.1, 12)
+    shifted = {name: values + bias for name, values in scene.recording.accelerometers.items()}
+    got, plain = scene.best(shifted, source="imu"), scene.best(source="imu")
+    np.testing.assert_allclose(got.ddq, plain.ddq, atol=0.03)
+
+
+def test_what_calibration_found_is_taken_off(scene: Scene) -> None:
+    """Biases, gains and a clock 20 ms late; the last alone would make an IMU useless."""
+    rng = np.random.default_rng(3)
+    rate, readings, found = scene.recording.rate_hz, {}, {}
+    for name, values in scene.recording.accelerometers.items():
+        bias, gain = rng.normal(0, 0.3, 12), rng.normal(1, 0.02, 12)
+        readings[name] = np.roll(values, round(0.02 * rate), axis=0) * gain + bias
+        found[name] = msgspec.structs.replace(
+            scene.stage.imus[name],
+            time_offset_s=0.02,
+            accelerometer_bias=bias.tolist(),
+            accelerometer_scale=gain.tolist(),
+        )
+    known = replace(scene, stage=ImuStage(imus=found))
+    plain, mended = scene.best(source="imu"), known.best(readings, source="imu")
+    np.testing.assert_allclose(scene.error(mended), scene.error(plain), rtol=0.02)
+    assert mended.imus == plain.imus
+
+
+def test_an_unknown_source_is_refused(scene: Scene) -> None:
+    with pytest.raises(UsageError, match="'gps' is not one of auto, needed, encoder, imu, fused"):
+        scene.best(source="gps")
+
+
+def test_axes_in_the_link_map_rates_to_its_turning() -> None:
+    """w of a link is the sum of its joints' axes times their rates, prismatic joints aside."""
+    rng = np.random.default_rng(2)
+    chain = random_model(rng, [False, True, False, False])[1]
+    q, dq, zero = rng.normal(size=(20, 4)), rng.normal(size=(20, 4)), np.zeros((20, 4))
+    robot = Robot("test", (), chain, np.zeros(3), "", __file__)  # type: ignore[arg-type]
+    for link in range(4):
+        axes = axes_in_link(robot, q, link)
+        w = np.einsum("nj,njk->nk", dq[:, : link + 1], axes)
+        expected = link_angular_motion(chain, q, dq, zero, link).w
+        np.testing.assert_allclose(w, expected, atol=1e-12)

@@ -1,0 +1,267 @@
+"""Fused motion on simulated rigs: its error, its cut-off, and when encoders are kept instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.filters.bandwidth import differentiated_error, smoothed_error
+from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.motion import Motion, decimated, estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.smoother import fused as fused_module
+from seqid_cli.motion.smoother.fused import disagreement, fused_motion
+from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
+from seqid_cli.params.schema import ImuStage
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+from tests.unit.motion.smoother.test_smooth import Scene
+from tests.unit.motion.smoother.test_smooth import scene as simulated
+
+
+@cache
+def scene(name: str) -> Scene:
+    """A rig of the smoother's own tests, with torque that is its acceleration."""
+    made = simulated(name)
+    return replace(made, recording=replace(made.recording, tau=made.log.truth.ddq.copy()))
+
+
+def encoder(s: Scene, hz: float | None = None) -> Motion:
+    return estimate_motion(s.recording, s.robot, MotionOptions(hz))
+
+
+@cache
+def fused(name: str, hz: float | None = None) -> Motion:
+    s = scene(name)
+    return fused_motion(s.recording, s.robot, s.stage, encoder(s, hz))
+
+
+def error(s: Scene, motion: Motion) -> Array:
+    """RMS error (n,) of low-passed accelerations."""
+    true = motion.lowpass(s.log.truth.ddq)
+    return np.asarray(np.sqrt(np.mean((motion.ddq - true)[motion.usable] ** 2, axis=0)))
+
+
+@pytest.mark.parametrize("name", ["one", "one_400", "two"])
+@pytest.mark.parametrize("hz", [5.0, 10.0, 40.0])
+def test_the_error_below_any_cutoff_is_as_said(name: str, hz: float) -> None:
+    motion = fused(name, hz)
+    assert motion.error is not None
+    ratio = error(scene(name), motion) / motion.error
+    assert (ratio > 0.5).all()
+    assert (ratio < 1.5).all()
+
+
+@pytest.mark.parametrize("name", ["one", "one_400", "two"])
+def test_more_band_and_far_less_error_than_encoders(name: str) -> None:
+    s, motion = scene(name), fused(name)
+    before = encoder(s)
+    assert motion.cutoff.hz > 1.1 * before.cutoff.hz
+    assert (error(s, motion) < 0.15 * error(s, before)).all()
+    assert motion.encoder_error is not None
+    assert (motion.acceleration_error < 0.15 * motion.encoder_error).all()
+    assert motion.cutoff.bias < 1e-4
+
+
+def test_encoders_are_compared_at_their_own_cutoff() -> None:
+    given = fused("two", 40.0)
+    assert given.encoder_error is not None
+    np.testing.assert_allclose(given.encoder_error, encoder(scene("two")).acceleration_error)
+
+
+def test_fine_encoders_keep_their_cutoff_at_least() -> None:
+    assert fused("six").cutoff.hz >= encoder(scene("six")).cutoff.hz
+
+
+@pytest.mark.parametrize("hz", [6.0, 25.0])
+def test_torque_and_motion_are_filtered_alike(hz: float) -> None:
+    """Twice each, once on the way here and once by `filtered`: a linear equation stays exact."""
+    motion = fused("one", hz)
+    assert motion.lowpass.cutoff_hz == motion.cutoff.hz == hz
+    assert motion.tau is not None
+    off = (motion.tau - motion.filtered(motion.ddq))[motion.usable]
+    size = np.sqrt(np.mean(motion.tau**2))
+    assert np.sqrt(np.mean(off**2)) < 0.003 * size
+
+
+def test_an_inertia_is_not_shrunk_by_the_smoothers_error() -> None:
+    for name, limit in (("one", 5e-4), ("two", 5e-4)):
+        motion = fused(name, 40.0)
+        assert motion.tau is not None
+        x, y = motion.filtered(motion.ddq)[motion.usable], motion.tau[motion.usable]
+        slope = np.sum(x * y, axis=0) / np.sum(x * x, axis=0)
+        np.testing.assert_allclose(slope, 1.0, atol=limit)
+
+
+def test_decimation_keeps_what_was_used() -> None:
+    short = decimated(fused("two"))
+    assert (short.source, short.imus) == ("fused", ("imu_a", "imu_b"))
+    assert short.samples < 0.5 * fused("two").samples
+    assert short.error is fused("two").error
+
+
+def changed(s: Scene, readings: Mapping[str, Array | None]) -> Scene:
+    """The scene with some IMUs' readings replaced, or gone."""
+    all_of_them = {**s.recording.accelerometers, **readings}
+    kept = {name: values for name, values in all_of_them.items() if values is not None}
+    return replace(s, recording=replace(s.recording, accelerometers=kept))
+
+
+def best(s: Scene, source: str, stage: ImuStage | None = None) -> Motion:
+    return best_motion(s.recording, s.robot, stage or s.stage, encoder(s), source=source)
+
+
+def test_one_imu_missing_is_said_and_the_other_used() -> None:
+    got = best(changed(scene("two"), {"imu_a": None}), "auto")
+    assert (got.source, got.imus) == ("fused", ("imu_b",))
+    assert got.warnings == ("imu_a is not recorded",)
+
+
+def test_an_imu_without_calibration_is_said() -> None:
+    s = scene("two")
+    stage = ImuStage(imus={"imu_b": s.stage.imus["imu_b"]})
+    got = best(s, "auto", stage)
+    assert got.imus == ("imu_b",)
+    assert got.warnings == ("imu_a is not calibrated",)
+
+
+def test_a_dead_imu_is_left_out_by_name() -> None:
+    s = scene("two")
+    dead = np.zeros_like(s.recording.accelerometers["imu_b"])
+    got = best(changed(s, {"imu_b": dead}), "auto")
+    assert got.imus == ("imu_a",)
+    assert any("imu_b is left out" in warning for warning in got.warnings)
+
+
+@pytest.mark.parametrize("readings", [{"imu_a": None, "imu_b": None}, {}])
+def test_without_any_imu_the_encoders_stay(readings: dict[str, None]) -> None:
+    s = changed(scene("two"), readings)
+    stage = s.stage if readings else ImuStage(imus={})
+    before = encoder(s)
+    got = best_motion(s.recording, s.robot, stage, before, source="auto")
+    assert got.source == "encoder"
+    np.testing.assert_array_equal(got.ddq, before.ddq)
+    assert best_motion(s.recording, s.robot, None, before, source="auto").warnings == ()
+    with pytest.raises(InputError, match="for --motion fused in this log: imu_a") as caught:
+        best_motion(s.recording, s.robot, stage, before, source="fused")
+    assert "seqid imu-calib" in caught.value.hint
+
+
+@pytest.mark.parametrize("source", ["imu", "fused"])
+def test_a_robot_without_imus_cannot_insist_on_one(source: str) -> None:
+    s = scene("one")
+    robot = replace(s.robot, imus=())
+    with pytest.raises(InputError, match="the robot file names no IMU"):
+        best_motion(s.recording, robot, s.stage, encoder(s), source=source)
+
+
+def test_a_link_that_does_not_follow_its_encoder_is_not_smoothed_over() -> None:
+    """The default falls back, and says which encoder; insisting goes on, and says so too."""
+    s = scene("two")
+    wavy = s.recording.q + 0.1 * np.sin(4 * s.recording.q) * np.array([0.0, 1.0])
+    off = replace(s, recording=replace(s.recording, q=wavy))
+    got = best(off, "auto")
+    assert got.source == "encoder"
+    assert any(
+        "the encoder of" in warning and "encoders alone are used" in warning
+        for warning in got.warnings
+    )
+    np.testing.assert_array_equal(got.ddq, encoder(off).ddq)
+    forced = best(off, "fused")
+    assert forced.source == "fused"
+    assert any(warning.endswith("disagree") for warning in forced.warnings)
+
+
+def test_disagreement_weighs_noise_and_size() -> None:
+    before = encoder(scene("two"))
+    noise = before.cutoff.acceleration_noise
+    assert not disagreement(before, before.ddq + 4 * noise).any()
+    size = np.sqrt(np.mean(before.ddq[before.usable] ** 2, axis=0))
+    off = before.ddq + np.array([0.0, 1.0]) * (6 * noise + 0.06 * size)
+    assert disagreement(before, off).tolist() == [False, True]
+    assert disagreement(before, np.full_like(off, np.nan)).all()
+
+
+def test_the_smoothers_error_is_what_its_variances_say() -> None:
+    """White above f_c and held below it, the three variances give back the density."""
+    density, corner, top = 4e-4, 2.0, 100.0
+    omega = 2 * np.pi
+    acceleration = density * top
+    velocity = 4 * density / (3 * omega**2 * corner)
+    position = 4 * density / (3 * omega**4 * corner**3)
+    variance = np.array([[position, velocity, acceleration]])
+    loud, quiet = np.array([1.0]), np.array([1e-14])
+    assert smoothed_error(variance, loud, 20.0) == pytest.approx(20.0 * density)
+    assert smoothed_error(variance, loud, 500.0) == pytest.approx(acceleration)
+    limit = differentiated_error(quiet, 20.0)
+    assert smoothed_error(variance, quiet, 20.0) == pytest.approx(limit)
+
+
+@pytest.mark.parametrize(
+    ("name", "source"), [("one", "fused"), ("two", "fused"), ("six", "encoder")]
+)
+def test_who_looks_for_effects_gets_imus_beside_coarse_encoders_only(
+    name: str, source: str
+) -> None:
+    assert best(scene(name), "needed").source == source
+
+
+def test_a_motion_is_smoothed_once_whatever_the_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other torque changes nothing; other positions, readings or calibrations do."""
+    counted = []
+
+    def smooth(recording: Recording, robot: Robot, stage: ImuStage | None) -> Smoothed:
+        counted.append(recording)
+        return smoothed_motion(recording, robot, stage)
+
+    s = scene("one")
+    monkeypatch.setattr(fused_module, "smoothed_motion", smooth)
+    noisy = s.recording.q.copy()
+    noisy[100] += 0.01
+    first = replace(s, recording=replace(s.recording, q=noisy))
+    plain = best(first, "fused")
+    assert len(counted) == 1
+    other_torque = replace(first, recording=replace(first.recording, tau=0 * noisy))
+    again = best(other_torque, "fused")
+    assert len(counted) == 1
+    np.testing.assert_array_equal(again.ddq, plain.ddq)
+    readings = first.recording.accelerometers["imu_a"] + 1e-9
+    best(changed(first, {"imu_a": readings}), "fused")
+    assert len(counted) == 2
+    turned = {k: msgspec.structs.replace(c, std_error_deg=0.2) for k, c in s.stage.imus.items()}
+    best(first, "fused", ImuStage(imus=turned))
+    assert len(counted) == 3
+
+
+def test_noise_of_locked_joints_is_no_motion() -> None:
+    """Else it would pass for excitation of parameters that the log says nothing of."""
+    s = scene("two")
+    still = s.recording.q.copy()
+    still[:, 1] = still[0, 1]
+    held = changed(replace(s, recording=replace(s.recording, q=still)), {"imu_b": None})
+    got = best(held, "auto")
+    assert got.source == "fused"
+    assert not got.dq[:, 1].any()
+    assert not got.ddq[:, 1].any()
+    np.testing.assert_allclose(got.q[:, 1], still[:, 1], atol=1e-9)
+    assert got.ddq[:, 0].any()
+
+
+def test_joints_beyond_all_imus_keep_their_encoders() -> None:
+    """The smoother knows nothing of them that their encoders do not know."""
+    s = scene("two")
+    got = best(changed(s, {"imu_b": None}), "fused")
+    before = encoder(s, got.cutoff.hz)
+    assert got.imus == ("imu_a",)
+    for own, alone in ((got.q, before.q), (got.dq, before.dq), (got.ddq, before.ddq)):
+        np.testing.assert_allclose(own[:, 1], alone[:, 1], atol=1e-9)
+    assert got.error is not None
+    assert got.error[1] == pytest.approx(before.acceleration_error[1])
+    assert got.error[0] < 0.2 * before.acceleration_error[0]

@@ -1,0 +1,142 @@
+"""From a recording to joint motion: filtered alike, decimated without loss, gaps kept out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.errors import InputError
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.motion.motion import decimated, encoder_resolution, estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+from tests.plants.sensors import quantise
+from tests.unit.robot.robots import arm_6r, planar_2r
+
+RATE = 500.0
+STEP = 2 * np.pi / 2**14
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return planar_2r()
+
+
+def curves(samples: int = 6000) -> tuple[Array, Array, Array, Array]:
+    """Times, positions, velocities and accelerations of two joints."""
+    t = np.arange(samples) / RATE
+    w, phase = np.array([2.0, 3.1]), np.array([0.3, 1.0])
+    angle = t[:, None] * w + phase
+    return t, np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)
+
+
+def recording(q: Array, tau: Array | None = None) -> Recording:
+    count = len(q)
+    return Recording(
+        path=Path("log.parquet"),
+        sha256="",
+        format="parquet",
+        t=np.arange(count) / RATE,
+        q=q,
+        valid=np.ones(count, dtype=bool),
+        health=Health(rate_hz=RATE, jitter=0.0),
+        tau=tau,
+    )
+
+
+def test_velocity_and_acceleration_are_the_true_ones(robot: Robot) -> None:
+    _, q, dq, ddq = curves()
+    motion = estimate_motion(recording(quantise(q, STEP)), robot, MotionOptions())
+    own = motion.usable
+    assert own.sum() > 0.8 * len(q)
+    assert np.sqrt(np.mean((motion.dq - dq)[own] ** 2)) < 0.005
+    allowed = 2 * motion.cutoff.acceleration_noise + 0.01 * np.abs(ddq).max(axis=0)
+    assert (np.sqrt(np.mean((motion.ddq - ddq)[own] ** 2, axis=0)) < allowed).all()
+
+
+def test_parallel_filtering_keeps_a_linear_equation_exact(robot: Robot) -> None:
+    """With tau = a q + b ddq + c the filtered sides agree, whatever the cut-off."""
+    _, q, _, _ = curves(3000)
+    q = q + 0.05 * np.random.default_rng(0).standard_normal(q.shape)
+    tau = 3.0 * q + 0.7
+    for hz in (2.0, 8.0, 30.0):
+        motion = estimate_motion(recording(q, tau), robot, MotionOptions(cutoff_hz=hz))
+        assert motion.tau is not None
+        model = motion.filtered(3.0 * motion.q + 0.7)
+        np.testing.assert_allclose(motion.tau, model, atol=1e-9)
+        np.testing.assert_allclose(motion.filtered(tau, times=2), motion.tau, atol=1e-12)
+
+
+def test_the_users_cutoff_is_taken_and_shown(robot: Robot) -> None:
+    q = quantise(curves(3000)[1], STEP)
+    own = estimate_motion(recording(q), robot, MotionOptions())
+    told = estimate_motion(recording(q), robot, MotionOptions(cutoff_hz=3.5))
+    assert own.cutoff.chosen
+    assert not told.cutoff.chosen
+    assert told.cutoff.hz == told.lowpass.cutoff_hz == 3.5
+    assert own.cutoff.hz != 3.5
+
+
+def test_samples_near_ends_and_gaps_are_not_usable(robot: Robot) -> None:
+    _, q, _, _ = curves()
+    log = recording(q)
+    valid = log.valid.copy()
+    valid[3000:3010] = False
+    motion = estimate_motion(replace(log, valid=valid), robot, MotionOptions(cutoff_hz=10.0))
+    margin = 2 * motion.lowpass.settling
+    expected = np.zeros(len(q), dtype=bool)
+    expected[margin : 3000 - margin] = True
+    expected[3010 + margin : len(q) - margin] = True
+    np.testing.assert_array_equal(motion.usable, expected)
+
+
+def test_a_log_of_gaps_is_refused(robot: Robot) -> None:
+    log = recording(curves(2000)[1])
+    valid = np.arange(2000) % 50 != 0
+    with pytest.raises(InputError, match="long enough for a low-pass of 5 Hz") as caught:
+        estimate_motion(replace(log, valid=valid), robot, MotionOptions(cutoff_hz=5.0))
+    assert "log.parquet" in str(caught.value)
+
+
+def test_decimation_loses_nothing(robot: Robot) -> None:
+    _, q, _, _ = curves()
+    tau = np.cumsum(np.random.default_rng(1).standard_normal(q.shape), axis=0)
+    full = estimate_motion(recording(q, tau), robot, MotionOptions(cutoff_hz=5.0))
+    short = decimated(full)
+    factor = 10
+    assert short.rate_hz == RATE / factor
+    assert short.lowpass.cutoff_hz == 5.0
+    np.testing.assert_array_equal(short.q, full.q[::factor])
+    np.testing.assert_array_equal(short.t, full.t[::factor])
+    assert short.tau is not None
+    # The filter at the lower rate does what it did at the higher one.
+    twice, again = full.filtered(full.q)[::factor], short.filtered(short.q)
+    inner = slice(30, -30)
+    np.testing.assert_allclose(again[inner], twice[inner], atol=2e-3)
+
+
+def test_a_sample_next_to_a_dropped_gap_is_invalid(robot: Robot) -> None:
+    log = recording(curves()[1])
+    valid = log.valid.copy()
+    valid[3003] = False  # between two kept samples
+    motion = estimate_motion(replace(log, valid=valid), robot, MotionOptions(cutoff_hz=5.0))
+    short = decimated(motion)
+    assert not short.valid[300]
+    assert short.valid[[299, 301]].all()
+
+
+def test_a_slow_log_is_not_decimated(robot: Robot) -> None:
+    motion = estimate_motion(recording(curves()[1]), robot, MotionOptions(cutoff_hz=40.0))
+    assert decimated(motion) is motion
+
+
+def test_resolutions_come_from_the_robot_file() -> None:
+    robot = arm_6r()
+    joints = (replace(robot.joints[0], encoder_resolution=1e-4), *robot.joints[1:])
+    np.testing.assert_array_equal(
+        encoder_resolution(replace(robot, joints=joints)), [1e-4, 0, 0, 0, 0, 0]
+    )

@@ -1,0 +1,211 @@
+"""When two results count as different, and when not."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+from seqid_cli.compare.differences import compare
+from seqid_cli.compare.rule import Comparison, Rule
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.params.comparison_schema import Difference
+from seqid_cli.params.read_any import Document, Source
+from seqid_cli.params.schema import EffectOfJoint, Parameter, ParameterFile, Verdict
+from tests.unit.params.documents import diagnosis_file, full_file, inertia_file
+
+DEFAULT = Rule.of(None, None)
+
+
+def compared(a: Document, b: Document, rule: Rule = DEFAULT) -> Comparison:
+    return compare(Source("a.json", "0", a), Source("b.json", "1", b), rule=rule)
+
+
+def only(found: Comparison) -> Difference:
+    (change,) = found.changed
+    return change
+
+
+def parameters(file: ParameterFile) -> list[Parameter]:
+    assert file.stages.gravity is not None
+    return file.stages.gravity.parameters
+
+
+def test_a_file_equals_itself() -> None:
+    found = compared(full_file(), full_file())
+    assert found.differences
+    assert not found.changed
+    assert all(item.relative == 0.0 for item in found.differences)
+
+
+@pytest.mark.parametrize(
+    ("moved", "error", "sigma", "rtol", "different"),
+    [
+        (0.10, 0.01, None, None, True),  # 7 standard errors and 8 %
+        (0.05, 0.02, None, None, False),  # 4 %, but within 4 standard errors
+        (0.005, 1e-5, None, None, False),  # far beyond its errors, but 0.4 %
+        (0.05, 0.02, None, 0.01, True),  # rtol alone decides
+        (0.005, 1e-5, None, 0.01, False),
+        (0.005, 1e-5, 4.0, None, True),  # sigma alone decides
+        (1e-9, 1e-12, 4.0, None, False),  # but never below rounding
+        (0.05, 0.02, 1.0, 0.5, False),  # both must be exceeded
+        (0.05, 0.02, 1.0, 0.01, True),
+        (0.001, 0.0, None, None, False),  # no standard error: the size decides
+        (0.1, 0.0, None, None, True),
+    ],
+)
+def test_rule(
+    moved: float, error: float, sigma: float | None, rtol: float | None, different: bool
+) -> None:
+    a, b = inertia_file(), inertia_file()
+    parameters(a)[0].std_error = parameters(b)[0].std_error = error
+    parameters(b)[0].value += moved
+    found = compared(a, b, Rule.of(sigma, rtol))
+    assert bool(found.changed) == different
+    if different:
+        change = only(found)
+        assert (change.stage, change.name, change.joint) == ("gravity", "mx_1", "shoulder")
+        if error:
+            assert change.sigmas == pytest.approx(moved / (math.sqrt(2.0) * error))
+        assert change.relative == pytest.approx(moved / (1.25 + moved))
+
+
+def test_parameters_that_are_really_zero_have_a_size() -> None:
+    a, b = inertia_file(), inertia_file()
+    for file, value in ((a, 1e-9), (b, -1e-9)):
+        parameters(file).append(
+            Parameter(name="my_1", value=value, std_error=1e-12, unit="kg m", joint="shoulder")
+        )
+    assert not compared(a, b).changed
+
+
+def test_a_missing_parameter_is_a_change() -> None:
+    a, b = inertia_file(), inertia_file()
+    parameters(b).clear()
+    assert only(compared(a, b)).remark == "only in the first"
+    assert only(compared(b, a)).remark == "only in the second"
+
+
+def test_a_missing_stage_is_a_change() -> None:
+    a, b = inertia_file(), inertia_file()
+    b.stages.imu = None
+    change = only(compared(a, b))
+    assert (change.stage, change.name) == ("imu", "stage")
+
+
+def test_surfaces_of_different_coefficients_and_the_same_values_are_equal() -> None:
+    """The same friction, over another range and of higher orders."""
+    a, b = inertia_file(), inertia_file()
+    assert b.stages.friction is not None
+    joint = b.stages.friction.joints["elbow"]
+    # 1 + x/3 with x = q / 2 becomes 1 + (2/3) x' over twice the range.
+    joint.position_range = [-4.0, 4.0]
+    joint.position_order, joint.velocity_order = 2, 1
+    joint.positive = joint.negative = [[1.0, 0.0], [2.0 / 3.0, 0.0], [0.0, 0.0]]
+    joint.covariance = (1e-8 * np.eye(6)).tolist()
+    assert not compared(a, b).changed
+
+
+def test_a_surface_that_moved_is_told_where_it_moved_most() -> None:
+    a, b = inertia_file(), inertia_file()
+    assert a.stages.friction is not None
+    assert b.stages.friction is not None
+    for file in (a, b):
+        assert file.stages.friction is not None
+        file.stages.friction.joints["elbow"].covariance = (1e-6 * np.eye(2)).tolist()
+    joint = b.stages.friction.joints["elbow"]
+    joint.positive = joint.negative = [[1.1], [1.0 / 3.0 + 0.1]]
+    change = only(compared(a, b))
+    assert (change.stage, change.joint) == ("friction", "elbow")
+    assert change.remark.startswith("at 2,")
+    assert change.a is not None
+    assert change.b is not None
+    assert abs(change.b) - abs(change.a) == pytest.approx(0.2)
+
+
+def test_surfaces_without_a_common_range_differ() -> None:
+    a, b = inertia_file(), inertia_file()
+    assert b.stages.friction is not None
+    b.stages.friction.joints["elbow"].speed_range = [2.0, 3.0]
+    assert "range of both" in only(compared(a, b)).remark
+
+
+@pytest.mark.parametrize(("degrees", "different"), [(0.5, False), (3.0, True)])
+def test_mountings_are_compared_by_their_angle(degrees: float, different: bool) -> None:
+    a, b = inertia_file(), inertia_file()
+    assert b.stages.imu is not None
+    imu = b.stages.imu.imus["imu_a"]
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    imu.rotation = (np.array(imu.rotation) @ [[1, 0, 0], [0, c, -s], [0, s, c]]).tolist()
+    found = compared(a, b)
+    assert bool(found.changed) == different
+    angle = next(item for item in found.differences if item.stage == "imu")
+    assert angle.b == pytest.approx(degrees)
+
+
+def test_effects_are_compared_by_name_joint_parameters_and_settings() -> None:
+    a, b = full_file(), full_file()
+    assert a.stages.effects is not None
+    assert b.stages.effects is not None
+    speed = Parameter(name="stribeck_torque", value=1.0, std_error=0.01, unit="N m", joint="elbow")
+    a.stages.effects[0].parameters = [speed]
+    b.stages.effects[0].parameters = [copy.copy(speed)]
+    assert not compared(a, b).changed
+    b.stages.effects[0].parameters[0].value = 1.2
+    b.stages.effects[0].settings["stribeck_speed"] = 0.2
+    names = {item.name for item in compared(a, b).changed}
+    assert names == {"stribeck: stribeck_torque", "stribeck: stribeck_speed"}
+    b.stages.effects = [EffectOfJoint(effect="spring", joint="elbow")]
+    changes = {(item.name, item.remark) for item in compared(a, b).changed}
+    assert changes == {("stribeck", "only in the first"), ("spring", "only in the second")}
+
+
+def test_a_verdict_that_turned_is_a_note() -> None:
+    a, b = inertia_file(), inertia_file()
+    assert b.stages.friction is not None
+    b.stages.friction.verdicts[1] = Verdict(joint="elbow", good=False, reason="too few speeds")
+    found = compared(a, b)
+    assert not found.changed
+    assert found.notes == ("friction: the verdict on elbow is now poor: too few speeds",)
+
+
+def test_another_robot_file_is_a_note_and_another_robot_an_error() -> None:
+    a, b = inertia_file(), inertia_file()
+    b.robot.sha256 = "1" * 64
+    assert "robot files differ" in compared(a, b).notes[0]
+    b.robot.joints = ["shoulder", "wrist"]
+    with pytest.raises(ConfigError, match="is about robot 'arm' \\(shoulder, wrist\\)"):
+        compared(a, b)
+
+
+def test_files_of_two_kinds_are_an_error() -> None:
+    with pytest.raises(UsageError, match="is a diagnosis file"):
+        compared(inertia_file(), diagnosis_file())
+
+
+def test_diagnoses_are_compared_by_verdict_findings_and_errors() -> None:
+    a, b = diagnosis_file(), diagnosis_file()
+    assert not compared(a, b).changed
+    b.verdict = "nothing_missing"
+    b.findings = []
+    b.joints["elbow"].rmse = 0.4
+    names = {item.name for item in compared(a, b).changed}
+    assert names == {"verdict", "stribeck", "rmse"}
+
+
+def test_false_alarms_are_as_rare_as_the_rule_says() -> None:
+    """Two noisy estimates of the same hundred numbers: an alarm in about one of 160 comparisons."""
+    rng = np.random.default_rng(0)
+    alarms = 0
+    for _ in range(150):
+        a, b = inertia_file(), inertia_file()
+        for file in (a, b):
+            file.stages.friction = file.stages.imu = None
+            parameters(file)[:] = [
+                Parameter(name=f"m_{k}", value=1.0 + 0.1 * x, std_error=0.1, unit="kg", joint="")
+                for k, x in enumerate(rng.normal(size=100))
+            ]
+        alarms += bool(compared(a, b).changed)
+    assert alarms <= 5

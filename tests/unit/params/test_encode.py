@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from seqid_cli.params.encode import encode, plain
+from tests.unit.params.documents import full_file, rigid_stage
+
+finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e300, max_value=1e300)
+documents = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | finite | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=20,
+)
+
+
+@given(documents)
+def test_text_is_json_of_the_rounded_document(document: object) -> None:
+    assert json.loads(encode(document)) == plain(document)
+
+
+@given(finite)
+def test_twelve_digits_are_kept_and_rounding_is_final(value: float) -> None:
+    rounded = plain(value)
+    assert isinstance(rounded, float)
+    assert rounded == pytest.approx(value, rel=1e-11, abs=0.0)
+    assert plain(rounded) == rounded
+    assert len(f"{rounded!r}".split("e")[0].lstrip("-0.").replace(".", "").rstrip("0")) <= 12
+
+
+def test_differences_of_the_last_bits_vanish() -> None:
+    assert encode(0.1 + 0.2) == encode(0.3) == "0.3\n"
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_is_named(bad: float) -> None:
+    stage = rigid_stage()
+    stage.parameters[0].value = bad
+    with pytest.raises(ValueError, match=r"^\$\.parameters\[0\]\.value is -?(nan|inf)"):
+        encode(stage)
+
+
+def test_a_value_without_json_form_is_named() -> None:
+    with pytest.raises(TypeError, match=r"^\$\.a\[1\] is a complex"):
+        encode({"a": [1, 2j]})
+
+
+def test_rows_of_numbers_stay_on_one_line() -> None:
+    assert encode({"m": [[1.0, 2.0], [3.0, 4.0]], "e": {}, "l": []}) == (
+        '{\n  "m": [\n    [1.0, 2.0],\n    [3.0, 4.0]\n  ],\n  "e": {},\n  "l": []\n}\n'
+    )
+
+
+def test_stages_that_are_not_there_are_left_out() -> None:
+    file = full_file()
+    file.stages.gravity = None
+    document = json.loads(encode(file))
+    assert list(document["stages"]) == ["friction", "imu", "inertia", "effects"]
+    assert document["stages"]["friction"]["cutoff_hz"] is None
+    assert document["closed_loop"]["rounds"][0]["effect"] == "stribeck"

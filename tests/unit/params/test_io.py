@@ -1,0 +1,301 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.encode import encode, plain
+from seqid_cli.params.io import read_joined, read_parameters, write_json_atomic
+from seqid_cli.params.schema import ParameterFile
+from tests.unit.params.documents import full_file, gravity_file, imu_file
+
+Path_ = tuple[str | int, ...]
+
+
+def edited(at: Path_, value: object) -> object:
+    document = json.loads(encode(full_file()))
+    place = document
+    for key in at[:-1]:
+        place = place[key]
+    place[at[-1]] = value
+    return document
+
+
+def problem(path: Path, text: str | bytes) -> ConfigError:
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(ConfigError) as caught:
+        read_parameters(path)
+    assert caught.value.where == str(path)
+    assert caught.value.hint
+    return caught.value
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "p.json"
+    write_json_atomic(path, full_file())
+    file = read_parameters(path)
+    assert plain(file) == plain(full_file()) | {"created": file.created}
+    before = path.read_bytes()
+    write_json_atomic(path, file)
+    assert path.read_bytes() == before
+
+
+def test_a_result_with_nan_is_a_bug_and_keeps_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "p.json"
+    path.write_text("old")
+    file = full_file()
+    assert file.stages.inertia is not None
+    file.stages.inertia.rmse["elbow"] = float("nan")
+    with pytest.raises(ValueError, match=r"\$\.stages\.inertia\.rmse\.elbow is nan"):
+        write_json_atomic(path, file)
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "truncated at line 1, column 1"),
+        ('{"schema": "seqid/params@1",\n "created": nan}', "invalid character at line 2, column"),
+        ('{\n\n  "a": 1,}', "trailing comma in object at line 3, column 10"),
+        (b'{"schema": "\xff"}', "not UTF-8"),
+        ("[" * 100_000, "Expected `object`, got `array`"),
+        ('{"x":' + "[" * 100_000, "nested too deeply"),
+        ("[1, 2]", "Expected `object`, got `array`"),
+        (b"\x89MCAP0\r\n", "not valid JSON"),
+        ('{"a": 1e999}', "Number out of range"),
+        ("{}", "`schema` is missing"),
+        ('{"schema": 3}', "`schema` is 3"),
+        ('{"schema": "seqid/params@0"}', "`schema` is 'seqid/params@0'"),
+        ('{"schema": "seqid/prediction@1"}', "is a prediction file"),
+        ('{"schema": "seqid/robot@1"}', "is a robot file"),
+    ],
+)
+def test_what_is_no_parameter_file(tmp_path: Path, text: str | bytes, message: str) -> None:
+    assert message in problem(tmp_path / "p.json", text).message
+
+
+def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
+    error = problem(tmp_path / "p.json", '{"schema": "seqid/params@7", "stages": []}')
+    assert "newer version seqid/params@7; this seqid reads up to seqid/params@1" in error.message
+    assert "Upgrade seqid" in error.hint
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "message"),
+    [
+        (("robot", "joints", 1), 4, "$.robot.joints[1]: Expected `str`, got `int`"),
+        (("stages", "inertia", "rnak"), 4, "$.stages.inertia: Object contains unknown field"),
+        (("robot", "joints", 1), "shoulder", "$.robot.joints: must name each joint"),
+        (
+            ("stages", "friction", "joints", "elbow", "positive"),
+            [[1.0]],
+            "$.stages.friction.joints.elbow.positive: must have 2 rows of 1",
+        ),
+        (
+            ("stages", "friction", "joints", "elbow", "sign_width"),
+            0,
+            "$.stages.friction.joints.elbow.sign_width: must be positive",
+        ),
+        (
+            ("stages", "friction", "joints", "elbow", "speed_range"),
+            [2.0, 1.0],
+            "$.stages.friction.joints.elbow.speed_range: must be two numbers",
+        ),
+        (
+            ("stages", "friction", "joints", "elbow", "covariance"),
+            [[1.0]],
+            "$.stages.friction.joints.elbow.covariance: must be square with 2 or 4",
+        ),
+        (
+            ("stages", "gravity", "covariance"),
+            [[1.0, 2.0]],
+            "$.stages.gravity.covariance: must be square with 1",
+        ),
+        (
+            ("stages", "gravity", "parameters", 0, "std_error"),
+            -1,
+            "$.stages.gravity.parameters[0].std_error: must not be negative",
+        ),
+        (
+            ("stages", "gravity", "parameters", 0, "joint"),
+            "knee",
+            "$.stages.gravity.parameters: joint 'knee' is none of the robot's: shoulder, elbow",
+        ),
+        (
+            ("stages", "imu", "imus", "imu_a", "rotation", 0, 0),
+            1.0,
+            "$.stages.imu.imus.imu_a.rotation: is no rotation",
+        ),
+        (("stages", "effects", 0, "joint"), "knee", "$.stages.effects[0].joint: joint 'knee'"),
+        (("closed_loop", "rounds", 0, "joint"), "knee", "$.closed_loop.rounds[0].joint: joint 'k"),
+        (
+            ("closed_loop", "rounds", 0, "evidence", "of"),
+            "knee",
+            "$.closed_loop.rounds[0].evidence: joint 'knee'",
+        ),
+        (
+            ("closed_loop", "rounds", 0, "evidence", "after"),
+            [0.1],
+            "$.closed_loop.rounds[0].evidence: x, count, before and after must be of one length",
+        ),
+        (("closed_loop", "rounds", 0, "accepted"), False, "$.closed_loop.rounds[0].accepted: "),
+        (("closed_loop", "refused", 0, "interval"), [1.0], "$.closed_loop.refused[0].interval: mu"),
+        (("closed_loop", "before"), {"knee": {"rmse": 1.0}}, "$.closed_loop.before: joint 'knee'"),
+        (
+            ("closed_loop", "gain_interval", "elbow"),
+            [0.2, 0.1],
+            "$.closed_loop.gain_interval.elbow: must be two numbers",
+        ),
+    ],
+)
+def test_wrong_content_is_named_by_its_key(
+    tmp_path: Path, at: Path_, value: object, message: str
+) -> None:
+    error = problem(tmp_path / "p.json", json.dumps(edited(at, value)))
+    assert error.message.startswith(message)
+
+
+@pytest.mark.parametrize(
+    "older",
+    [
+        {"rounds": [{"effect": "stribeck", "joint": "elbow"}, {"effect": "payload"}]},
+        {
+            "rounds": [],
+            "before": {"elbow": {"rmse": 0.5}},
+            "after": {"elbow": {"rmse": 0.5}},
+            "noise_floor": {"elbow": 0.1},
+            "evaluated_on": ["v.parquet"],
+        },
+    ],
+)
+def test_a_closed_loop_needs_no_more_than_the_contract(
+    tmp_path: Path, older: dict[str, list[dict[str, str]]]
+) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(json.dumps(edited(("closed_loop",), older)))
+    loop = read_parameters(path).closed_loop
+    assert loop is not None
+    assert [item.effect for item in loop.rounds] == [item["effect"] for item in older["rounds"]]
+    assert all(item.accepted for item in loop.rounds)
+    assert plain(loop.before) == older.get("before", {})
+
+
+def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="does not exist"):
+        read_parameters(tmp_path / "no.json")
+    with pytest.raises(ConfigError, match="is not a file"):
+        read_parameters(tmp_path)
+    with pytest.raises(ConfigError, match=r"cannot be read|does not exist"):
+        read_parameters(Path("a\0b"))
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(2**30)
+    with pytest.raises(ConfigError, match="the limit is"):
+        read_parameters(tmp_path / "huge")
+
+
+def test_older_files_are_migrated_step_by_step(tmp_path: Path) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(json.dumps(edited(("robot", "joint_names"), [])))
+
+    def second(document: dict[str, object]) -> dict[str, object]:
+        robot = document["robot"]
+        assert isinstance(robot, dict)
+        del robot["joint_names"]
+        return document
+
+    def third(document: dict[str, object]) -> dict[str, object]:
+        return document | {"schema": "seqid/params@3", "created": "migrated"}
+
+    file = read_parameters(path, version=3, migrations={1: second, 2: third})
+    assert (file.schema, file.created) == ("seqid/params@3", "migrated")
+    with pytest.raises(ConfigError, match="old version seqid/params@1"):
+        read_parameters(path, version=3, migrations={1: second})
+
+
+scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()
+values = scalars | st.lists(scalars, max_size=3) | st.dictionaries(st.text(), scalars, max_size=3)
+
+
+def places(node: object, at: Path_ = ()) -> list[Path_]:
+    if isinstance(node, dict):
+        inner = [place for key, item in node.items() for place in places(item, (*at, key))]
+    elif isinstance(node, list):
+        inner = [place for i, item in enumerate(node) for place in places(item, (*at, i))]
+    else:
+        inner = []
+    return [at, *inner] if at else inner
+
+
+PLACES = places(json.loads(encode(full_file())))
+
+
+def reads_or_refuses(path: Path) -> None:
+    try:
+        file: object = read_parameters(path)
+    except ConfigError as error:
+        file = error
+    if isinstance(file, ConfigError):
+        assert file.where == str(path)
+        assert file.message
+        assert file.hint
+    else:
+        assert json.loads(encode(file))["schema"] == "seqid/params@1"
+
+
+@given(at=st.sampled_from(PLACES), value=values)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_any_edit_is_read_or_refused(tmp_path: Path, at: Path_, value: object) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(json.dumps(edited(at, value)))
+    reads_or_refuses(path)
+
+
+@given(data=st.data())
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_any_damage_is_read_or_refused(tmp_path: Path, data: st.DataObject) -> None:
+    raw = bytearray(encode(full_file()).encode())
+    start = data.draw(st.integers(0, len(raw)))
+    length = data.draw(st.integers(0, 40))
+    raw[start : start + length] = data.draw(st.binary(max_size=40))
+    path = tmp_path / "p.json"
+    path.write_bytes(raw)
+    reads_or_refuses(path)
+
+
+def write(folder: Path, name: str, make: Callable[[], ParameterFile]) -> Path:
+    path = folder / name
+    write_json_atomic(path, make())
+    return path
+
+
+def test_two_branches_are_joined(tmp_path: Path) -> None:
+    paths = [write(tmp_path, "g.json", gravity_file), write(tmp_path, "i.json", imu_file)]
+    both = read_joined(paths)
+    assert msgspec.structs.asdict(both.stages).keys() >= {"friction", "gravity", "imu"}
+    assert both.stages.gravity == gravity_file().stages.gravity
+    assert both.stages.imu == imu_file().stages.imu
+    assert [log.path for log in both.inputs] == ["a", "b", "c"]
+
+
+def test_branches_that_disagree_are_refused(tmp_path: Path) -> None:
+    first = write(tmp_path, "g.json", gravity_file)
+    other = gravity_file()
+    assert other.stages.friction is not None
+    other.stages.friction.joints["elbow"].rmse = 0.7
+    second = write(tmp_path, "h.json", lambda: other)
+    with pytest.raises(ConfigError, match=f"h.json: its friction stage differs from .*{first}"):
+        read_joined([first, second])
+
+
+def test_files_of_two_robots_are_refused(tmp_path: Path) -> None:
+    other = imu_file()
+    other.robot = msgspec.structs.replace(other.robot, name="leg")
+    paths = [write(tmp_path, "g.json", gravity_file), write(tmp_path, "i.json", lambda: other)]
+    with pytest.raises(ConfigError, match=r"i.json: is about robot 'leg' .*g.json about 'arm'"):
+        read_joined(paths)

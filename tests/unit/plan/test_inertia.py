@@ -1,0 +1,115 @@
+"""Choice and refinement of moves: better than chance, full rank, and what locking costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import Belief, belief_of
+from seqid_cli.plan.choose import Goal, Pool, assess, choose, draw_pool, groups_of
+from seqid_cli.plan.inertia import plan_inertia
+from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.refine import refine
+from seqid_cli.plan.shapes import COARSE_HZ, Shapes
+from seqid_cli.robot.base import base_regressor
+from tests.unit.plan.arms import sample_robot
+
+SECONDS = 6.0
+COUNT = 8
+
+
+@pytest.fixture(scope="module")
+def belief() -> Belief:
+    robot = sample_robot("six_joint")
+    return belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
+
+
+@pytest.fixture(scope="module")
+def goal(belief: Belief) -> Goal:
+    return Goal.of(belief, seed=0)
+
+
+@pytest.fixture(scope="module")
+def pool(belief: Belief, goal: Goal) -> Pool:
+    groups = groups_of(belief.limits, together=False)
+    shapes = Shapes.over(SECONDS, COARSE_HZ)
+    return draw_pool(belief, goal, shapes, groups, 150, np.random.default_rng(0))
+
+
+def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: Pool) -> None:
+    moves = Shapes.over(SECONDS, COARSE_HZ).moves(pool.drawn[[4]], belief.limits).every(4)
+    H = base_regressor(belief.robot, belief.basis, moves.q[0], moves.dq[0], moves.ddq[0])
+    slide = moves.dq[0] ** 2 / (moves.dq[0] ** 2 + belief.slow**2)
+    expected = np.zeros((belief.basis.size, belief.basis.size))
+    for j, density in enumerate(belief.density):
+        rows = H[:, j]
+        expected += density * (moves.t[1] - moves.t[0]) * (rows.T * slide[:, j]) @ rows
+    found = pool.information[4] * np.outer(goal.scale, goal.scale)
+    assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, pool: Pool) -> None:
+    nothing = np.zeros_like(goal.W)
+    chosen = choose(goal, pool, COUNT, nothing)
+    assert len(set(chosen)) == COUNT
+    rng = np.random.default_rng(1)
+    sets = [rng.choice(len(pool.joints), COUNT, replace=False) for _ in range(1000)]
+    chance = [float(goal.errors(pool.information[s].sum(axis=0))) for s in sets]
+    assert goal.errors(pool.information[chosen].sum(axis=0)) < min(chance)
+
+
+def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> None:
+    nothing, shapes = np.zeros_like(goal.W), Shapes.over(SECONDS, COARSE_HZ)
+    chosen = choose(goal, pool, COUNT, nothing)
+    better = refine(belief, goal, shapes, pool.drawn[chosen], nothing, sweeps=1)
+    information, overload = assess(belief, goal, shapes.moves(better, belief.limits))
+    before = float(goal.errors(pool.information[chosen].sum(axis=0)))
+    assert float(goal.errors(information.sum(axis=0))) < 0.9 * before
+    assert overload.max() <= 1.0
+    moved = better.coefficients.any(axis=2)
+    assert np.array_equal(moved, pool.drawn[chosen].coefficients.any(axis=2))
+
+
+def test_what_is_there_already_changes_the_choice(goal: Goal, pool: Pool) -> None:
+    first = choose(goal, pool, COUNT, np.zeros_like(goal.W))
+    have = 10 * pool.information[first[:4]].sum(axis=0)
+    later = choose(goal, pool, 4, have)
+    with_new = float(goal.errors(have + pool.information[later].sum(axis=0)))
+    again = float(goal.errors(have + pool.information[first[:4]].sum(axis=0)))
+    assert with_new < again
+
+
+@pytest.mark.parametrize("name", ["one_joint", "two_joint", "six_joint"])
+@pytest.mark.parametrize("together", [False, True])
+def test_sample_arms_get_full_rank(name: str, together: bool) -> None:
+    robot = sample_robot(name)
+    belief = belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
+    options = PlanOptions(duration_s=48.0, move_s=SECONDS, together=together, pool=80, sweeps=1)
+    planned = plan_inertia(belief, Stages(), options)
+    assert planned.stage.rank == planned.stage.structural_rank == belief.basis.size
+    assert not planned.stage.not_excited
+    assert len(planned.stage.parameters) == belief.basis.size
+    assert all(after.error < before.error for before, after in pairwise(planned.stage.growth))
+
+
+def test_a_locked_joint_does_not_move_and_its_parameters_are_named() -> None:
+    robot = sample_robot("two_joint")
+    belief = belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3, locked=["joint_2"]))
+    options = PlanOptions(duration_s=24.0, move_s=SECONDS, pool=40, sweeps=1)
+    planned = plan_inertia(belief, Stages(), options)
+    assert all(move.joints == ["joint_1"] for move in planned.moves)
+    assert planned.stage.not_excited
+    assert planned.stage.rank is not None
+    assert planned.stage.rank < belief.basis.size
+
+
+def test_the_same_seed_gives_the_same_plan(belief: Belief) -> None:
+    options = PlanOptions(duration_s=12.0, move_s=SECONDS, pool=30, sweeps=1)
+    first = plan_inertia(belief, Stages(), options)
+    assert first == plan_inertia(belief, Stages(), options)
+    assert first != plan_inertia(belief, Stages(), replace(options, seed=1))

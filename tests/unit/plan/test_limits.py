@@ -1,0 +1,137 @@
+"""Limits: where they come from, that they hold on dense samples, and what is said without them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import belief_of
+from seqid_cli.plan.inertia import plan_inertia
+from seqid_cli.plan.limits import Limits, limits_of
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.shapes import COEFFICIENTS, Drawn, Shapes
+from seqid_cli.plan.trajectories import sampled
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.unit.plan.arms import drawn_robot, sample_robot
+
+DENSE_HZ = 1000.0
+ROUNDING = 1e-3  # between the samples on which the amplitude was found, of which 5 % are spare
+
+
+def without_limits(robot: Robot, joint: int) -> Robot:
+    joints = list(robot.joints)
+    joints[joint] = replace(joints[joint], position_limits=None)
+    return replace(robot, joints=tuple(joints))
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 60), draw=st.integers(0, 2**31), seconds=st.floats(2.0, 20.0))
+def test_limits_hold_on_dense_samples_of_drawn_arms(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, draw: int, seconds: float
+) -> None:
+    robot = drawn_robot(tmp_path_factory.getbasetemp(), seed)
+    limits = limits_of(robot, ramp_s=0.3)
+    rng = np.random.default_rng(draw)
+    size = (3, robot.n)
+    coefficients = rng.uniform(-1.0, 1.0, (*size, COEFFICIENTS))
+    drawn = Drawn(coefficients, rng.uniform(size=size), np.ones(size))
+    moves = Shapes.over(seconds, DENSE_HZ).moves(drawn, limits)
+    assert np.all(moves.q >= limits.lower - 1e-9)
+    assert np.all(moves.q <= limits.upper + 1e-9)
+    assert np.all(np.abs(moves.dq) <= limits.speed * (1 + 1e-9))
+    assert np.all(np.abs(moves.ddq) <= limits.acceleration * (1 + 1e-9))
+    for rest in (moves.dq[:, [0, -1]], moves.ddq[:, [0, -1]]):
+        assert np.abs(rest).max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", [3, 51])
+def test_a_planned_move_keeps_all_limits_between_its_samples(tmp_path: Path, seed: int) -> None:
+    robot = drawn_robot(tmp_path, seed)  # number 51 slides in some joints
+    limits = limits_of(robot, ramp_s=0.3)
+    torque = np.full(robot.n, np.inf)
+    torque[0] = 60.0
+    limits = Limits(
+        limits.lower, limits.upper, limits.speed, limits.acceleration, torque, limits.moves
+    )
+    belief = belief_of(robot, Stages(), limits)
+    options = PlanOptions(duration_s=24.0, move_s=6.0, pool=40, sweeps=1)
+    for move in plan_inertia(belief, Stages(), options).moves:
+        _, q, dq, ddq = sampled(move, robot.joint_names, DENSE_HZ)
+        assert np.all(q >= limits.lower - ROUNDING * limits.range)
+        assert np.all(q <= limits.upper + ROUNDING * limits.range)
+        assert np.all(np.abs(dq) <= limits.speed * (1 + ROUNDING))
+        assert np.all(np.abs(ddq) <= limits.acceleration * (1 + 10 * ROUNDING))
+        assert np.abs(dq[[0, -1]]).max() < 1e-9
+
+
+def test_torque_limits_hold_with_the_models_doubt() -> None:
+    robot = sample_robot("six_joint")
+    limits = limits_of(robot, ramp_s=0.2)
+    free = plan_inertia(
+        belief_of(robot, Stages(), limits), Stages(), PlanOptions(duration_s=20.0, move_s=5.0)
+    )
+    tight = replace(
+        limits, torque=0.6 * max(m.torque_share or 0 for m in free.moves) * limits.torque
+    )
+    belief = belief_of(robot, Stages(), tight)
+    planned = plan_inertia(belief, Stages(), PlanOptions(duration_s=20.0, move_s=5.0))
+    assert 0.5 < max(move.torque_share or 0 for move in planned.moves) <= 1.0
+
+
+def test_torque_limits_that_gravity_alone_breaks_are_told() -> None:
+    robot = sample_robot("six_joint")
+    limits = limits_of(robot, ramp_s=0.2)
+    torque = limits.torque.copy()
+    torque[1] = 1e-3
+    belief = belief_of(robot, Stages(), replace(limits, torque=torque))
+    with pytest.raises(ConfigError, match="shoulder_lift"):
+        plan_inertia(belief, Stages(), PlanOptions(duration_s=10.0, pool=60))
+
+
+def test_the_tighter_limit_counts() -> None:
+    robot = sample_robot("six_joint")
+    limits = limits_of(robot, ramp_s=0.5, share=1.0)
+    assert (limits.lower[1], limits.upper[1]) == pytest.approx((-2.7, 0.3))
+    joints = list(robot.joints)
+    joints[1] = replace(joints[1], position_limits=(-2.0, 1.0), velocity_limit=9.0)
+    found = limits_of(replace(robot, joints=tuple(joints)), ramp_s=0.5, share=1.0)
+    assert (found.lower[1], found.upper[1]) == pytest.approx((-2.0, 0.3))
+    assert found.speed[1] == pytest.approx(2.2)
+    assert found.acceleration[1] == pytest.approx(4.4)
+
+
+def test_limits_that_exclude_each_other_are_told() -> None:
+    robot = sample_robot("six_joint")
+    joints = list(robot.joints)
+    joints[1] = replace(joints[1], position_limits=(0.5, 1.0))
+    with pytest.raises(ConfigError, match=r"shoulder_lift.*exclude each other"):
+        limits_of(replace(robot, joints=tuple(joints)), ramp_s=0.5)
+
+
+def test_a_joint_without_limits_is_told_and_may_be_locked(tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    joint = '[[joint]]\nname = "{}"\ndh = {{ alpha = 0.0, a = 0.3, d = 0.0, theta0 = 0.0 }}\n'
+    path.write_text(
+        'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n'
+        + joint.format("base")
+        + "position_limits = [-1.0, 1.0]\nvelocity_limit = 1.0\n"
+        + joint.format("tip")
+    )
+    robot = load_robot(path)
+    with pytest.raises(ConfigError, match="'tip' has no position_limits") as caught:
+        limits_of(robot, ramp_s=0.5)
+    assert "--lock tip" in caught.value.hint
+    limits = limits_of(robot, ramp_s=0.5, locked=["tip"])
+    assert limits.moving == [0]
+    with pytest.raises(UsageError, match="every joint is locked"):
+        limits_of(robot, ramp_s=0.5, locked=["tip", "base"])
+    with pytest.raises(UsageError, match="--lock names no joint: 'top'"):
+        limits_of(robot, ramp_s=0.5, locked=["top"])

@@ -1,0 +1,195 @@
+"""Plans of friction, gravity, IMUs, validation and whole sessions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.plan_schema import PlannedMove, Stroke
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import Belief, belief_of
+from seqid_cli.plan.friction import SPEEDS, plan_friction
+from seqid_cli.plan.gravity import plan_gravity
+from seqid_cli.plan.imu import POSTURES, plan_imu
+from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.make import make_plan
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.strokes import profile, seconds_of
+from seqid_cli.plan.trajectories import sampled
+from seqid_cli.plan.validation import plan_validation
+from seqid_cli.robot.base import base_regressor
+from tests.unit.plan.arms import drawn_robot, sample_robot
+
+OPTIONS = PlanOptions(duration_s=24.0, move_s=6.0, pool=60, sweeps=1)
+RATE_HZ = 500.0
+
+
+@pytest.fixture(scope="module")
+def belief() -> Belief:
+    robot = sample_robot("six_joint")
+    return belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
+
+
+def assert_within_limits(belief: Belief, move: PlannedMove) -> None:
+    limits = belief.limits
+    t, q, dq, ddq = sampled(move, belief.robot.joint_names, RATE_HZ)
+    assert np.all((q >= limits.lower - 1e-9) & (q <= limits.upper + 1e-9))
+    assert np.all(np.abs(dq) <= limits.speed * (1 + 1e-3))
+    assert np.all(np.abs(ddq) <= limits.acceleration * (1 + 1e-2))
+    assert t[-1] == pytest.approx(move.duration_s, abs=0.02 * (1 + len(move.strokes)))
+    still = [name not in move.joints for name in belief.robot.joint_names]
+    assert not np.any(dq[:, still])
+    assert np.abs(np.gradient(q, t, axis=0) - dq).max() < 0.05 * limits.speed.max()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    way=st.floats(0.2, 6.0),
+    share=st.floats(0.05, 1.0),
+    accel=st.floats(0.5, 20.0),
+    back=st.booleans(),
+)
+def test_a_stroke_keeps_its_speed_and_acceleration(
+    way: float, share: float, accel: float, back: bool
+) -> None:
+    speed = share * np.sqrt(way * accel / np.pi)  # ramps take half the way at most
+    ends = (way, 0.0) if back else (0.0, way)
+    stroke = Stroke(start=ends[0], end=ends[1], speed=speed, acceleration=accel)
+    q, dq, ddq = profile(stroke, 2000.0)
+    assert q[-1] == pytest.approx(ends[1], abs=1e-9)
+    assert abs(dq[-1]) < 1e-9
+    assert np.abs(dq).max() == pytest.approx(speed, rel=1e-3)
+    assert np.abs(ddq).max() <= accel * (1 + 1e-9)
+    assert np.sum(dq) / 2000.0 == pytest.approx(ends[1] - ends[0], abs=2e-3 * way + 1e-3)
+    assert seconds_of([stroke]) == pytest.approx(len(q) / 2000.0 + 0.6, abs=1e-3)
+
+
+def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) -> None:
+    planned = plan_friction(belief, OPTIONS)
+    assert [move.joints[0] for move in planned.moves] == list(belief.robot.joint_names)
+    for j, move in enumerate(planned.moves):
+        assert_within_limits(belief, move)
+        assert len(move.strokes) == 2 * SPEEDS
+        there, back = move.strokes[0], move.strokes[1]
+        assert (there.start, there.end) == (back.end, back.start)
+        assert (there.start, there.end) == (belief.limits.lower[j], belief.limits.upper[j])
+        assert move.torque_share is not None
+        assert move.torque_share <= 1.0
+    assert planned.stage.duration_s == sum(move.duration_s for move in planned.moves)
+
+
+@pytest.mark.parametrize("seed", [4, 52])  # number 52 slides in some joints
+def test_sweeps_of_drawn_arms_keep_their_limits(tmp_path: Path, seed: int) -> None:
+    robot = drawn_robot(tmp_path, seed)
+    limits = replace(limits_of(robot, ramp_s=0.3), torque=np.full(robot.n, np.inf))
+    belief = belief_of(robot, Stages(), limits)
+    gravity = plan_gravity(belief, Stages(), OPTIONS)
+    for move in [*plan_friction(belief, OPTIONS).moves, *gravity.moves]:
+        assert_within_limits(belief, move)
+
+
+def test_a_joint_that_cannot_lift_the_arm_is_named(belief: Belief) -> None:
+    torque = belief.limits.torque.copy()
+    torque[1] = 5.0
+    weak = replace(belief, limits=replace(belief.limits, torque=torque))
+    with pytest.raises(ConfigError, match="torque limit of joint 'shoulder_lift'"):
+        plan_friction(weak, OPTIONS)
+
+
+def gravity_condition(belief: Belief, moves: list[PlannedMove]) -> float:
+    """Condition of Phi(H_g), weighted by the noise, with columns of length 1 (Eq. 20)."""
+    rows = []
+    for move in moves:
+        _, q, dq, _ = sampled(move, belief.robot.joint_names, 20.0)
+        still = np.zeros_like(q)
+        H = base_regressor(belief.robot, belief.basis, q, still, still)
+        j = belief.robot.joint_names.index(move.joints[0])
+        own = H[np.abs(dq[:, j]) > 0.0][:, j][:, belief.basis.gravity]
+        rows.append(np.sqrt(belief.density[j]) * own)
+    stacked = np.concatenate(rows)
+    return float(np.linalg.cond(stacked / np.linalg.norm(stacked, axis=0)))
+
+
+def test_gravity_postures_beat_random_ones(belief: Belief) -> None:
+    planned = plan_gravity(belief, Stages(), OPTIONS)
+    for move in planned.moves:
+        assert_within_limits(belief, move)
+    assert planned.stage.rank == planned.stage.structural_rank == int(belief.basis.gravity.sum())
+    own = gravity_condition(belief, planned.moves)
+    rng, chance = np.random.default_rng(0), []
+    names = belief.robot.joint_names
+    for _ in range(20):
+        places = rng.uniform(belief.limits.lower, belief.limits.upper, (len(planned.moves), 6))
+        moved = []
+        for move, place in zip(planned.moves, places, strict=True):
+            start = dict(zip(names, map(float, place), strict=True))
+            start |= {name: move.start[name] for name in move.joints}
+            moved.append(
+                PlannedMove(
+                    name=move.name,
+                    stage="",
+                    joints=move.joints,
+                    strokes=move.strokes,
+                    duration_s=move.duration_s,
+                    start=start,
+                )
+            )
+        chance.append(gravity_condition(belief, moved))
+    assert own < min(chance)
+
+
+def test_gravity_of_a_planar_arm_has_nothing_to_record() -> None:
+    robot = replace(sample_robot("two_joint"), gravity=np.zeros(3))
+    belief = belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
+    planned = plan_gravity(belief, Stages(), OPTIONS)
+    assert not planned.moves
+    assert "nothing to record" in planned.stage.notes[0]
+
+
+def test_imus_see_the_first_joint_from_many_sides(belief: Belief) -> None:
+    planned = plan_imu(belief, OPTIONS)
+    first = [move for move in planned.moves if move.joints == ["shoulder_pan"]]
+    assert len(first) == POSTURES
+    assert len({tuple(move.start.values()) for move in first}) == POSTURES
+    assert {move.joints[0] for move in planned.moves} == set(belief.robot.joint_names)
+    for move in planned.moves:
+        assert_within_limits(belief, move)
+    with pytest.raises(ConfigError, match="lists no IMU"):
+        plan_imu(replace(belief, robot=replace(belief.robot, imus=())), OPTIONS)
+
+
+def test_validation_is_drawn_by_itself(belief: Belief) -> None:
+    planned = plan_validation(belief, OPTIONS)
+    assert all(len(move.joints) == 6 for move in planned.moves)
+    assert max(move.torque_share or 0.0 for move in planned.moves) <= 1.0
+    assert planned.moves != plan_validation(belief, replace(OPTIONS, seed=1)).moves
+
+
+def test_a_session_holds_all_stages_in_order() -> None:
+    robot = sample_robot("two_joint")
+    plan = make_plan("all", robot, limits_of(robot, ramp_s=0.3), Stages(), OPTIONS)
+    order = ["friction", "gravity", "imu-calib", "inertia", "validation"]
+    assert list(plan.stages) == order
+    placed = [order.index(move.stage) for move in plan.moves]
+    assert placed == sorted(placed)
+    assert len({move.name for move in plan.moves}) == len(plan.moves)
+    assert plan.duration_s == pytest.approx(sum(move.duration_s for move in plan.moves))
+    assert plan.total_s > plan.duration_s
+
+
+def test_what_gravity_tells_lowers_the_errors_of_inertia(belief: Belief) -> None:
+    robot, limits = belief.robot, belief.limits
+    alone = make_plan("inertia", robot, limits, Stages(), OPTIONS)
+    session = make_plan("all", robot, limits, Stages(), OPTIONS)
+    by_itself = {p.name: p.std_error for p in alone.stages["inertia"].parameters}
+    later = {p.name: p.std_error for p in session.stages["inertia"].parameters}
+    both = by_itself.keys() & later.keys()
+    assert len(both) > 10
+    assert np.median([later[name] / by_itself[name] for name in both]) < 1.0
+    assert later["mx_2"] < 0.5 * by_itself["mx_2"]

@@ -1,0 +1,161 @@
+"""Documents of the robot of `tests.unit.params.documents`, and torques by their real writer."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.predict_logs import LogPrediction
+from seqid_cli.identify.torques_parquet import TorqueWriter
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.document import now, tool
+from seqid_cli.params.encode import encode
+from seqid_cli.params.prediction_schema import (
+    PREDICTION_SCHEMA,
+    FileId,
+    JointError,
+    LogPredictionError,
+    PredictionFile,
+)
+from seqid_cli.params.read_any import Document, Source
+from seqid_cli.params.schema import ParameterFile, Verdict
+from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
+
+Array = NDArray[np.float64]
+
+LOGS = ("validation/a.parquet", "validation/b.parquet")
+RATE_HZ = 250.0
+SAMPLES = 4000
+LINE_HZ = 7.0
+SPIKE = 0.9  # N m, in one sample of the elbow
+
+
+def source(path: str, content: Document) -> Source:
+    """Return a document as if it had been read."""
+    return Source(path, hashlib.sha256(encode(content).encode()).hexdigest(), content)
+
+
+def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile:
+    """Return a prediction of two logs, poor above 30 %."""
+    joints = {
+        name: JointError(
+            rmse=share * 2.0,
+            relative_rmse=share,
+            max_abs=share * 6.0,
+            samples=SAMPLES,
+            rmse_all=share * 1.5,
+            samples_all=2 * SAMPLES,
+            share_sliding=0.5,
+        )
+        for name, share in zip(JOINTS, shares, strict=True)
+    }
+    logs = [
+        LogPredictionError(
+            path=path, sha256=path.ljust(64, "0"), samples=SAMPLES, cutoff_hz=30.0, joints=joints
+        )
+        for path in LOGS
+    ]
+    verdicts = [
+        Verdict(joint=name, good=share < 0.3, reason="" if share < 0.3 else f"misses {share:.0%}")
+        for name, share in zip(JOINTS, shares, strict=True)
+    ]
+    return PredictionFile(
+        schema=PREDICTION_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot(),
+        inputs=[log(path, "") for path in LOGS],
+        parameters=[FileId(path="elsewhere/inertia.json", sha256="0" * 64)],
+        stages=["friction", "gravity", "imu", "inertia"],
+        joints=joints,
+        logs=logs,
+        verdicts=verdicts,
+    )
+
+
+def clean_diagnosis() -> DiagnosisFile:
+    """Return a diagnosis that finds nothing."""
+    file = diagnosis_file()
+    file.verdict, file.findings, file.unexplained = "nothing_missing", [], []
+    residual = file.joints["elbow"]
+    residual.rmse, residual.rmse_explained, residual.white = 0.12, 0.12, True
+    file.events, file.hidden, file.parameters = [], [], []
+    return file
+
+
+def made_with(prediction: PredictionFile, parameters: Source) -> PredictionFile:
+    """Return the prediction as made with a parameter file."""
+    prediction.parameters = [FileId(path=parameters.path, sha256=parameters.sha256)]
+    return prediction
+
+
+def good_documents() -> list[Source]:
+    """Return parameters and a prediction of new logs with nothing against them."""
+    parameters = source("inertia.json", inertia_file())
+    return [parameters, source("prediction.json", made_with(prediction_file(), parameters))]
+
+
+def all_documents() -> list[Source]:
+    """Return one document of every kind, of which a refined file shows every section."""
+    refined: ParameterFile = full_file()
+    return [
+        *good_documents(),
+        source("diagnosis.json", diagnosis_file()),
+        source("refined.json", refined),
+    ]
+
+
+def predicted_log(path: str, seed: int) -> LogPrediction:
+    """Return torques of one log: the residual of each joint is noise and a line."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(SAMPLES) / RATE_HZ
+    q = np.column_stack([np.sin(0.8 * t), np.cos(0.5 * t)])
+    dq = np.gradient(q, t, axis=0)
+    predicted = 2.0 * np.sin(q) + 0.5 * np.tanh(20.0 * dq)
+    line = 0.1 * np.sin(2 * np.pi * LINE_HZ * t)[:, None]
+    tau = predicted + line + 0.02 * rng.normal(size=q.shape)
+    tau[SAMPLES // 3, 1] = predicted[SAMPLES // 3, 1] + SPIKE
+    used = np.ones(SAMPLES, dtype=bool)
+    used[:50] = used[-50:] = False
+    return LogPrediction(
+        path=Path(path),
+        sha256=path.ljust(64, "0"),
+        samples=SAMPLES,
+        cutoff_hz=30.0,
+        t=t,
+        tau=tau,
+        predicted=predicted,
+        low=predicted,
+        high=predicted,
+        used=used,
+        sliding=np.ones(tau.shape, dtype=bool),
+        q=q,
+        dq=dq,
+    )
+
+
+def write_torques(
+    path: Path,
+    *,
+    joints: Sequence[str] = JOINTS,
+    logs: Sequence[str] = LOGS,
+    motion: bool = True,
+) -> Path:
+    """Write a torque file."""
+    with TorqueWriter.open(path, joints) as writer:
+        for seed, name in enumerate(logs):
+            made = predicted_log(name, seed)
+            writer.write(made if motion else replace(made, q=None, dq=None))
+    return path
+
+
+def write_documents(folder: Path, documents: Sequence[Source]) -> list[str]:
+    """Write documents as files; a prediction keeps the hash of what it was made with."""
+    for item in documents:
+        (folder / item.path).write_text(encode(item.content), encoding="utf-8")
+    return [item.path for item in documents]

@@ -1,0 +1,345 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.errors import ConfigError, SeqidError
+from seqid_cli.params.encode import encode
+from seqid_cli.params.prediction_schema import FileId, PredictionFile
+from seqid_cli.params.read_any import read_any
+from seqid_cli.params.schema import Verdict
+from seqid_cli.report.collection import collect
+from seqid_cli.report.judgement import judge
+from tests.unit.params.documents import (
+    diagnosis_file,
+    friction_file,
+    full_file,
+    gravity_file,
+    inertia_file,
+    log,
+)
+from tests.unit.report.pages import (
+    all_documents,
+    clean_diagnosis,
+    good_documents,
+    made_with,
+    prediction_file,
+    source,
+    write_documents,
+)
+
+
+def test_stages_of_one_branch_join_and_the_refined_model_leads() -> None:
+    documents = [source("friction.json", friction_file()), *all_documents()]
+    found = collect(documents)
+    assert [model.kind for model in found.models] == ["refined", "identified"]
+    assert found.models[1].path == "inertia.json"
+    assert found.models[1].sources[0][0] == "friction.json"
+    assert [item.path for item in found.predictions] == ["prediction.json"]
+    assert [item.path for item in found.diagnoses] == ["diagnosis.json"]
+
+
+def test_the_same_file_twice_counts_once() -> None:
+    documents = good_documents()
+    assert len(collect([*documents, *documents]).sources) == 2
+
+
+def test_two_robots_are_an_error_that_names_both_files() -> None:
+    other = diagnosis_file()
+    other.robot.name = "another"
+    with pytest.raises(ConfigError) as caught:
+        collect([*good_documents(), source("other.json", other)])
+    text = str(caught.value)
+    assert "other.json" in text
+    assert "'another'" in text
+    assert "inertia.json" in text
+    assert "'arm'" in text
+
+
+def test_other_joints_are_another_robot() -> None:
+    other = diagnosis_file()
+    other.robot.joints = ["elbow", "shoulder"]
+    with pytest.raises(ConfigError, match=r"other\.json.*elbow, shoulder"):
+        collect([*good_documents(), source("other.json", other)])
+
+
+def test_files_that_disagree_on_a_stage_are_an_error_that_names_both() -> None:
+    other = gravity_file()
+    assert other.stages.friction is not None
+    other.stages.friction.joints["elbow"].rmse = 0.7
+    with pytest.raises(ConfigError, match=r"friction stage differs") as caught:
+        collect([source("inertia.json", inertia_file()), source("other.json", other)])
+    assert "other.json" in str(caught.value)
+    assert "inertia.json" in str(caught.value)
+
+
+def test_two_refined_files_of_different_outcome_are_an_error() -> None:
+    other = full_file()
+    assert other.closed_loop is not None
+    other.closed_loop.after["elbow"].rmse = 0.15
+    with pytest.raises(ConfigError, match=r"other\.json.*before and after.*refined\.json"):
+        collect([source("refined.json", full_file()), source("other.json", other)])
+
+
+def test_a_refined_file_may_differ_from_what_it_started_from() -> None:
+    refined = full_file()
+    assert refined.stages.friction is not None
+    refined.stages.friction.joints["elbow"].rmse = 0.7
+    found = collect([source("inertia.json", inertia_file()), source("refined.json", refined)])
+    assert len(found.models) == 2
+
+
+def test_a_result_of_parameters_that_changed_since_is_an_error() -> None:
+    parameters, prediction = good_documents()
+    changed = inertia_file()
+    assert changed.stages.inertia is not None
+    changed.stages.inertia.parameters[0].value = 9.0
+    with pytest.raises(ConfigError, match=r"prediction\.json.*inertia\.json.*changed since"):
+        collect([source(parameters.path, changed), prediction])
+
+
+def test_a_result_of_parameters_elsewhere_is_a_warning() -> None:
+    documents = [good_documents()[0], source("prediction.json", prediction_file())]
+    (warning,) = collect(documents).warnings
+    assert "elsewhere/inertia.json" in warning
+    assert judge(collect(documents)).level == "reservations"
+
+
+def test_a_changed_robot_file_is_a_warning() -> None:
+    documents = good_documents()
+    documents[1].content.robot.sha256 = "1" * 64
+    (warning,) = collect(documents).warnings
+    assert "robot file" in warning
+
+
+@pytest.mark.parametrize("place", ["joints", "findings", "unexplained", "logs"])
+def test_joints_that_the_robot_has_not_are_an_error(place: str) -> None:
+    if place == "logs":
+        prediction = prediction_file()
+        prediction.logs[1].joints = {"wrist": prediction.joints["elbow"]}
+        document = source("x.json", prediction)
+    else:
+        diagnosis = diagnosis_file()
+        if place == "joints":
+            diagnosis.joints["wrist"] = diagnosis.joints["elbow"]
+        elif place == "findings":
+            diagnosis.findings[0].joint = "wrist"
+        else:
+            diagnosis.unexplained[0].joint = "wrist"
+        document = source("x.json", diagnosis)
+    with pytest.raises(ConfigError, match=rf"x\.json: \$\.{place}.*'wrist'"):
+        collect([document])
+
+
+def test_evidence_needs_as_many_torques_as_places() -> None:
+    diagnosis = diagnosis_file()
+    assert diagnosis.unexplained[0].evidence is not None
+    diagnosis.unexplained[0].evidence.after.pop()
+    with pytest.raises(ConfigError, match=r"x\.json: \$\.unexplained\[0\]\.evidence"):
+        collect([source("x.json", diagnosis)])
+
+
+def test_evidence_must_be_of_the_robots_joints() -> None:
+    diagnosis = diagnosis_file()
+    assert diagnosis.findings[0].evidence is not None
+    diagnosis.findings[0].evidence.of = "knee"
+    with pytest.raises(ConfigError, match=r"findings\[0\]\.evidence: joint 'knee' is none"):
+        collect([source("x.json", diagnosis)])
+
+
+def test_nothing_given_is_an_error() -> None:
+    with pytest.raises(ConfigError, match="no file"):
+        collect([])
+
+
+def test_good_needs_a_prediction_of_new_logs() -> None:
+    verdict = judge(collect(good_documents()))
+    assert verdict.level == "good"
+    assert verdict.points == ()
+    assert "2 logs" in verdict.sentence
+    assert "5.0 %" in verdict.sentence
+    assert "elbow" in verdict.sentence
+    alone = judge(collect(good_documents()[:1]))
+    assert alone.level == "not_judged"
+    assert any("predict" in point.command for point in alone.points)
+
+
+def test_a_prediction_of_the_training_logs_judges_nothing() -> None:
+    file = inertia_file()
+    prediction = prediction_file()
+    file.inputs += [log(item.path, "inertia") for item in prediction.logs]
+    for item in prediction.logs:
+        item.sha256 = file.inputs[-1].sha256
+    parameters = source("inertia.json", file)
+    documents = [parameters, source("prediction.json", made_with(prediction, parameters))]
+    verdict = judge(collect(documents))
+    assert verdict.level == "not_judged"
+    assert "was identified from" in verdict.points[0].text
+
+
+def test_what_refinement_read_is_new_to_the_model_before_it() -> None:
+    documents = good_documents()
+    refined = full_file()
+    (*_, prediction) = documents
+    assert isinstance(prediction.content, PredictionFile)
+    refined.inputs[-1].sha256 = prediction.content.logs[0].sha256
+    after = source("refined.json", refined)
+    before = judge(collect([*documents, after]))
+    assert "On 2 logs" in before.sentence
+    again = made_with(prediction_file(), after)
+    again.logs[0].sha256 = refined.inputs[-1].sha256
+    verdict = judge(collect([after, source("prediction.json", again)]))
+    assert "On 1 log " in verdict.sentence
+    assert refined.closed_loop is not None
+    refined.closed_loop.held_out = [refined.inputs[-1]]  # read, but only to report
+    after = source("refined.json", refined)
+    again = made_with(again, after)
+    verdict = judge(collect([after, source("prediction.json", again)]))
+    assert "On 2 logs" in verdict.sentence
+
+
+def test_training_logs_among_new_ones_do_not_flatter() -> None:
+    file = inertia_file()
+    prediction = prediction_file()
+    flattered = prediction_file(shares=(0.001, 0.001))
+    prediction.joints = flattered.joints
+    prediction.logs[0].joints = flattered.joints
+    file.inputs += [log("training", "inertia")]
+    prediction.logs[0].sha256 = file.inputs[-1].sha256
+    parameters = source("inertia.json", file)
+    documents = [parameters, source("prediction.json", made_with(prediction, parameters))]
+    verdict = judge(collect(documents))
+    assert verdict.level == "reservations"
+    assert "5.0 %" in verdict.sentence
+    assert verdict.sentence.startswith("On 1 log ")
+    assert "1 of the 2 logs" in verdict.points[0].text
+
+
+def test_a_poor_prediction_is_poor_and_comes_first() -> None:
+    parameters = source("inertia.json", inertia_file())
+    prediction = made_with(prediction_file(shares=(0.02, 0.5)), parameters)
+    documents = [parameters, source("prediction.json", prediction)]
+    documents.append(source("diagnosis.json", diagnosis_file()))
+    verdict = judge(collect(documents))
+    assert verdict.level == "poor"
+    assert verdict.points[0].weight == "poor"
+    assert verdict.points[0].text == "elbow: misses 50%"
+    assert "elbow: misses 50%" in verdict.sentence
+
+
+def test_a_poor_stage_is_poor_alone_and_a_reservation_beside_a_good_prediction() -> None:
+    file = inertia_file()
+    assert file.stages.friction is not None
+    file.stages.friction.verdicts[0] = Verdict(joint="shoulder", good=False, reason="2 speeds")
+    parameters = source("inertia.json", file)
+    assert judge(collect([parameters])).level == "poor"
+    prediction = source("prediction.json", made_with(prediction_file(), parameters))
+    verdict = judge(collect([parameters, prediction]))
+    assert verdict.level == "reservations"
+    assert verdict.points[0].text == "friction of shoulder: 2 speeds"
+
+
+def test_what_a_diagnosis_found_is_open_until_it_is_in_the_refined_model() -> None:
+    diagnosis = diagnosis_file()
+    diagnosis.unexplained = []
+    documents = [*good_documents(), source("diagnosis.json", diagnosis)]
+    verdict = judge(collect(documents))
+    assert verdict.level == "reservations"
+    found = [point for point in verdict.points if "stribeck at elbow" in point.text]
+    assert len(found) == 1
+    assert "97 %" in found[0].text
+    assert "seqid refine" in found[0].command
+    verdict = judge(collect([*documents, source("refined.json", full_file())]))
+    assert not [point for point in verdict.points if "stribeck" in point.text]
+    assert any("70 %" in line for line in verdict.support)
+
+
+def test_a_clean_diagnosis_speaks_for_the_model() -> None:
+    documents = [*good_documents(), source("diagnosis.json", clean_diagnosis())]
+    verdict = judge(collect(documents))
+    assert any("nothing is missing" in line for line in verdict.support)
+
+
+@pytest.mark.parametrize(("rmse", "white"), [(0.2, True), (0.12, False)])
+def test_words_do_not_call_noise_what_is_more(rmse: float, white: bool) -> None:
+    diagnosis = clean_diagnosis()
+    diagnosis.joints["elbow"].rmse, diagnosis.joints["elbow"].white = rmse, white
+    verdict = judge(collect([*good_documents(), source("diagnosis.json", diagnosis)]))
+    assert not any("nothing is missing" in line for line in verdict.support)
+    assert any("not all that is left is noise" in point.text for point in verdict.points)
+
+
+@pytest.mark.parametrize(("floor", "fires"), [(0.01, True), (0.09, False)])
+def test_an_error_far_above_the_noise_of_its_own_logs_is_open(floor: float, fires: bool) -> None:
+    diagnosis = clean_diagnosis()
+    diagnosis.joints["elbow"].noise_floor = floor  # the prediction's error is 0.1 N m
+    documents = good_documents()
+    prediction = prediction_file()
+    diagnosis.inputs = [log(item.path, "") for item in prediction.logs]
+    for given, item in zip(diagnosis.inputs, prediction.logs, strict=True):
+        given.sha256 = item.sha256
+    documents.append(source("diagnosis.json", diagnosis))
+    texts = [point.text for point in judge(collect(documents)).points]
+    assert any("noise floor of the same logs" in text for text in texts) == fires
+    diagnosis.inputs.pop()  # no longer the same logs: nothing can be said
+    assert judge(collect(documents)).level == "good"
+
+
+def test_a_parameter_that_no_log_excites_is_named() -> None:
+    file = inertia_file()
+    assert file.stages.inertia is not None
+    file.stages.inertia.not_excited = ["Iyy_2"]
+    parameters = source("inertia.json", file)
+    documents = [parameters, source("p.json", made_with(prediction_file(), parameters))]
+    (point,) = judge(collect(documents)).points
+    assert "Iyy_2" in point.text
+
+
+def test_files_are_read_by_what_they_say_they_are(tmp_path: Path) -> None:
+    documents = all_documents()
+    write_documents(tmp_path, documents)
+    read = read_any([tmp_path / item.path for item in documents])
+    texts = [encode(item.content) for item in documents]
+    assert [encode(item.content) for item in read] == texts
+    assert [item.sha256 for item in read] == [item.sha256 for item in documents]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is not valid JSON"),
+        ("[]", "array"),
+        ("{}", "`schema` is missing"),
+        ('{"schema": 3}', "`schema` is 3"),
+        ('{"schema": "other/params@1"}', "is no result"),
+        ('{"schema": "seqid/plan@1"}', "is a plan file"),
+        ('{"schema": "seqid/diagnosis@9"}', "seqid/diagnosis@9"),
+        ('{"schema": "seqid/prediction@1", "created": 5}', "created"),
+        ('{"schema": "seqid/params@1"}', "created"),
+        ('{"schema": "seqid/prediction@1", "created": "' + "[" * 9000, "is not valid JSON"),
+    ],
+)
+def test_what_is_no_result_is_an_error_with_its_file(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    with pytest.raises(SeqidError) as caught:
+        read_any([path])
+    assert message in caught.value.message
+    assert caught.value.where == str(path)
+    assert caught.value.hint
+
+
+def test_a_missing_file_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="does not exist"):
+        read_any([tmp_path / "none.json"])
+
+
+def test_a_reference_to_another_file_does_not_count_as_stale() -> None:
+    parameters, prediction = good_documents()
+    assert not isinstance(prediction.content, type(parameters.content))
+    moved = prediction_file()
+    moved.parameters = [FileId(path="moved/inertia.json", sha256=parameters.sha256)]
+    assert collect([parameters, source("prediction.json", moved)]).warnings == ()

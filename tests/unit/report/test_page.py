@@ -1,0 +1,314 @@
+from __future__ import annotations
+
+import base64
+import hashlib
+import itertools
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.params.schema import RigidStage
+from seqid_cli.report.make import build_report, make_report
+from tests.unit.params.documents import friction_file, inertia_file
+from tests.unit.report.pages import (
+    all_documents,
+    good_documents,
+    prediction_file,
+    source,
+    write_torques,
+)
+
+HOSTILE = "<script>alert(1)</script>\"'&{{7*7}}"
+VOID = {"meta", "link", "br", "input", "img"}
+
+
+class Outline(HTMLParser):
+    """What a page consists of."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.unbalanced: list[str] = []
+        self.texts: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note an element."""
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note an element without content."""
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        """Check that what closes was open."""
+        if not self.open or self.open.pop() != tag:
+            self.unbalanced.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        """Note text."""
+        self.texts.append(data)
+
+
+def outline(html: str) -> Outline:
+    parser = Outline()
+    parser.feed(html)
+    parser.close()
+    assert parser.unbalanced == []
+    assert parser.open == []
+    return parser
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("page")
+    torques = write_torques(folder / "t.parquet")
+    return make_report(all_documents(), torques=torques)
+
+
+def test_every_section_is_there_with_its_data(page: str, tmp_path: Path) -> None:
+    torques = write_torques(tmp_path / "t.parquet")
+    report = build_report(all_documents(), torques=torques)
+    assert list(report.sections) == [
+        "verdict",
+        "pipeline",
+        "torque",
+        "friction",
+        "parameters",
+        "imu",
+        "diagnosis",
+        "loop",
+    ]
+    assert all(report.sections.values())
+    for text in (
+        "seqid imu-calib",
+        "Torque of shoulder, validation/a.parquet",
+        "Friction of elbow over position and velocity",
+        "Rotation of imu_a",
+        "stribeck at elbow",
+        "slow reversals at two accelerations",
+        "presliding hysteresis and quadratic drag",
+        "Residual of elbow over speed",
+        "these logs cannot tell the two apart: it reaches 96.7 % of the gain",
+        "explains 70.0 % less",
+        "Unexplained torque of shoulder over position",
+        "gain of 0.9 standard errors; 2 are asked at least",
+        "Events: something pushed the arm",
+        "Error before and after refinement",
+        "stribeck at elbow: residual of elbow over speed",
+        "explains 97.0 % less",
+        "70.0 % to 80.0 %",
+    ):
+        assert text in page
+
+
+def test_the_page_asks_for_nothing(page: str) -> None:
+    found = outline(page)
+    for tag, attributes in found.tags:
+        assert tag not in ("iframe", "object", "embed", "base", "form", "img")
+        for name in ("src", "href", "action", "xlink:href", "srcset", "style"):
+            value = attributes.get(name)
+            assert value is None or value.startswith("#") or value == "data:,"
+        assert not any(name.startswith("on") for name in attributes)
+    style = (files("seqid_cli.report") / "templates" / "style.css").read_text()
+    assert "url(" not in style
+    assert "@import" not in style
+    assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org/2000/svg", "")
+
+
+def test_the_policy_allows_its_own_style_and_script_only(page: str) -> None:
+    (policy,) = [
+        attributes["content"]
+        for tag, attributes in outline(page).tags
+        if attributes.get("http-equiv") == "Content-Security-Policy"
+    ]
+    assert policy is not None
+    assert policy.startswith("default-src 'none'; ")
+    assert "unsafe" not in policy
+    for tag in ("style", "script"):
+        (text,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+
+
+def test_every_drawing_says_what_it_shows(page: str) -> None:
+    drawings = re.findall(r"<svg[^>]*>.{0,60}", page)
+    assert len(drawings) > 20
+    for drawing in drawings:
+        assert 'role="img"' in drawing
+        assert "><title>" in drawing
+    figures = re.findall(r"<figure.*?</figure>", page, re.DOTALL)
+    assert figures
+    for figure in figures:
+        assert re.search(r"<desc>[^<]+</desc>", figure)
+    over_data = [figure for figure in figures if "data-name" in figure]
+    assert over_data
+    assert all("<table>" in figure and "tabindex" in figure for figure in over_data)
+
+
+def test_headings_are_in_order_and_ids_are_unique(page: str) -> None:
+    found = outline(page)
+    levels = [int(tag[1]) for tag, _ in found.tags if re.fullmatch("h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
+    ids = [attributes["id"] for _, attributes in found.tags if "id" in attributes]
+    assert len(set(ids)) == len(ids)
+    targets = [str(a["href"])[1:] for tag, a in found.tags if tag == "a"]
+    assert set(targets) <= set(ids)
+    named = [a["aria-labelledby"] for _, a in found.tags if "aria-labelledby" in a]
+    assert set(named) <= set(ids)
+    assert ("html", {"lang": "en"}) in found.tags
+
+
+def hostile_documents() -> list[object]:
+    documents = all_documents()
+    name = HOSTILE
+    for item in documents:
+        content = item.content
+        content.robot.name = name
+        for entry in content.inputs:
+            entry.path = name
+    inertia = inertia_file().stages.inertia
+    assert inertia is not None
+    for item in documents:
+        stages = getattr(item.content, "stages", None)
+        for stage in (getattr(stages, "gravity", None), getattr(stages, "inertia", None)):
+            if isinstance(stage, RigidStage):
+                stage.parameters[0].name = name
+                stage.parameters[0].expression = name
+                stage.parameters[0].terms = {name: 2.0}
+                stage.parameters[0].unit = name
+                stage.notes = [name]
+                stage.not_excited = [name]
+    return list(documents)
+
+
+def test_names_from_files_stay_text(tmp_path: Path) -> None:
+    joint = HOSTILE
+    documents = hostile_documents()
+    prediction = prediction_file()
+    prediction.robot.name = joint
+    prediction.notes = [joint]
+    html = make_report(documents, title=joint)  # type: ignore[arg-type]
+    assert "alert(1)</script>" not in html
+    assert "&lt;script&gt;alert(1)" in html
+    assert "49" not in re.findall(r"<title>(.*?)</title>", html)[0]
+    tags = [tag for tag, _ in outline(html).tags]
+    assert tags.count("script") == 1
+
+
+def test_hostile_joint_names_stay_text(tmp_path: Path) -> None:
+    file = friction_file()
+    assert file.stages.friction is not None
+    file.robot.joints = [HOSTILE, "elbow"]
+    joints = file.stages.friction.joints
+    file.stages.friction.joints = {HOSTILE: joints["shoulder"], "elbow": joints["elbow"]}
+    file.stages.friction.verdicts = []
+    html = make_report([source("f.json", file)])
+    assert [tag for tag, _ in outline(html).tags].count("script") == 1
+    assert "&lt;script&gt;alert(1)" in html
+
+
+@pytest.mark.parametrize(
+    ("given", "commands"),
+    [
+        (0, ["seqid predict LOG...", "seqid diagnose LOG...", "seqid refine LOG..."]),
+        (1, ["seqid friction LOG...", "seqid inertia LOG...", "seqid imu-calib LOG..."]),
+    ],
+)
+def test_what_is_missing_comes_with_its_command(given: int, commands: list[str]) -> None:
+    report = build_report([good_documents()[given]])
+    assert not all(report.sections.values())
+    for command in commands:
+        assert command in report.html
+
+
+def test_a_planar_arm_has_nothing_to_identify_and_that_is_said() -> None:
+    file = inertia_file()
+    file.stages.gravity = RigidStage(
+        parameters=[], condition=0.0, rank=0, notes=["gravity loads no joint"]
+    )
+    html = make_report([source("inertia.json", file)])
+    assert "nothing to identify" in html
+    assert "gravity loads no joint" in html
+
+
+def test_a_joint_that_slides_along_has_its_own_units() -> None:
+    file = friction_file()
+    assert file.stages.friction is not None
+    file.stages.friction.joints["elbow"].unit = "N"
+    html = make_report([source("friction.json", file)])
+    elbow = html.split('id="friction-2"')[1].split("</section>")[0]
+    assert "velocity, m/s" in elbow
+    assert "friction, N<" in elbow
+    assert "N\u202fm" not in elbow
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"speed_range": [0.0, 0.0]},
+        {"speed_range": [0.0, 1.0], "speed_scale": "log"},
+        {"speed_range": [-3.0, -1.0]},
+        {"position_range": [1.0, 1.0]},
+        {"position_range": [-1e300, 1e300]},
+        {"positive": [[0.0], [0.0]]},
+        {"positive": [[1e-300], [0.0]]},
+        {"positive": [[1e200], [1e200]], "covariance": [[1e300, 0.0], [0.0, 1e300]]},
+        {"positive": [[1.7e308], [1.7e308]]},
+        {"covariance": []},
+    ],
+)
+def test_odd_surfaces_do_no_harm(odd: dict[str, object]) -> None:
+    file = friction_file()
+    assert file.stages.friction is not None
+    for name, value in odd.items():
+        setattr(file.stages.friction.joints["elbow"], name, value)
+    html = make_report([source("f.json", file)])
+    drawn = re.findall(r'points="([^"]*)"', html)
+    assert drawn
+    assert not any("n" in points for points in drawn)  # neither nan nor inf
+    elbow = html.split('id="friction-2"')[1].split("</section>")[0]
+    assert "<svg" in elbow or "not finite" in elbow
+
+
+def _luminance(color: str) -> float:
+    text = color.lstrip("#")
+    text = "".join(2 * sign for sign in text) if len(text) == 3 else text
+    parts = [int(text[k : k + 2], 16) / 255 for k in (0, 2, 4)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one: str, other: str) -> float:
+    """Return the contrast ratio of two colours by WCAG 2."""
+    light, dark = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def themes() -> Iterator[dict[str, str]]:
+    style = (files("seqid_cli.report") / "templates" / "style.css").read_text()
+    for block in re.findall(r":root\{(.*?)\}", style, re.DOTALL):
+        yield dict(re.findall(r"--([\w-]+):(#\w+)", block))
+
+
+def test_colours_contrast_in_both_themes() -> None:
+    found = list(themes())
+    assert len(found) == 2
+    for theme in found:
+        for name in ("ink", "soft", "link", "good", "poor", "open"):
+            for ground in ("paper", "card"):
+                assert contrast(theme[name], theme[ground]) >= 4.5, (name, ground)
+        for name in ("good", "poor", "open", "none"):
+            assert contrast(theme[name], theme[f"{name}-fill"]) >= 4.5, name
+        assert contrast(theme["ink"], theme["none-fill"]) >= 4.5
+        for name in ("predicted", "residual", "cut0", "cut1", "cut2", "before", "after"):
+            assert contrast(theme[name], theme["paper"]) >= 3.0, name
+        assert contrast(theme["residual"], theme["residual-fill"]) >= 3.0

@@ -1,0 +1,262 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.signal import lfilter
+
+from seqid_cli.errors import InputError
+from seqid_cli.model.effects.spectral_lines import Signal
+from seqid_cli.report.collection import collect
+from seqid_cli.report.make import build_report, make_report
+from seqid_cli.report.torque_figures import (
+    Place,
+    certain_lines,
+    over_quantity,
+    over_time,
+    spectrum,
+)
+from seqid_cli.report.torques import Series, TorqueTable
+from tests.unit.params.documents import inertia_file
+from tests.unit.report.pages import (
+    LINE_HZ,
+    LOGS,
+    SAMPLES,
+    SPIKE,
+    good_documents,
+    predicted_log,
+    prediction_file,
+    source,
+    write_torques,
+)
+
+PLACE = Place("elbow", "N m", "rad")
+
+
+def opened(path: Path) -> TorqueTable:
+    return TorqueTable.open(path, collect(good_documents()))
+
+
+def test_what_the_real_writer_wrote_is_read_back(tmp_path: Path) -> None:
+    series = opened(write_torques(tmp_path / "t.parquet")).series("elbow")
+    assert [item.log for item in series] == list(LOGS)
+    made = predicted_log(LOGS[1], 1)
+    np.testing.assert_array_equal(series[1].torque, made.tau[:, 1])
+    np.testing.assert_array_equal(series[1].residual, made.tau[:, 1] - made.predicted[:, 1])
+    np.testing.assert_array_equal(series[1].used, made.used)
+    assert made.dq is not None
+    assert series[1].velocity is not None
+    np.testing.assert_array_equal(series[1].velocity, made.dq[:, 1])
+
+
+def test_older_files_have_no_motion(tmp_path: Path) -> None:
+    path = write_torques(tmp_path / "t.parquet")
+    table = pq.read_table(path)
+    kept = [name for name in table.column_names if not name.endswith(("position", "velocity"))]
+    pq.write_table(table.select([name for name in kept if name != "used"]), path)
+    (first, _) = opened(path).series("shoulder")
+    assert first.position is None
+    assert first.used.all()
+    html = make_report(good_documents(), torques=path)
+    assert "holds no position and velocity" in html
+
+
+def test_unknown_motion_is_missing_not_zero(tmp_path: Path) -> None:
+    (first, _) = opened(write_torques(tmp_path / "t.parquet", motion=False)).series("shoulder")
+    assert first.position is not None
+    assert np.isnan(first.position).all()
+    assert over_quantity([first], PLACE, "position", "rad") is None
+
+
+def test_torques_of_another_robot_name_both(tmp_path: Path) -> None:
+    path = write_torques(tmp_path / "t.parquet", joints=["a", "b"])
+    with pytest.raises(InputError, match=r"t\.parquet: is about joints a, b.*inertia\.json"):
+        opened(path)
+
+
+@pytest.mark.parametrize(
+    ("logs", "message"),
+    [
+        (("validation/a.parquet", "c.parquet"), "holds the log c.parquet, which prediction.json"),
+        (("validation/a.parquet",), "lacks the log validation/b.parquet"),
+    ],
+)
+def test_torques_of_other_logs_name_both(
+    tmp_path: Path, logs: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        opened(write_torques(tmp_path / "t.parquet", logs=logs))
+    assert message in str(caught.value)
+    assert "prediction.json" in str(caught.value)
+
+
+def test_torques_of_another_length_are_refused(tmp_path: Path) -> None:
+    path = write_torques(tmp_path / "t.parquet")
+    pq.write_table(pq.read_table(path).slice(10), path)
+    with pytest.raises(InputError, match=rf"{SAMPLES - 10} samples of .*counts {SAMPLES}"):
+        opened(path)
+
+
+def _column(table: pa.Table, name: str, values: object) -> pa.Table:
+    place = table.column_names.index(name)
+    return table.set_column(place, name, pa.array(values))
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("t", lambda x: x[::-1], "goes back"),
+        ("t", lambda x: np.where(x == 0.0, np.nan, x), "missing"),
+        ("elbow.torque", lambda x: np.where(x > 1.0, np.inf, x), r"elbow\.torque is infinite"),
+    ],
+)
+def test_impossible_values_are_refused(
+    tmp_path: Path, name: str, change: object, message: str
+) -> None:
+    path = write_torques(tmp_path / "t.parquet")
+    table = pq.read_table(path)
+    assert callable(change)
+    pq.write_table(_column(table, name, change(table[name].to_numpy())), path)
+    with pytest.raises(InputError, match=message):
+        opened(path).series("elbow")
+
+
+def test_missing_values_are_gaps(tmp_path: Path) -> None:
+    path = write_torques(tmp_path / "t.parquet")
+    table = pq.read_table(path)
+    values = table["elbow.residual"].to_numpy().copy()
+    values[1000:1200] = np.nan
+    pq.write_table(_column(table, "elbow.residual", values), path)
+    first = opened(path).series("elbow")[0]
+    drawn = str(over_time(first, PLACE, [], 200).drawing)
+    assert drawn.count('data-name="residual"') == 2
+    assert "nan" not in drawn
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" + b"\0" * 64 + b"PAR1", b"{}"])
+def test_what_is_no_parquet_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "t.parquet"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"t\.parquet"):
+        opened(path)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"x": [1.0]},
+        {"t": ["a"], "log": ["a"]},
+        {"t": [0.0], "log": [{"a": 1}]},
+        {"t": [0.0], "log": [None]},
+        {"t": [0.0, 1.0, 2.0], "log": ["a", "b", "a"]},
+    ],
+)
+def test_other_tables_are_refused(tmp_path: Path, columns: dict[str, list[object]]) -> None:
+    path = tmp_path / "t.parquet"
+    kinds = ("torque", "predicted", "residual")
+    size = len(next(iter(columns.values())))
+    joints = {f"{joint}.{kind}": [0.0] * size for joint in ("shoulder", "elbow") for kind in kinds}
+    pq.write_table(pa.table({**columns, **joints}), path)
+    with pytest.raises(InputError, match=r"t\.parquet"):
+        opened(path)
+
+
+def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> None:
+    parameters, prediction = good_documents()
+    documents = [parameters, source(str(tmp_path / "prediction.json"), prediction.content)]
+    assert build_report(documents).torques == ""
+    write_torques(tmp_path / "torques.parquet")
+    assert build_report(documents).torques == str(tmp_path / "torques.parquet")
+    write_torques(tmp_path / "torques.parquet", logs=LOGS[:1])
+    assert build_report(documents).torques == ""
+    shutil.copy(__file__, tmp_path / "torques.parquet")
+    assert build_report(documents).torques == ""
+
+
+def _series(path: Path) -> list[Series]:
+    return opened(write_torques(path / "t.parquet")).series("elbow")
+
+
+def test_the_one_bad_sample_is_drawn(tmp_path: Path) -> None:
+    figure = over_time(_series(tmp_path)[0], PLACE, [(1.0, 2.0)], 60)
+    text = str(figure.drawing)
+    line = text.split('data-name="residual"')[0].rpartition("<polyline")[2]
+    heights = [
+        float(pair.split(",")[1]) for pair in line.split('points="')[1].split('"')[0].split()
+    ]
+    assert len(heights) <= 122
+    ends = text.split('data-y="')[2].split('"')[0].split("|")
+    low, high, start, end = (float(value) for value in ends[:4])
+    highest = low + (min(heights) - start) / (end - start) * (high - low)
+    assert highest == pytest.approx(SPIKE, rel=0.02)
+    assert "pushed from 1.00 to 2.00 s" in text
+    assert figure.table is not None
+    assert len(figure.table.rows) == 20
+
+
+def test_the_line_in_the_residual_is_found_and_its_size(tmp_path: Path) -> None:
+    figure = spectrum(_series(tmp_path), PLACE, 30.0, 300)
+    assert figure is not None
+    assert figure.table is not None
+    (row,) = figure.table.rows
+    assert float(row[0]) == pytest.approx(LINE_HZ, abs=0.05)
+    assert float(row[1]) == pytest.approx(0.1, rel=0.1)
+
+
+def test_noise_shows_lines_as_rarely_as_promised() -> None:
+    rng = np.random.default_rng(0)
+    alarms = 0
+    for trial in range(200):
+        slope = (1.0, 0.9)[trial % 2]  # white, and steeply falling with frequency
+        values = lfilter([1.0], [1.0, -slope if slope < 1.0 else 0.0], rng.normal(size=(2, 2500)))
+        signals = [Signal(row, 250.0) for row in values]
+        alarms += bool(certain_lines(signals, 45.0))
+    assert alarms <= 7  # expected 2 at the promised rate of 1 %
+
+
+@pytest.mark.parametrize("quantity", ["position", "velocity"])
+def test_residuals_over_a_quantity_are_those_of_the_samples(tmp_path: Path, quantity: str) -> None:
+    series = _series(tmp_path)
+    figure = over_quantity(series, PLACE, quantity, "rad")
+    assert figure is not None
+    assert figure.table is not None
+    used = np.concatenate([item.residual[item.used] for item in series])
+    most = max(float(str(row[5]).replace("\u2212", "-")) for row in figure.table.rows)
+    assert most == pytest.approx(used.max(), rel=0.01)
+
+
+def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
+    logs = tuple(f"v/{k}.parquet" for k in range(8))
+    prediction = prediction_file()
+    entry = prediction.logs[0]
+    prediction.logs = [
+        type(entry)(
+            path=path,
+            sha256=path.ljust(64, "0"),
+            samples=SAMPLES,
+            cutoff_hz=30.0,
+            joints={
+                name: type(error)(
+                    rmse=0.1,
+                    relative_rmse=0.01 * (k + 1),
+                    max_abs=0.2,
+                    samples=SAMPLES,
+                    rmse_all=0.1,
+                    samples_all=SAMPLES,
+                    share_sliding=1.0,
+                )
+                for name, error in prediction.joints.items()
+            },
+        )
+        for k, path in enumerate(logs)
+    ]
+    documents = [source("inertia.json", inertia_file()), source("prediction.json", prediction)]
+    torques = write_torques(tmp_path / "t.parquet", logs=logs)
+    html = make_report(documents, torques=torques)
+    assert "the 3 of 8 logs with the largest errors" in html
+    shown = [path for path in logs if f"<figcaption>{path}</figcaption>" in html]
+    assert shown == list(logs[5:])

@@ -1,0 +1,268 @@
+"""robot.toml: what it may say, and that every mistake is named by its key."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests import ROOT
+
+from .robots import NAMES_6R, urdf_6r
+
+DATA = ROOT / ".." / "shared" / "data"
+
+HEAD = 'schema = "seqid/robot@1"\nname = "two"\ngravity = [0.0, 0.0, -9.81]\n'
+DH = "dh = { alpha = 0.0, a = 0.1, d = 0.0, theta0 = 0.0 }\n"
+ONE = f'[[joint]]\nname = "one"\n{DH}'
+TWO = f'[[joint]]\nname = "two"\n{DH}'
+IMU = '[[imu]]\nname = "imu_a"\nafter_joint = "two"\n'
+SENSOR = "accelerometers = [ { position = [0.0, 0.0, 0.1], axis = [0.0, 3.0, 4.0] } ]\n"
+
+
+def _load(folder: Path, text: str | bytes) -> Robot:
+    path = folder / "robot.toml"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return load_robot(path)
+
+
+def test_full_file(tmp_path: Path) -> None:
+    drive = "torque_constant = 0.119\ngear_ratio = -101\nrotor_inertia = 1e-4\n"
+    more = "encoder_resolution = 4.8e-5\nposition_limits = [-2.8, 2]\nvelocity_limit = 2\n"
+    channels = (
+        '[channels]\ntime = "timestamp"\nposition = "q_{index0}"\ncurrent = "{name}.i"\n'
+        'effort = "current"\n'
+    )
+    imus = f'{IMU}{SENSOR}[[imu]]\nname = "imu_b"\nafter_joint = "one"\ngyro = true\n'
+    text = HEAD + ONE + drive + more + TWO + drive + "prismatic = true\n" + imus + channels
+    robot = _load(tmp_path, text)
+    one = robot.joints[0]
+    assert robot.joint_names == ("one", "two")
+    assert (one.gear_ratio, one.rotor_inertia, one.position_limits) == (-101.0, 1e-4, (-2.8, 2.0))
+    assert one.torque_per_ampere == pytest.approx(-0.119 * 101)
+    assert (one.prismatic, robot.joints[1].prismatic) == (False, True)
+    np.testing.assert_array_equal(robot.chain.prismatic, [False, True])
+    assert robot.imus[0].after_joint == 1
+    np.testing.assert_allclose(robot.imus[0].axes, [[0.0, 0.6, 0.8]])
+    np.testing.assert_array_equal(robot.imus[0].positions, [[0.0, 0.0, 0.1]])
+    assert robot.imus[1].gyro
+    np.testing.assert_array_equal(robot.imus[1].axes, np.eye(3))
+    np.testing.assert_array_equal(robot.imus[1].positions, np.zeros((3, 3)))
+    assert robot.channels.effort == "current"
+    assert robot.channels.position == "q_{index0}"
+    assert robot.channels.velocity is None
+    assert robot.nominal is None
+    assert robot.gravity.dtype == np.float64
+    assert robot.sha256 == hashlib.sha256(text.encode()).hexdigest()
+
+
+def test_sha256_covers_the_urdf(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(urdf_6r())
+    joints = "".join(f'[[joint]]\nname = "{name}"\n' for name in NAMES_6R)
+    text = f'{HEAD}urdf = "arm.urdf"\n{joints}'
+    robot = _load(tmp_path, text)
+    expected = hashlib.sha256(text.encode() + urdf_6r().encode()).hexdigest()
+    assert robot.sha256 == expected
+    (tmp_path / "arm.urdf").write_text(urdf_6r() + "<!-- changed -->\n")
+    assert _load(tmp_path, text).sha256 != expected
+
+
+CASES = {
+    "typo": (ONE + "gear_ration = 2.0\n", r"unknown key 'joint\[0\].gear_ration' \(joint 'one'\)"),
+    "typo top": ('grafity = "x"\n' + ONE, "unknown key 'grafity'"),
+    "typo dh": (
+        '[[joint]]\nname = "one"\ndh = { alpha = 0.0, a = 0.1, d = 0.0, theta = 0.0 }\n',
+        r"'joint\[0\].dh.theta",
+    ),
+    "typo channels": (ONE + '[channels]\npositon = "q"\n', "unknown key 'channels.positon'"),
+    "typo sensor": (
+        ONE + TWO + IMU + "accelerometers = [ { position = [0, 0, 0], axes = [0, 0, 1] } ]\n",
+        r"'imu\[0\].accelerometers\[0\].ax",
+    ),
+    "missing name": ("[[joint]]\n" + DH, r"key 'joint\[0\].name' is missing"),
+    "wrong type": (
+        ONE + 'gear_ratio = "101"\n',
+        r"joint\[0\].gear_ratio: expected .*\(joint 'one'",
+    ),
+    "bool for number": (ONE + "gear_ratio = true\n", r"joint\[0\].gear_ratio: expected"),
+    "joint no table": ("joint = 3\n", "joint: expected"),
+    "joint of numbers": ("joint = [3]\n", r"joint\[0\]: expected"),
+    "no joint": ("joint = []\n", r"no \[\[joint\]\]"),
+    "nan": (ONE + "rotor_inertia = nan\n", r"joint\[0\].rotor_inertia .* nan"),
+    "inf dh": (
+        '[[joint]]\nname = "one"\ndh = { alpha = inf, a = 0.1, d = 0.0, theta0 = 0.0 }\n',
+        r"joint\[0\].dh.alpha .* inf",
+    ),
+    "gear zero": (ONE + "gear_ratio = 0\n", r"joint\[0\].gear_ratio \(joint 'one'\) is 0"),
+    "kt negative": (ONE + "torque_constant = -1.0\n", r"joint\[0\].torque_constant .* above 0"),
+    "kt error negative": (
+        ONE + "torque_constant_error = -0.01\n",
+        r"joint\[0\].torque_constant_error .* below 1",
+    ),
+    "kt error one": (ONE + "torque_constant_error = 1.0\n", r"torque_constant_error .* below 1"),
+    "kt error nan": (ONE + "torque_constant_error = nan\n", r"torque_constant_error .* finite"),
+    "kt error text": (ONE + 'torque_constant_error = "2 %"\n', r"torque_constant_error: "),
+    "resolution": (ONE + "encoder_resolution = 0.0\n", r"joint\[0\].encoder_resolution .* above 0"),
+    "inertia": (ONE + "rotor_inertia = -1e-4\n", r"joint\[0\].rotor_inertia .* 0 or more"),
+    "limits": (ONE + "position_limits = [1.0, 1.0]\n", r"joint\[0\].position_limits .* ascending"),
+    "limits nan": (ONE + "position_limits = [nan, 1.0]\n", r"joint\[0\].position_limits\[0\]"),
+    "limits length": (ONE + "position_limits = [1.0]\n", r"joint\[0\].position_limits: expected"),
+    "duplicate": (ONE + ONE, r"joint\[1\].name 'one' is already the name of joint\[0\]"),
+    "empty name": (ONE.replace('"one"', '" "'), r"joint\[0\].name is ' '"),
+    "no geometry": ('[[joint]]\nname = "one"\n', r"neither urdf nor joint\[0\].dh \(joint 'one'\)"),
+    "half dh": (ONE + '[[joint]]\nname = "two"\n', r"neither urdf nor joint\[1\].dh"),
+    "both": ('urdf = "a.urdf"\n' + ONE, r"both urdf and joint\[0\].dh"),
+    "urdf missing": ('urdf = "no.urdf"\n[[joint]]\nname = "one"\n', "no.urdf: URDF not found"),
+    "imu joint": (
+        ONE + TWO + IMU.replace('"two"', '"tow"') + SENSOR,
+        r"imu\[0\].after_joint .*'tow'",
+    ),
+    "imu twice": (ONE + TWO + (IMU + SENSOR) * 2, r"imu\[1\].name 'imu_a' is already"),
+    "imu empty": (ONE + TWO + IMU, r"imu\[0\] .* neither accelerometers nor a gyro"),
+    "axis zero": (
+        ONE + TWO + IMU + SENSOR.replace("3.0, 4.0", "0.0, 0.0"),
+        r"imu\[0\].accelerometers\[0\].axis .* no direction",
+    ),
+    "pattern same": (
+        ONE + TWO + '[channels]\nposition = "q"\n',
+        "channels.position 'q' is the same",
+    ),
+    "pattern unknown": (
+        ONE + '[channels]\nposition = "q_{joint}"\n',
+        "unknown placeholder {joint}",
+    ),
+    "pattern attribute": (
+        ONE + '[channels]\nposition = "q_{name.__class__}"\n',
+        "unknown placeholder {name.__class__}",
+    ),
+    "pattern format": (ONE + '[channels]\nposition = "q_{index:9999999}"\n', "placeholder {index}"),
+    "pattern brace": (ONE + '[channels]\nposition = "q_{index"\n', "channels.position"),
+    "effort": (ONE + '[channels]\neffort = "amps"\n', "channels.effort: "),
+    "effort current": (
+        ONE + '[channels]\neffort = "current"\n',
+        r"channels.effort .* joint\[0\].torque_constant \(joint 'one'\) is missing",
+    ),
+    "current": (
+        ONE + "torque_constant = 1.0\n" + TWO + '[channels]\ncurrent = "i_{index}"\n',
+        r"channels.current .* joint\[1\].torque_constant \(joint 'two'\) is missing",
+    ),
+    "twice": (ONE + DH, "not valid TOML: .*line"),
+    "syntax": ("a b\n" + ONE, r"not valid TOML: .*line 4"),
+    "huge": (ONE + f"gear_ratio = 1{'0' * 400}\n", r"gear_ratio|too large"),
+    "deep": ("x = " + "[" * 100000 + "\n", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_mistakes_are_named_by_file_and_key(tmp_path: Path, case: str) -> None:
+    text, message = CASES[case]
+    with pytest.raises(ConfigError, match=message) as caught:
+        _load(tmp_path, HEAD + text)
+    assert caught.value.where.startswith(str(tmp_path))
+    assert caught.value.hint
+
+
+def test_nearest_key_is_offered(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        _load(tmp_path, HEAD + ONE + "gear_ration = 2.0\n")
+    assert "Did you mean 'gear_ratio'?" in caught.value.hint
+    with pytest.raises(ConfigError) as caught:
+        _load(tmp_path, HEAD + ONE + TWO + IMU.replace('"two"', '"tow"') + SENSOR)
+    assert "Did you mean 'two'?" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("schema", "message"),
+    [
+        ('schema = "seqid/robot@2"', "newer than this seqid knows"),
+        ('schema = "seqid/params@1"', "schema is 'seqid/params@1'"),
+        ("schema = 1", "schema is 1"),
+        ("", "the key 'schema' is missing"),
+    ],
+)
+def test_schema_is_checked_before_anything_else(tmp_path: Path, schema: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        _load(tmp_path, f"{schema}\nkey_of_the_future = 1\n")
+
+
+@pytest.mark.parametrize("gravity", ["[0.0, -9.81]", "[0, 0, nan]", "9.81", "[0, 0, 0, 0]"])
+def test_gravity_is_three_finite_numbers(tmp_path: Path, gravity: str) -> None:
+    with pytest.raises(ConfigError, match="gravity"):
+        _load(tmp_path, HEAD.replace("[0.0, 0.0, -9.81]", gravity) + ONE)
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "other.toml").touch()
+    with pytest.raises(ConfigError, match="robot file not found") as caught:
+        load_robot(tmp_path / "robot.toml")
+    assert "other.toml" in caught.value.hint
+    with pytest.raises(ConfigError, match="is a folder"):
+        load_robot(tmp_path)
+    with pytest.raises(ConfigError, match="line 2 is not UTF-8"):
+        _load(tmp_path, b'name = "a"\n\xff\n')
+    with pytest.raises(ConfigError, match="larger than"):
+        _load(tmp_path, b"#" * (5 * 2**20))
+
+
+def test_prismatic_that_contradicts_the_urdf(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(urdf_6r())
+    joint = '[[joint]]\nname = "elbow"\nprismatic = true\n'
+    with pytest.raises(ConfigError, match=r"joint\[0\].prismatic .* revolute joint"):
+        _load(tmp_path, f'{HEAD}urdf = "arm.urdf"\n{joint}')
+
+
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_damaged_bytes_raise_nothing_but_config_errors(tmp_path: Path, data: st.DataObject) -> None:
+    good = (HEAD + ONE + TWO + IMU + SENSOR + '[channels]\ntime = "t"\n').encode()
+    at = data.draw(st.integers(0, len(good)))
+    cut = data.draw(st.integers(0, 12))
+    junk = data.draw(
+        st.binary(max_size=6) | st.sampled_from([b"nan", b"[", b"{", b"'''", b"1e999"])
+    )
+    text = good[:at] + junk + good[at + cut :]
+    try:
+        robot = _load(tmp_path, text)
+    except ConfigError:
+        return  # anything else fails the test
+    assert np.isfinite(robot.chain.position).all()
+    assert robot.sha256 == hashlib.sha256(text).hexdigest()
+
+
+def test_a_wrong_file_is_reported_before_heavy_imports(tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_text(HEAD + 'urdf = "no.urdf"\n[[joint]]\nname = "one"\n')
+    script = (
+        "import sys, pathlib\n"
+        "from seqid_cli.errors import ConfigError\n"
+        "from seqid_cli.robot.file import load_robot\n"
+        "try:\n    load_robot(pathlib.Path(sys.argv[1]))\n"
+        "except ConfigError:\n    sys.exit(len({'numpy', 'pinocchio'} & set(sys.modules)))\n"
+        "sys.exit(9)\n"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path / "robot.toml")]
+    run = subprocess.run(command, cwd=ROOT, check=False)
+    assert run.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("folder", "joints"),
+    [("staubli_tx40", 6), ("ur10e_innopolis", 6), ("dfki_simple_pendulum", 1), ("laas_cogging", 1)],
+)
+def test_recorded_robots_load(folder: str, joints: int) -> None:
+    path = DATA / folder / "robot.toml"
+    if not path.exists():
+        pytest.skip("the recorded robots are not beside the project")
+    robot = load_robot(path)
+    assert robot.n == joints
+    assert robot.channels.position == "q_{index}"

@@ -1,0 +1,118 @@
+"""Dask does the same work to the last bit, on a cluster inside this very process."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("distributed", reason="Dask is not installed (seqid[dask])")
+
+from seqid_cli.commands.app import run
+from seqid_cli.errors import UsageError
+from seqid_cli.identify import RigidOptions, inertia
+from seqid_cli.scale.executors import dask_cluster
+from tests import ROOT
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+]
+
+RIG = ROOT / "sample_logs" / "two_joint"
+GOLDEN = ("-r", str(RIG / "robot.toml"), "-p", str(RIG / "golden.json"), "--motion", "encoder")
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """Start a scheduler and two workers as threads; returns the address."""
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def document(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(path.read_text())
+    del found["created"]
+    return found
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> list[str]:
+    """Return five logs, of which the middle one is damaged."""
+    source = sorted((RIG / "inertia").glob("*.parquet"))
+    names = [tmp_path / f"{k}.parquet" for k in range(5)]
+    for k, name in enumerate(names):
+        shutil.copy(source[k % 2], name)
+    names[2].write_bytes(b"PAR1" + b"\0" * 100 + b"PAR1")
+    return [str(name) for name in names]
+
+
+def test_the_cluster_changes_no_bit(
+    scheduler: str, logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = []
+    for engine in ((), ("--engine", "dask", "--scheduler", scheduler)):
+        output = tmp_path / f"out{len(found)}.json"
+        words = ["inertia", *logs, *GOLDEN, "-o", str(output), "--skip-failed", *engine]
+        assert run(words) == 3
+        assert f"warning: left out: {logs[2]}: " in capsys.readouterr().err
+        found.append(document(output))
+    assert sum(log["stage"] == "inertia" for log in found[0]["inputs"]) == 4
+    assert found[0] == found[1]
+
+
+def test_predictions_come_in_order(
+    scheduler: str, logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = [log for k, log in enumerate(logs) if k != 2]
+    found = []
+    for engine in ((), ("--engine", "dask", "--scheduler", scheduler)):
+        output, torques = tmp_path / "out.json", tmp_path / "torques.parquet"
+        words = ["predict", *good, *GOLDEN, "-o", str(output), "--torques", str(torques)]
+        assert run([*words, *engine]) == 0
+        found.append((document(output), torques.read_bytes()))
+    assert [log["path"] for log in found[0][0]["logs"]] == good
+    assert found[0] == found[1]
+    capsys.readouterr()
+
+
+def test_a_log_that_fails_stops_the_command_by_name(
+    scheduler: str, logs: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path(logs[2]).write_bytes(Path(logs[1]).read_bytes()[:-1000] + b"PAR1")
+    words = ["inertia", *logs, *GOLDEN, "--engine", "dask", "--scheduler", scheduler]
+    assert run(words) == 2
+    assert f"error: {logs[2]}: " in capsys.readouterr().err
+
+
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
+    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with (
+            pytest.raises(UsageError, match="no Dask scheduler answers"),
+            dask_cluster(address),
+        ):
+            raise AssertionError
+
+
+def test_any_executor_will_do(scheduler: str, logs: list[str]) -> None:
+    """A thread pool and a client's own executor give what this process gives, bit by bit."""
+    from distributed import Client
+
+    good = [log for k, log in enumerate(logs) if k != 2]
+    arm, before, options = RIG / "robot.toml", RIG / "golden.json", RigidOptions(source="encoder")
+    here = inertia(good, arm, before, options)
+    with ThreadPoolExecutor(2) as threads:
+        assert inertia(good, arm, before, options, executor=threads).stages == here.stages
+    with Client(scheduler, set_as_default=False) as client:
+        executor = client.get_executor()
+        assert inertia(good, arm, before, options, executor=executor).stages == here.stages

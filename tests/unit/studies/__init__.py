@@ -1,0 +1,1 @@
+"""Tests of the studies: small, the studies themselves are programs."""

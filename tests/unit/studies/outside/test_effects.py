@@ -1,0 +1,221 @@
+"""Every effect changes the torque as its name says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.studies.outside import motions
+from tests.studies.outside.arms import GRAVITY, Arm
+from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
+from tests.studies.outside.effects import Effect, State
+from tests.studies.outside.plan import KINDS, LEAST, MOST, sized
+from tests.studies.outside.simulate import Log, built, simulate
+
+Array = NDArray[np.float64]
+
+
+def made(kind: str, arm: Arm, joint: int = 0, scale: float = 1.0, seed: int = 3) -> Effect:
+    return KINDS[kind](arm, joint, np.random.default_rng(seed)).make(scale)
+
+
+def sweep(arm: Arm, speeds: tuple[float, ...], *effects: Effect) -> Log:
+    motion = motions.trial(arm, 0, np.zeros(arm.n), np.array(speeds) / arm.links[0].speed)
+    return simulate(arm, motion, 1, effects, start=30.0)
+
+
+def halves(kind: str, at: float = 0.6, speed: float = 0.6) -> tuple[float, float]:
+    """What an effect adds at a place, up and down: half the difference and half the sum."""
+    arm = pendulum(coulomb=1.0)
+    plain, changed = sweep(arm, (speed,)), sweep(arm, (speed,), made(kind, arm))
+    up, down = sweeps(plain.t, plain.q[:, 0], speed, at)
+    more = (changed.torque - plain.torque)[:, 0]
+    return 0.5 * (more[up].mean() - more[down].mean()), 0.5 * (more[up].mean() + more[down].mean())
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "stribeck",
+        "load_dependent_friction",
+        "friction_change",
+        "quadratic_drag",
+        "nonlinear_viscous",
+        "thermal_friction",
+        "position_dependent_friction",
+        "presliding_hysteresis",
+    ],
+)
+def test_friction_turns_with_the_direction(kind: str) -> None:
+    odd, even = halves(kind, speed={"stribeck": 0.2, "nonlinear_viscous": 1.2}.get(kind, 0.6))
+    if kind == "presliding_hysteresis":  # far from a reversal the bristles carry all of their part
+        assert abs(odd) < 0.03
+    else:
+        assert abs(odd) > 0.03
+    assert abs(even) < 0.2 * abs(odd) + 0.01
+
+
+@pytest.mark.parametrize(
+    "kind", ["spring", "payload", "base_tilt", "torque_bias", "asymmetric_friction"]
+)
+def test_what_is_no_friction_does_not(kind: str) -> None:
+    odd, even = halves(kind)
+    assert abs(even) > 0.03
+    assert abs(odd) < 0.2 * abs(even) + 0.01
+
+
+@pytest.mark.parametrize(("kind", "grows"), [("stribeck", -1), ("quadratic_drag", 1)])
+def test_friction_over_speed(kind: str, grows: int) -> None:
+    arm = pendulum(coulomb=1.0)
+    slow, fast = (abs(halves(kind, speed=speed)[0]) for speed in (0.2, 1.2))
+    assert (fast - slow) * grows > 0.1 * arm.drives[0].coulomb
+
+
+def test_gear_losses_follow_the_load_and_the_power() -> None:
+    """The extra friction over the load is the coefficient, of its own while driven."""
+    arm = pendulum(mass=4.0, coulomb=0.5)
+    plain = sweep(arm, (0.6,))
+    up, down = sweeps(plain.t, plain.q[:, 0], 0.6, 1.0)  # gravity drives the way up from the top
+    load = 4.0 * GRAVITY * 0.4 * np.sin(1.0)
+    losses = {}
+    for kind in ("load_dependent_friction", "gear_efficiency"):
+        more = (sweep(arm, (0.6,), made(kind, arm)).torque - plain.torque)[:, 0]
+        losses[kind] = more[up].mean() / load, -more[down].mean() / load
+    assert losses["load_dependent_friction"] == pytest.approx((0.08, 0.08), abs=0.008)
+    assert sorted(losses["gear_efficiency"]) in (
+        pytest.approx([0.03, 0.15], abs=0.01),
+        pytest.approx([0.06, 0.15], abs=0.01),
+    )
+
+
+def test_weights_at_rest() -> None:
+    arm, held = pendulum(), np.full((1500, 1), 0.7)
+    payload = made("payload", arm)
+    model = built(arm, [payload])
+    mass, place = model.body_mass[-1], model.body_pos[-1]
+    assert mass == pytest.approx(0.6)
+    log = simulate(arm, held, 1, [payload])
+    c, s = np.cos(log.q[-1, 0]), np.sin(log.q[-1, 0])  # it sags a little
+    both = 2.0 * 0.4 * s + mass * (place[0] * c + place[2] * s)
+    assert log.torque[-1, 0] == pytest.approx(-GRAVITY * both, rel=1e-3)
+    tilt = made("base_tilt", arm, scale=2.0)
+    down = built(arm, [tilt]).opt.gravity
+    assert np.degrees(np.arccos(-down[2] / GRAVITY)) == pytest.approx(4.0, abs=1e-6)
+    log = simulate(arm, held, 1, [tilt])
+    c, s = np.cos(log.q[-1, 0]), np.sin(log.q[-1, 0])
+    assert log.torque[-1, 0] == pytest.approx(2.0 * 0.4 * (down[2] * s - down[0] * c), rel=1e-3)
+
+
+def twist(arm: Arm, effect: Effect, torque: float) -> float:
+    """Angle of the link beyond its motor, which is held, under a torque (without weight)."""
+    model = built(arm, [effect])
+    model.opt.gravity[:] = 0.0
+    data = mujoco.MjData(model)
+    motor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "j1_motor")
+    model.dof_damping[1 - motor] = 2.0
+    for _ in range(3000):
+        data.qfrc_applied[motor] = -1e4 * data.qpos[motor] - 50.0 * data.qvel[motor]
+        data.qfrc_applied[1 - motor] = torque
+        mujoco.mj_step(model, data)
+    return float(data.qpos[1 - motor] - data.qpos[motor])
+
+
+def test_gears_twist_and_have_gaps() -> None:
+    arm = pendulum()
+    elastic, loose = made("joint_elasticity", arm), made("backlash", arm)
+    stiffness = arm.drives[0].rotor * (2.0 * np.pi * 25.0) ** 2
+    assert twist(arm, elastic, 2.0) == pytest.approx(2.0 / stiffness, rel=0.02)
+    flanks = [twist(arm, loose, torque) for torque in (0.05, -0.05)]
+    assert flanks == pytest.approx([0.0015, -0.0015], abs=2e-4)
+
+
+def test_a_coupled_drive_rubs_when_the_other_joint_turns() -> None:
+    """A held joint feels the friction of its drive that another one turns: 3 N m each way."""
+    arm = quiet_arm(5)
+    drives = tuple(replace(d, coulomb=3.0, waviness=0.0, viscous=0.0) for d in arm.drives)
+    arm = replace(arm, drives=drives, bandwidth=90.0)
+    motion = motions.trial(arm, 0, np.zeros(2), np.array([0.2]))
+    coupled = simulate(arm, motion, 1, [made("transmission_coupling", arm, 1)])
+    plain = simulate(arm, motion, 1)
+    more = coupled.torque - plain.torque
+    up, down = sweeps(plain.t, plain.q[:, 0], 0.2 * arm.links[0].speed, 0.0, width=0.3)
+    both = 0.5 * np.abs(more[up].mean(axis=0) - more[down].mean(axis=0))
+    assert both[0] == pytest.approx(3.0, rel=0.1)
+
+
+def test_a_heavier_rotor_is_felt_in_acceleration_alone() -> None:
+    arm = pendulum()
+    motion = motions.multisine(arm, np.random.default_rng(1), 6.0)
+    plain, heavy = (simulate(arm, motion, 1, e) for e in ((), [made("rotor_inertia", arm)]))
+    more = (heavy.torque - plain.torque)[:, 0]
+    ddq = np.gradient(np.gradient(heavy.q[:, 0], heavy.t), heavy.t)
+    assert np.polyfit(ddq, more, 1)[0] == pytest.approx(0.5 * arm.drives[0].rotor, rel=0.1)
+
+
+def test_what_sensors_say() -> None:
+    """Sensors' effects as functions of the true torque and time, exactly."""
+    arm = replace(quiet_arm(6), drives=tuple(replace(d, coulomb=2.0) for d in quiet_arm(6).drives))
+    t = 100.0 + np.arange(0.0, 4.0, 1e-3)
+    tau = np.column_stack([np.sin(3.0 * t), 0.5 * np.cos(2.0 * t)])
+    more = {}
+    for kind in ("torque_constant", "torque_saturation", "torque_bias", "drift", "time_skew"):
+        effect = made(kind, arm)
+        assert effect.told is not None
+        more[kind] = (effect.told(tau, t) - tau)[:, 0]
+    own = tau[:, 0]
+    np.testing.assert_allclose(np.abs(more["torque_constant"]), 0.05 * np.abs(own), atol=1e-12)
+    np.testing.assert_allclose(more["torque_saturation"], 0.05 * own**3 / 400.0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(more["torque_bias"]), 0.8, atol=1e-12)
+    np.testing.assert_allclose(np.abs(more["drift"]), 2.0 * t / 60.0, atol=1e-9)
+    late = np.abs(np.interp(t - 0.003, t, own) - own)
+    early = np.abs(np.interp(t + 0.003, t, own) - own)
+    assert min(np.abs(np.abs(more["time_skew"]) - x)[10:-10].max() for x in (late, early)) < 1e-9
+
+
+def test_a_lagging_drive_follows_in_its_time_constant() -> None:
+    drive = made("actuator_lag", pendulum()).drive
+    assert drive is not None
+    state = State(0.0, np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
+    drive(np.zeros(1), state)
+    acting = [drive(np.ones(1), state)[0] for _ in range(3)]
+    assert acting[-1] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-9)
+
+
+def test_bristles_bend_over_a_distance_whatever_the_speed() -> None:
+    arm = pendulum(coulomb=2.0)
+    bent = []
+    for speed in (0.1, 1.0):
+        effect = made("presliding_hysteresis", arm, scale=0.5)
+        assert effect.push is not None
+        state = State(0.0, np.zeros(1), np.full(1, speed), np.zeros(1), np.zeros(1))
+        for _ in range(round(0.02 / (1e-3 * speed))):
+            torque = effect.push(state)
+        bent.append(float(torque[0]))
+    assert bent[0] == pytest.approx(bent[1], rel=1e-6)
+    assert -0.5 * 2.0 < bent[0] < -0.05
+
+
+def test_an_eccentric_disc_misleads_by_a_wave() -> None:
+    arm = quiet_arm(7)
+    angle = made("encoder_eccentricity", arm, 1).angle
+    assert angle is not None
+    q = np.column_stack([np.zeros(2000), np.linspace(-3.2, 3.2, 2000)])
+    apart = angle(q) - q
+    assert np.all(apart[:, 0] == 0.0)
+    assert np.ptp(apart[:, 1]) in (
+        pytest.approx(0.02, rel=0.02),
+        pytest.approx(0.04 / arm.drives[1].ratio, rel=0.02),
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_effect_comes_in_the_size_that_was_drawn(kind: str) -> None:
+    arm, rng = quiet_arm(8), np.random.default_rng(list(kind.encode()))
+    effect, share = sized(arm, KINDS[kind](arm, 1, rng), rng)
+    assert effect.name == kind
+    least = 0.002 if kind in ("presliding_hysteresis", "actuator_lag", "backlash") else LEAST
+    assert 0.8 * least < share < 1.2 * MOST

@@ -1,0 +1,176 @@
+"""The second simulator: energy, statics, files, sensors, and a clean arm identified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from seqid_cli import identify
+from seqid_cli.inspect.screening import read_screened
+from seqid_cli.robot.file import load_robot
+from tests.studies.outside import motions
+from tests.studies.outside.arms import GRAVITY, drawn_arm
+from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
+from tests.studies.outside.cases import SPEEDS, write
+from tests.studies.outside.plan import PUBLISHED
+from tests.studies.outside.robotfiles import robot_toml, urdf
+from tests.studies.outside.simulate import built, simulate
+
+
+def test_a_swing_without_friction_keeps_its_energy() -> None:
+    model = built(pendulum())
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    data = mujoco.MjData(model)
+    data.qpos[:] = 2.0
+    energies = []
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+        energies.append(data.energy.sum())
+    assert np.ptp(energies) < 0.01 * 2.0 * 2.0 * GRAVITY * 0.4
+
+
+def test_the_torque_at_rest_is_the_weight() -> None:
+    log = simulate(pendulum(), np.full((1500, 1), 0.7), seed=1)
+    assert log.true_torque[-1, 0] == pytest.approx(-2.0 * GRAVITY * 0.4 * np.sin(0.7), rel=1e-3)
+    assert log.torque[-1, 0] == pytest.approx(log.true_torque[-1, 0], rel=1e-9)
+
+
+def test_friction_holds_and_then_slides() -> None:
+    """At constant speed both ways the torques differ by twice the friction."""
+    arm = pendulum(coulomb=3.0)
+    log = simulate(arm, motions.trial(arm, 0, np.zeros(1), np.array([0.2])), seed=1)
+    up, down = sweeps(log.t, log.q[:, 0], 0.6, 0.5)
+    half = 0.5 * (log.true_torque[up].mean() - log.true_torque[down].mean())
+    assert half == pytest.approx(3.0 * (1.0 + 0.1 * np.sin(0.5)), rel=0.02)
+
+
+@pytest.mark.parametrize("label", [*PUBLISHED, "drawn"])
+def test_simulator_and_urdf_are_one_arm(label: str) -> None:
+    """Weight and mass matrix in MuJoCo, and by Pinocchio from the URDF, some links locked."""
+    rng = np.random.default_rng(1)
+    arm = drawn_arm(rng, label, 3, imus=False)
+    model = built(arm)
+    data = mujoco.MjData(model)
+    other = pin.buildModelFromXML(urdf(arm))
+    for _ in range(3):
+        data.qpos[:] = rng.uniform(-1.0, 1.0, 3)
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((3, 3))
+        mujoco.mj_fullM(model, data, mass)
+        rigid = mass - np.diag(arm.of("rotor"))
+        theirs = other.createData()
+        symmetric = pin.crba(other, theirs, data.qpos)
+        np.testing.assert_allclose(rigid, symmetric, atol=1e-6 * np.abs(rigid).max())
+        weight = pin.computeGeneralizedGravity(other, theirs, data.qpos)
+        np.testing.assert_allclose(data.qfrc_bias, weight, atol=1e-6 * np.abs(weight).max() + 1e-9)
+
+
+def test_logged_torque_is_inverse_dynamics_and_friction() -> None:
+    """MuJoCo's inverse dynamics of the logged motion, and friction, make up the torque."""
+    arm = quiet_arm(4)
+    arm = replace(arm, drives=tuple(replace(d, count=1e-9) for d in arm.drives))
+    log = simulate(arm, motions.multisine(arm, np.random.default_rng(2), 6.0), seed=1)
+    dq = np.gradient(log.q, log.t, axis=0)
+    ddq = np.gradient(dq, log.t, axis=0)
+    model = built(arm)
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    rigid = np.empty_like(dq)
+    for k in range(len(dq)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = log.q[k], dq[k], ddq[k]
+        mujoco.mj_inverse(model, data)
+        rigid[k] = data.qfrc_inverse
+    coulomb, waves, phase = (arm.of(name) for name in ("coulomb", "waviness", "phase"))
+    friction = np.sign(dq) * coulomb * (1.0 + waves * np.sin(log.q + phase))
+    slides = np.abs(dq).min(axis=1) > 0.1
+    apart = (log.true_torque - rigid - friction)[slides]
+    assert slides.sum() > 300
+    assert np.median(np.abs(apart), axis=0) == pytest.approx(0.0, abs=0.05 * coulomb.min())
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_imus_feel_weight_and_turn(gyro: bool) -> None:
+    arm = pendulum(coulomb=0.5)
+    imu = replace(quiet_arm(1, 1, imus=True).imus[0], gyro=gyro, noise=0.0, bias=np.zeros(12))
+    arm = replace(arm, imus=(imu,))
+    still = simulate(arm, np.full((1500, 1), 0.3), seed=1).accelerometers["imu0"][-1]
+    corners = still.reshape(-1, 3)
+    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), GRAVITY, rtol=1e-3)
+    log = simulate(arm, motions.multisine(arm, np.random.default_rng(2), 5.0), seed=1)
+    dq = np.gradient(log.q[:, 0], log.t)
+    readings = log.accelerometers["imu0"].reshape(len(dq), -1, 3)
+    if gyro:
+        assert readings.shape[1] == 1
+        turn = np.linalg.norm(log.gyros["imu0"], axis=1)
+        np.testing.assert_allclose(turn[50:-50], np.abs(dq[50:-50]), atol=0.03)
+    else:  # corners of a rigid body: their readings differ by w x (w x r) + w' x r alone
+        ddq = np.gradient(dq, log.t)
+        apart = np.linalg.norm(readings[:, 1] - readings[:, 0], axis=1)
+        assert np.all(apart < 0.05 * (dq**2 + np.abs(ddq)) + 0.1)
+        assert apart.max() > 0.02
+
+
+@pytest.mark.parametrize("sort", motions.MOTIONS)
+def test_motions_keep_ranges_and_speeds(sort: str) -> None:
+    arm = drawn_arm(np.random.default_rng(2), "panda", 3, imus=False)
+    q = motions.MOTIONS[sort](arm, np.random.default_rng(3), 12.0)
+    assert 10.0 < 1e-3 * len(q) < 14.0
+    for link, line in zip(arm.links, q.T, strict=False):
+        assert np.abs(line - link.middle).max() <= link.reach + 1e-9
+        assert np.abs(np.diff(line)).max() <= 1e-3 * link.speed * 1.001
+        assert np.ptp(line) > 0.2 * link.reach
+    speed = np.abs(q[1] - q[0]) / 1e-3
+    assert np.all(speed < [0.01 * link.speed for link in arm.links[:3]])  # no jolt
+
+
+def test_trials_begin_at_rest() -> None:
+    arm = drawn_arm(np.random.default_rng(2), "drawn", 2, imus=False)
+    q = motions.trial(arm, 1, np.zeros(2), SPEEDS)
+    assert np.abs(np.diff(q[:50], axis=0)).max() == 0.0
+    speeds = np.abs(np.diff(q[:, 1])) / 1e-3 / arm.links[1].speed
+    for speed in SPEEDS:
+        assert np.mean(np.abs(speeds - speed) < 1e-3) * len(speeds) * 1e-3 > 1.0
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "mcap"])
+def test_a_clean_pendulum_is_identified_to_within_its_errors(tmp_path: Path, suffix: str) -> None:
+    arm = replace(pendulum(coulomb=1.0), noise=0.05)
+    robot = tmp_path / "robot.toml"
+    robot.write_text(robot_toml(arm))
+    (tmp_path / "arm.urdf").write_text(urdf(arm))
+    rng, logs = np.random.default_rng(2), []
+    sweeping = motions.trial(arm, 0, np.zeros(1), SPEEDS)
+    for name, motion in (("trial", sweeping), ("moves", motions.multisine(arm, rng, 15.0))):
+        log = simulate(arm, motion, seed=1)
+        logs.append(tmp_path / f"{name}.{suffix}")
+        write(logs[-1], arm, log, log.t + 5.0)
+    files = [tmp_path / f"{k}.json" for k in range(2)]
+    identify.friction(logs[:1], robot, output=files[0])
+    gravity = identify.gravity(logs[:1], robot, files[0], output=files[1]).stages.gravity
+    inertia = identify.inertia(logs[1:], robot, files[1]).stages.inertia
+    assert gravity is not None
+    assert inertia is not None
+    weight = max(gravity.parameters, key=lambda p: abs(p.value))
+    assert abs(abs(weight.value) - 2.0 * 0.4) < 4.0 * weight.std_error + 0.004
+    felt = max(inertia.parameters, key=lambda p: abs(p.value))
+    truth = 0.02 + 2.0 * 0.4**2 + 0.1
+    assert abs(felt.value - truth) < 4.0 * felt.std_error + 0.01 * truth
+
+
+def test_a_held_joint_that_another_shakes_is_not_judged(tmp_path: Path) -> None:
+    """Its torque is the controller's law, -k_p (q - q_0) - k_d dq, whatever its friction."""
+    arm = replace(
+        drawn_arm(np.random.default_rng(2), "drawn", 3, imus=False), bandwidth=12.0, forward=0.3
+    )
+    (tmp_path / "robot.toml").write_text(robot_toml(arm))
+    (tmp_path / "arm.urdf").write_text(urdf(arm))
+    log = simulate(arm, motions.trial(arm, 0, np.array([0.4, -0.3, 0.2]), SPEEDS[2:]), seed=1)
+    write(tmp_path / "t.parquet", arm, log, log.t)
+    screened = read_screened(tmp_path / "t.parquet", load_robot(tmp_path / "robot.toml"))
+    assert np.ptp(screened.recording.q, axis=0)[1:].min() > 0.02
+    assert screened.findings == ()

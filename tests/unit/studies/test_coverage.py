@@ -1,0 +1,152 @@
+"""The coverage study: its arithmetic, its truths, its seeds and its results file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.identify.rotor_coupling import _open
+from tests.plants.rigs import plain
+from tests.studies import coverage
+from tests.studies.coverage import TUNING, key_of, read, seeds_of, summary
+from tests.studies.coverage_cases import Case, case_of, draw, record
+from tests.studies.coverage_score import Result, compare, identified, program, row, z_of
+from tests.studies.coverage_tables import coverage as coverage_of
+from tests.studies.coverage_tables import decision, independent, tables_of, wilson
+
+
+def test_z_of_an_error_stated_as_none_is_infinite() -> None:
+    z = z_of([row("inertia", "a", 1.5, 0.25, 1.0), row("inertia", "a", 1.5, 0.0, 1.0)])
+    assert z[0] == 2.0
+    assert np.isinf(z[1])
+
+
+def test_wilsons_interval_of_a_textbook_case() -> None:
+    assert wilson(0.9, 100) == pytest.approx((0.8256, 0.9448), abs=1e-4)
+    low, high = wilson(1.0, 20)
+    assert low == pytest.approx(20 / (20 + 1.96**2), abs=1e-4)
+    assert high == pytest.approx(1.0)
+
+
+def test_values_of_one_seed_that_agree_count_once() -> None:
+    rng = np.random.default_rng(0)
+    apart = list((rng.random((400, 10)) < 0.7).astype(float))
+    alike = [np.full(10, float(x)) for x in rng.random(400) < 0.7]
+    assert independent(apart) == pytest.approx(4000, rel=0.25)
+    assert independent(alike) == pytest.approx(400, rel=0.25)
+
+
+def test_honest_errors_are_covered_and_halved_ones_are_not() -> None:
+    z = list(np.random.default_rng(1).standard_normal((300, 4)))
+    honest, halved = coverage_of(z), coverage_of([2 * x for x in z])
+    assert honest.low < 0.95 < honest.high
+    assert honest.rms == pytest.approx(1.0, abs=0.05)
+    assert halved.high < 0.75
+
+
+@pytest.mark.parametrize("text", ["990:1010", "500:20000", "2000:2100", "9999:10001"])
+def test_seeds_for_tuning_and_for_judging_are_not_mixed(text: str) -> None:
+    with pytest.raises(SystemExit, match="not both"):
+        seeds_of(text)
+
+
+def test_seeds_of_either_kind() -> None:
+    assert seeds_of("0:1000") == TUNING
+    assert seeds_of("10000-10200") == range(10000, 10200)
+    assert seeds_of("12") == range(12, 13)
+
+
+def test_a_table_of_both_kinds_is_refused() -> None:
+    one: Result = {"seed": 3, "program": "", "cpu_s": 1.0}
+    with pytest.raises(SystemExit, match="not both"):
+        summary([one, one | {"seed": 10003}])
+
+
+@pytest.mark.parametrize("rig", ["one", "planar", "six"])
+def test_seeds_draw_other_arms_and_the_same_with_every_noise(rig: str) -> None:
+    first, second = (draw(Case(rig, seed, "white", "fine")).plant for seed in (4, 5))
+    other = draw(Case(rig, 4, "coloured", "coarse")).plant
+    assert not np.allclose(first.arm.phi, second.arm.phi)
+    assert (first.arm.phi == other.arm.phi).all()
+    assert (first.current_noise == other.current_noise).all()
+    assert (first.encoder_step < other.encoder_step).all()
+
+
+def test_four_seeds_have_all_noises_and_encoders() -> None:
+    cases = [case_of("one", seed, None, None) for seed in range(4)]
+    assert len({(case.noise, case.encoder) for case in cases}) == 4
+    assert case_of("one", 1, "coloured", None).noise == "coloured"
+
+
+@pytest.mark.parametrize("seed", [4, 8])
+def test_identification_without_noise_recovers_the_truths(seed: int, tmp_path: Path) -> None:
+    """Truths written by hand for two links in a plane, tilted (4) and not.
+
+    A hundredth is what the stages themselves leave without noise; a term that the truth lacked
+    would be a tenth of it or more.
+    """
+    case = Case("planar", seed, "white", "fine")
+    drawn = draw(case)
+    plant = replace(drawn.plant, friction=plain(drawn.plant.friction))  # type: ignore[arg-type]
+    plant = replace(plant, encoder_step=plant.encoder_step / 64)
+    record(case, replace(drawn, plant=plant), tmp_path, noisy=False)
+    stages, problem = identified(tmp_path)
+    assert not problem
+    arm, length = plant.arm, float(plant.arm.dh[1, 1])
+    truth = {
+        "mx_1": arm.phi[0, 1] + arm.phi[1, 0] * length,
+        "my_1": arm.phi[0, 2],
+        "mx_2": arm.phi[1, 1],
+        "my_2": arm.phi[1, 2],
+        "Izz_1": arm.phi[0, 9] + arm.phi[1, 0] * length**2,
+        "Izz_2": arm.phi[1, 9],
+    }
+    rows = [x for x in compare(case, plant, stages) if x["group"] in ("gravity", "inertia")]
+    assert len(rows) == (6 if drawn.traits["tilted"] else 4)
+    for found in rows:
+        assert found["truth"] == pytest.approx(truth[found["name"]], rel=1e-12)
+        scale = truth[found["name"].replace("my", "mx")]
+        assert abs(found["estimate"] - found["truth"]) < 1e-2 * scale, found["name"]
+
+
+def test_a_coupling_that_the_notes_leave_open_is_no_decision() -> None:
+    note = "these logs do not tell whether rotors are coupled to the links that carry them"
+    assert decision({"rotor_coupling": "diagonal", "notes": []}) == "diagonal"
+    assert decision({"rotor_coupling": "diagonal", "notes": [note]}) == "left open"
+    assert "do not tell whether rotors" in _open(0.5, 0.5, near=True)[0]
+    assert "neither 0 nor 1" in _open(3.0, 0.5, near=False)[0]
+
+
+def made(seed: int, *, sources: str) -> Result:
+    rng = np.random.default_rng(seed)
+    rows = [row("inertia", "Izz_1", 1.0 + 0.1 * rng.standard_normal(), 0.1, 1.0)]
+    return {
+        **{"rig": "one", "seed": seed, "noise": "white", "encoder": "fine"},
+        **{"program": sources, "traits": {"imus": True}, "cpu_s": 1.0},
+        **{"rows": rows, "verdicts": {"inertia": True}},
+    }
+
+
+def test_a_run_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def score(case: Case) -> Result:
+        asked.append(case.seed)
+        return made(case.seed, sources=program())
+
+    monkeypatch.setattr(coverage, "score", score)
+    path = tmp_path / "coverage" / "one.jsonl"
+    cases = [Case("one", seed, "white", "fine") for seed in range(4)]
+    path.parent.mkdir()
+    old = json.dumps(made(0, sources="another"))
+    path.write_text(f"{old}\n{json.dumps(made(1, sources=program()))}\n" + old[:40])
+    path.write_text(path.read_text() + "\n")  # a line that was cut short
+    coverage.run(cases, path, 1)
+    assert asked == [0, 2, 3]
+    found = read(path)
+    assert [key_of(r) for r in coverage.select(cases, found)] == cases
+    assert "| inertia: Izz_1 | 4 | 4 |" in tables_of(coverage.select(cases, found))

@@ -1,0 +1,250 @@
+"""The tables' arithmetic, the bound against textbook cases, and a quick run of what is quick."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.identify.predict_logs import LogPrediction
+from seqid_cli.params.schema import Parameter
+from tests.plants.experiments import friction_trials
+from tests.plants.rigid import Rigid
+from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
+from tests.plants.simulate import simulate
+from tests.plants.trajectories import single, sweeps, trapezoid
+from tests.studies import formats, recorded
+from tests.studies import one_joint as one_joint_study
+from tests.studies.bound import (
+    Knowledge,
+    bounds,
+    coloured_density,
+    friction_columns,
+    noise_density,
+    rigid_columns,
+    surface_of,
+    whittle,
+)
+from tests.studies.identified import noise_floor, summed
+from tests.studies.lab import recording_of, robot_of, run, true_standard, true_value
+from tests.studies.noise_floor import Case, outcome
+from tests.studies.tables import number, placed, rms, share_within, spread, table
+from tests.studies.variants import another
+
+Array = NDArray[np.float64]
+
+
+def test_spread_of_known_errors() -> None:
+    found = spread([-3.0, 1.0, 2.0])
+    assert (found.median, found.worst, found.mean) == (2.0, 3.0, 0.0)
+    assert found.std == pytest.approx(np.sqrt(7.0))
+    assert np.isnan(spread([1.0]).std)
+
+
+def test_rms_and_shares() -> None:
+    assert rms([3.0, -4.0]) == pytest.approx(np.sqrt(12.5))
+    assert share_within([-2.0, 0.5, 2.1, 7.0], 2.0) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (0.01234, "0.012"), (12.34, "12"), (1234.5, "1234"), (-0.996, "-1.00")],
+)
+def test_numbers_have_two_digits(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_number_that_is_none() -> None:
+    assert number(float("nan")) == "-"
+
+
+def test_table_is_markdown_and_refuses_ragged_rows() -> None:
+    assert table(["a", "b"], [["x", "1"]]) == "| a | b |\n| --- | ---: |\n| x | 1 |"
+    with pytest.raises(ValueError, match="1 cells, the header 2"):
+        table(["a", "b"], [["x"]])
+
+
+def test_content_is_placed_between_its_own_markers_and_again() -> None:
+    page = "top\n<!-- study:a -->\nold\n<!-- /study -->\nmid\n<!-- study:b --><!-- /study -->\n"
+    once = placed(page, "a", "| new \\1 |")
+    assert once.count("| new \\1 |") == 1
+    assert "old" not in once
+    assert once.endswith("mid\n<!-- study:b --><!-- /study -->\n")
+    assert placed(once, "a", "| new \\1 |") == once
+
+
+@pytest.mark.parametrize(
+    "page", ["", "<!-- study:a -->", "<!-- study:a --><!-- study:b --><!-- /study -->"]
+)
+def test_missing_markers_are_an_error(page: str) -> None:
+    with pytest.raises(ValueError, match="study:a"):
+        placed(page, "a", "x")
+
+
+def prediction(error: Array, *, sliding: Array, used: Array) -> LogPrediction:
+    """A log whose prediction is off by `error` (N, n)."""
+    return LogPrediction(
+        path=Path("log"),
+        sha256="",
+        samples=len(error),
+        cutoff_hz=5.0,
+        t=np.arange(len(error), dtype=float),
+        tau=error,
+        predicted=np.zeros_like(error),
+        low=np.zeros_like(error),
+        high=np.where(sliding, 0.0, 0.5),
+        used=used.astype(bool),
+        sliding=sliding.astype(bool),
+    )
+
+
+def test_held_out_rmse_pools_samples_of_all_logs() -> None:
+    first = prediction(
+        np.array([[3.0], [9.0]]), sliding=np.array([[1], [0]]), used=np.array([1, 0])
+    )
+    second = prediction(
+        np.array([[4.0], [1.0]]), sliding=np.array([[1], [0]]), used=np.array([1, 1])
+    )
+    found = summed([first, second])
+    assert found.every[0] == pytest.approx(np.sqrt((9 + 16 + 0.5**2) / 3))
+    assert found.sliding[0] == pytest.approx(np.sqrt((9 + 16) / 2))
+    assert found.sliding_share[0] == pytest.approx(2 / 3)
+    assert found.cutoff_hz == (5.0, 5.0)
+
+
+def test_white_noise_information_is_that_of_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    for count in (400, 401):
+        H = rng.standard_normal((count, 3))
+        density = np.full(count // 2 + 1, 0.7**2)
+        np.testing.assert_allclose(whittle(H, density), H.T @ H / 0.7**2, rtol=1e-9)
+
+
+def test_coloured_noise_has_unit_variance_and_the_simulated_spectrum() -> None:
+    count = 1 << 16
+    frequency: Array = np.fft.fftfreq(count).astype(np.float64)
+    assert np.mean(coloured_density(frequency, 1000.0)) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_columns_reproduce_the_torque_of_the_plant() -> None:
+    """Gravity, inertia and friction columns times the true parameters are the actuator's torque."""
+    plant = one_joint()
+    motion = sweeps(np.zeros(1), 0, (-1.5, 1.5), [2.0, 4.0], 60.0, rate_hz=1000.0)
+    log = simulate(plant, motion, 3, imus=False)
+    sliding = np.abs(log.truth.dq[:, 0]) > 0.05
+    total = LINK_INERTIA + float(plant.arm.reflected[0])
+    rigid = rigid_columns(plant, log) @ np.array([MOMENT, 0.0, total])
+    surface = surface_of(plant)
+    level, amplitude, phase = (
+        float(surface.coulomb[0]),
+        surface.amplitude[0],
+        surface.phase[0],
+    )
+    waves = [*(level * amplitude * np.cos(phase)), *(level * amplitude * np.sin(phase))]
+    values = [level, *waves, float(surface.stribeck[0]), float(surface.viscous[0])]
+    torque = rigid + friction_columns(plant, log) @ np.array(values)
+    np.testing.assert_allclose(torque[sliding], log.truth.tau[sliding, 0], atol=1e-4)
+    state = [log.truth.q[700], log.truth.dq[700], log.truth.ddq[700]]
+    assert rigid[700] == pytest.approx(Rigid(plant.arm).inverse(*state)[0], abs=1e-12)
+
+
+def test_bound_grows_with_noise_and_with_what_is_not_known() -> None:
+    plant = one_joint()
+    profile = trapezoid(-1.5, 1.5, 4.0, 60.0, 1000.0)
+    log = simulate(plant, single(np.zeros(1), 0, profile, 1000.0), 1, imus=False)
+    known = bounds(plant, [log], Knowledge(friction=True, motion=True))
+    blind = bounds(plant, [log], Knowledge(friction=True, motion=False))
+    loud = replace(plant, current_noise=2 * plant.current_noise, current_step=2.0**-7)
+    doubled = bounds(loud, [log], Knowledge(friction=True, motion=True))
+    for name, value in known.items():
+        assert doubled[name] == pytest.approx(2 * value, rel=1e-9)
+        assert blind[name] > value
+    twice = bounds(plant, [log, log], Knowledge(friction=True, motion=True))
+    assert twice["Izz_1"] == pytest.approx(known["Izz_1"] / np.sqrt(2.0), rel=1e-9)
+
+
+def test_encoder_noise_dominates_high_frequencies_only() -> None:
+    plant = one_joint()
+    both = noise_density(plant, 4000, 1000.0, encoder=True)
+    current = noise_density(plant, 4000, 1000.0, encoder=False)
+    assert both[1] == pytest.approx(current[1], rel=1e-3)
+    assert both[-1] > 100 * current[-1]
+
+
+def test_noise_floor_is_that_of_the_current_alone() -> None:
+    """Without current noise only the resolution of the current is left."""
+    plant = replace(one_joint(), current_noise=np.zeros(1), current_step=0.0)
+    trials = one_joint_study.trials(plant, np.random.default_rng(0))[-1:]
+    assert noise_floor(run("one_joint", plant, trials, 0), "validation", [10.0])[0] < 1e-12
+
+
+def test_recording_has_what_the_log_has() -> None:
+    plant = two_joint()
+    profile = trapezoid(0.0, 0.2, 1.0, 5.0, 1000.0)
+    log = simulate(plant, single(np.zeros(2), 0, profile, 1000.0), 1, every=4)
+    recording = recording_of(plant, "x", log)
+    robot = robot_of("two_joint", plant)
+    assert recording.rate_hz == 250.0
+    assert recording.tau is not None
+    expected = log.current * np.array([j.torque_per_ampere for j in robot.joints])
+    np.testing.assert_allclose(recording.tau, expected)
+    assert set(recording.accelerometers) == {imu.name for imu in robot.imus}
+
+
+def test_variants_differ_in_friction_and_mountings_only() -> None:
+    plant = two_joint()
+    first, again, second = (another(plant, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.imus[0].rotation, again.imus[0].rotation)
+    assert np.abs(first.imus[0].rotation - second.imus[0].rotation).max() > 0.01
+    assert first.arm is plant.arm
+
+
+def test_true_value_follows_the_expression() -> None:
+    standard = true_standard(two_joint())
+    parameter = Parameter(
+        name="Izz_1", value=0.0, std_error=1.0, unit="", terms={"Izz_1": 1.0, "m_2": 0.09}
+    )
+    inner = two_joint().arm.phi[0, 9]
+    assert true_value(parameter.terms, standard) == pytest.approx(inner + 0.09 * 0.12)
+    assert len(true_standard(six_joint())) == 66
+
+
+def test_largest_difference() -> None:
+    assert formats.largest_difference([1.0, -2.0, 0.0], [1.0, -2.0, 0.0]) == 0.0
+    assert formats.largest_difference([1.0, -2.0], [1.0, -2.5]) == pytest.approx(0.2)
+    assert formats.largest_difference([1.0], [1.0, 2.0]) == float("inf")
+
+
+def test_recorded_robots_are_left_out_where_they_are_missing(tmp_path: Path) -> None:
+    text = recorded.study(tmp_path)
+    assert text.count("left out") == len(recorded.CASES)
+
+
+def test_formats_agree_and_the_table_says_so() -> None:
+    rows = formats.study(speeds=5).splitlines()
+    assert len(rows) == 4
+    for row in rows[2:]:
+        cells = [float(cell) for cell in row.split("|")[2:-1]]
+        assert max(cells) < 1e-6
+
+
+def test_one_joint_tables_are_complete(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One rig of each encoder, fewer speeds: every cell is filled but the spread over rigs."""
+    fewer = partial(friction_trials, speeds=6, lowest=0.15)
+    monkeypatch.setattr(one_joint_study, "friction_trials", fewer)
+    text = one_joint_study.study(1)
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert len(rows) == 4 * 2 + 8 + 12 + 8 + 6
+    for row in rows[2:10]:
+        assert all(cell.strip() for cell in row.split("|")[1:-1])
+
+
+@pytest.mark.parametrize("motion", ["does not come back", "comes back"])
+def test_the_noise_floor_holds_what_a_coarse_encoder_makes(motion: str) -> None:
+    found = outcome(Case("one joint", "white", "coarse", motion, 500))
+    assert found.inside.all()
+    assert abs(float(found.ratio[0]) - 1.0) < 0.25

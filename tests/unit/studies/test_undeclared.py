@@ -1,0 +1,188 @@
+"""The study of undeclared effects: its rules and its matrix."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import get_args
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry, UnexplainedPart
+from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY
+from tests.studies.undeclared_cases import (
+    RIG_NAMES,
+    SENSORS,
+    Condition,
+    Group,
+    Truth,
+    built,
+    declared,
+    matrix,
+)
+from tests.studies.undeclared_run import key_of
+from tests.studies.undeclared_score import both_found, loud, score, visible
+from tests.unit.params.documents import diagnosis_of
+
+SPRING = Truth("spring", "spring", ("elbow",), ("position",))
+PAYLOAD = Truth("payload", "payload", (None,), ())
+COUPLED = Truth("transmission_coupling", "transmission_coupling", ("elbow", "shoulder"), ())
+BUMP = Truth("outside.bump", None, ("elbow",), ("position", "direction"))
+
+
+def finding(
+    effect: str, joint: str | None, confidence: float = 0.9, also: tuple[str, ...] = ()
+) -> FindingEntry:
+    return FindingEntry(
+        effect=effect,
+        joint=joint,
+        confidence=confidence,
+        name_confidence=confidence,
+        explains=0.8,
+        confusable_with=list(also),
+        separate_by="",
+        gain=0.5,
+    )
+
+
+def diagnosis(
+    *findings: FindingEntry, unexplained: Sequence[UnexplainedPart] = ()
+) -> DiagnosisFile:
+    verdict = "effect_found" if findings else "unexplained" if unexplained else "nothing_missing"
+    return diagnosis_of(verdict, findings, unexplained)  # type: ignore[arg-type]
+
+
+def test_right_is_kind_and_joint_of_the_first_finding() -> None:
+    assert score(diagnosis(finding("spring", "elbow")), [SPRING]).right
+    assert not score(diagnosis(finding("spring", "shoulder")), [SPRING]).right
+    assert not score(diagnosis(finding("spring", None)), [SPRING]).right
+    second = score(diagnosis(finding("drift", "elbow"), finding("spring", "elbow")), [SPRING])
+    assert not second.right
+    assert second.anywhere
+    assert not score(diagnosis(), [SPRING]).right
+
+
+def test_stated_confusable_effects_count_at_the_same_joint() -> None:
+    vague = score(diagnosis(finding("torque_bias", "elbow", also=("spring",))), [SPRING])
+    assert vague.right
+    assert not vague.own_name
+    assert not vague.sure_and_wrong
+    away = score(diagnosis(finding("torque_bias", "shoulder", also=("spring",))), [SPRING])
+    assert away.kind_right
+    assert not away.right
+    assert away.sure_and_wrong
+
+
+def test_arm_effects_have_no_joint_and_pairs_of_joints_have_two() -> None:
+    assert score(diagnosis(finding("payload", None)), [PAYLOAD]).right
+    assert not score(diagnosis(finding("payload", "elbow")), [PAYLOAD]).right
+    for joint in ("elbow", "shoulder"):
+        assert score(diagnosis(finding("transmission_coupling", joint)), [COUPLED]).right
+
+
+def test_only_confident_errors_count_as_such() -> None:
+    drift = finding("drift", "elbow", 0.8)
+    assert not score(diagnosis(drift), [SPRING]).sure_and_wrong
+    assert score(diagnosis(structs.replace(drift, confidence=0.81)), [SPRING]).sure_and_wrong
+    assert score(diagnosis(structs.replace(drift, confidence=0.81)), []).sure_and_wrong
+    both = diagnosis(finding("spring", "elbow"), finding("payload", None))
+    assert score(both, [SPRING]).sure_and_wrong
+    assert not score(both, [SPRING, PAYLOAD]).sure_and_wrong
+
+
+def test_clean_runs_are_judged_by_silence() -> None:
+    silent = score(diagnosis(), [])
+    assert silent.quiet
+    assert not silent.alarm
+    assert score(diagnosis(finding("spring", "elbow")), []).alarm
+    unknown = diagnosis(
+        unexplained=[UnexplainedPart(joint="elbow", depends_on=["position"], share=0.4)]
+    )
+    assert not score(unknown, []).quiet
+    assert not score(unknown, []).alarm
+
+
+def test_unexplained_needs_the_joint_and_a_quantity() -> None:
+    def judge(joint: str, *quantities: str, named: bool = False) -> tuple[bool, bool]:
+        found = diagnosis(
+            *([finding("drift", "elbow")] if named else []),
+            unexplained=[UnexplainedPart(joint=joint, depends_on=list(quantities), share=0.4)],
+        )
+        result = score(found, [BUMP])
+        return result.explained_away, result.all_quantities
+
+    assert judge("elbow", "position") == (True, False)
+    assert judge("elbow", "direction", "position", "velocity") == (True, True)
+    assert judge("elbow", "velocity") == (False, False)
+    assert judge("shoulder", "position", "direction") == (False, False)
+    assert judge("elbow", "position", named=True) == (False, False)
+
+
+def test_two_effects_need_two_findings() -> None:
+    spring = finding("spring", "elbow", also=("torque_bias",))
+    bias = Truth("torque_bias", "torque_bias", ("elbow",), ())
+    assert both_found(diagnosis(finding("payload", None), spring), [SPRING, PAYLOAD])
+    assert not both_found(diagnosis(spring), [SPRING, bias])
+    assert not both_found(diagnosis(spring, finding("drift", "elbow")), [SPRING, bias])
+    other = finding("drift", "elbow", also=("spring",))
+    assert both_found(diagnosis(spring, other), [SPRING, bias])
+    assert both_found(diagnosis(other, spring), [SPRING, bias])
+
+
+def test_what_is_visible() -> None:
+    assert visible((0.0, 0.02))
+    assert not visible((0.019, -0.3))
+    assert loud((0.5,))
+    assert not loud((0.49,))
+
+
+def test_matrix_covers_what_the_study_promises() -> None:
+    cases = matrix()
+    assert len({key_of(c) for c in cases}) == len(cases)
+    seeds: dict[tuple[str, str, float], set[int]] = {}
+    joints: dict[tuple[str, str], set[int]] = {}
+    for case in cases:
+        if len(case.effects) == 1 and case.start == "simultaneous":
+            name, joint, size = case.effects[0]
+            seeds.setdefault((name, case.rig, size), set()).add(case.seed)
+            joints.setdefault((name, case.rig), set()).add(joint)
+            assert joint >= REGISTRY[name].first
+    for rig in RIG_NAMES:
+        for name in (*CATALOGUE, *OUTSIDE):
+            assert len(seeds[name, rig, 1.0]) >= 5
+            assert len(seeds[name, rig, 0.4]) >= 5
+            assert len(joints[name, rig]) >= (1 if REGISTRY[name].first and rig == "two" else 2)
+        assert all(len(seeds[name, rig, 1.0]) >= 5 for name in OTHER_LAWS)
+    clean = [c for c in cases if not c.effects]
+    assert len(clean) >= 100
+    assert {c.sensors for c in clean} == set(SENSORS)
+    assert {c.seed for c in clean}.isdisjoint(c.seed for c in cases if c.effects)
+    both = [c for c in cases if c.group == "pairs"]
+    same = Counter(c.effects[0][1] == c.effects[1][1] for c in both)
+    assert min(same.values()) >= 20
+    assert all(c.effects[0][0] != c.effects[1][0] for c in both)
+
+
+@pytest.mark.parametrize("group", get_args(Group))
+def test_every_kind_of_case_can_be_built(group: str) -> None:
+    """Plant and truth; the joint that is right is one of the robot's, or None for the arm's."""
+    cases = [c for c in matrix() if c.group == group and c.seed % 50 < 1]
+    assert cases
+    for condition in cases:
+        plant, truths = built(condition)
+        assert len(truths) == len(condition.effects)
+        for truth, (name, joint, _) in zip(truths, condition.effects, strict=True):
+            assert truth.name == name
+            assert truth.joints == (None,) or plant.arm.names[joint] in truth.joints
+            assert "other_joint" not in truth.depends_on
+
+
+def test_other_instruments() -> None:
+    usual = declared(Condition("clean", "two", 1))
+    loud_one = declared(Condition("clean", "two", 1, sensors="twice the noise"))
+    coarse = declared(Condition("clean", "two", 1, sensors="encoders 4 times as coarse"))
+    np.testing.assert_array_equal(loud_one.current_noise, 2.0 * usual.current_noise)
+    np.testing.assert_array_equal(coarse.encoder_step, 4.0 * usual.encoder_step)
+    np.testing.assert_array_equal(coarse.current_noise, usual.current_noise)

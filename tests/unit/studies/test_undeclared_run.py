@@ -1,0 +1,272 @@
+"""The study of undeclared effects: what is kept, its tables, and real cases."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from seqid_cli.discover.diagnosis import diagnose
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.logs.recording import Recording
+from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.schema import ClosedLoop, ParameterFile, RefinementRound, Stages
+from seqid_cli.robot.types import Robot
+from tests.studies import __main__ as program
+from tests.studies import undeclared, undeclared_refine, undeclared_run
+from tests.studies.undeclared_cases import (
+    Condition,
+    built,
+    matrix,
+    quick,
+)
+from tests.studies.undeclared_evidence import evidence, write_evidence
+from tests.studies.undeclared_logs import errors, excess, logs_of, stages_of
+from tests.studies.undeclared_run import Choice, Record, key_of, latest, read, run, run_case
+from tests.studies.undeclared_score import score
+from tests.studies.undeclared_tables import judged, reliability, tables
+from tests.unit.studies.test_undeclared import diagnosis, finding
+
+SHORT = 8.0  # s, of the logs of the cheap cases
+
+
+# ---- the store
+
+
+def stub(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> DiagnosisFile:
+    return diagnosis(finding("spring", robot.joint_names[1]))
+
+
+def broken(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> DiagnosisFile:
+    raise ValueError("no such luck")
+
+
+def record(condition: Condition, found: DiagnosisFile | None, *, more: float = 0.5) -> Record:
+    seconds = {} if found is None else {"diagnose": 2.0}
+    shares = tuple((more, 0.0) for _ in condition.effects)
+    return Record(key_of(condition), "now", condition, found, shares, seconds, "" if found else "x")
+
+
+def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is there is not run again; half a line is; other sources are other results."""
+    ran: list[str] = []
+
+    def fake(condition: Condition, cache: Path, sources: str, diagnose: object) -> Record:
+        ran.append(key_of(condition))
+        return replace(record(condition, diagnosis()), sources=sources)
+
+    monkeypatch.setattr(undeclared_run, "run_case", fake)
+    monkeypatch.setattr(undeclared_run, "package_sources", lambda: "now")
+    cases = quick()[:3]
+    assert len(run(Choice(cases[:2], False, tmp_path))) == 2
+    path = undeclared_run.results_path(tmp_path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-20])
+    assert [r.key for r in run(Choice(cases, False, tmp_path))] == [key_of(c) for c in cases]
+    assert len(ran) == 4
+    assert set(ran) == set(map(key_of, cases))
+    monkeypatch.setattr(undeclared_run, "package_sources", lambda: "later")
+    assert run(Choice(cases, False, tmp_path, run=False)) == []
+    assert len(run(Choice(cases, False, tmp_path, run=False, any_sources=True))) == 3
+    assert len(ran) == 4
+    run(Choice(cases, False, tmp_path, limit=1))
+    assert len(ran) == 5
+
+
+def test_failures_are_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcomes = iter([None, diagnosis()])
+
+    def fake(condition: Condition, cache: Path, sources: str, diagnose: object) -> Record:
+        return replace(record(condition, next(outcomes)), sources=sources)
+
+    monkeypatch.setattr(undeclared_run, "run_case", fake)
+    choice = Choice(quick()[:1], False, tmp_path)
+    assert run(choice)[0].error
+    for _ in range(2):
+        assert not run(choice)[0].error
+
+
+def test_the_last_record_of_a_case_counts(tmp_path: Path) -> None:
+    case = quick()[0]
+    path = tmp_path / "results.jsonl"
+    for found in (diagnosis(), diagnosis(finding("spring", "elbow"))):
+        undeclared_run.append(path, record(case, found))
+    records = read(path, Record)
+    assert len(records) == 2
+    (last,) = latest(records, [case], "now")
+    assert last == record(case, diagnosis(finding("spring", "elbow")))
+    assert latest(records, [case], "then") == []
+
+
+def test_numbers_of_numpy_are_numbers_and_nan_is_an_error() -> None:
+    odd = structs.replace(finding("spring", "elbow"), gain=np.float64(0.25))
+    assert undeclared_run.finite(diagnosis(odd)).findings[0].gain == 0.25
+    with pytest.raises(ValueError, match="float"):
+        undeclared_run.finite(diagnosis(structs.replace(odd, gain=float("nan"))))
+
+
+# ---- the choice
+
+
+def parsed(*arguments: str) -> Namespace:
+    parser = ArgumentParser()
+    parser.add_argument("--quick", action="store_true")
+    undeclared.add_arguments(parser)
+    return parser.parse_args(arguments)
+
+
+def chosen(*arguments: str) -> Choice:
+    return undeclared.choice_of(parsed(*arguments))
+
+
+def test_parts_of_the_study_can_be_chosen() -> None:
+    assert chosen().whole
+    assert len(chosen().cases) == len(matrix())
+    part = chosen("--rig", "two", "--seeds", "1-2", "--only-kind", "spring", "--size", "0.4")
+    assert not part.whole
+    assert {c.effects[0][0] for c in part.cases} == {"spring"}
+    assert {(c.seed, c.rig, c.effects[0][2]) for c in part.cases} == {
+        (1, "two", 0.4),
+        (2, "two", 0.4),
+    }
+    assert {c.group for c in chosen("--groups", "pairs", "clean").cases} == {"pairs", "clean"}
+    assert len(chosen("--quick").cases) == 11
+    assert chosen("--limit", "5").limit == 5
+    assert not chosen("--quick").whole
+
+
+def test_parts_leave_the_page_alone() -> None:
+    assert not program.written("undeclared", parsed("--rig", "two"))
+    assert program.written("undeclared", parsed())
+    assert program.written("formats", parsed("--rig", "two"))
+    assert "<!-- study:undeclared -->" in undeclared.DOCUMENT.read_text(encoding="utf-8")
+
+
+# ---- the tables
+
+
+def test_tables_count_what_was_judged() -> None:
+    spring = Condition("catalogue", "two", 0, (("spring", 1, 1.0),))
+    found = diagnosis(finding("spring", "elbow", 0.97))
+    cases = [
+        record(spring, found),
+        record(replace(spring, seed=1), diagnosis(finding("drift", "elbow", 0.96))),
+        record(replace(spring, seed=2), diagnosis(), more=0.01),
+        record(replace(spring, seed=3), None),
+        record(Condition("clean", "six", 100), diagnosis()),
+        record(Condition("clean", "six", 101), diagnosis(finding("drift", "elbow", 0.4))),
+    ]
+    text = tables(cases, 10)
+    assert "6 of 10 cases; 1 failed, which counts as wrong" in text
+    (row,) = (line for line in text.splitlines() if line.startswith("| spring | 33 %"))
+    assert row.split(" | ")[1:3] == ["33 % of 3", "-"]
+    assert "drift 1, failed 1" in row
+    assert "| spring | 1 | 100 % of 1 | 0 % of 1 |" in text  # of the invisible ones
+    assert "| as usual | - | 50 % of 2 |" in text
+    assert "| 0.95 to 0.99 | 2 | 96 % | 50 % |" in reliability(judged(cases))
+    assert "failed: catalogue/two/spring" in text
+
+
+def test_backlash_is_counted_apart() -> None:
+    loose = Condition("catalogue", "six", 0, (("backlash", 2, 1.0),))
+    cases = [
+        record(loose, diagnosis(finding("backlash", "elbow"))),
+        record(replace(loose, seed=1), diagnosis(), more=0.2),
+    ]
+    text = tables(cases, 2)
+    assert "| backlash, RMSE half above | - | - | 100 % of 1 |" in text
+    assert "| backlash, less than that | - | - | 0 % of 1 |" in text
+    assert "all of these" not in text
+
+
+def test_evidence_has_a_line_per_finding(tmp_path: Path) -> None:
+    spring = Condition("catalogue", "two", 0, (("spring", 1, 1.0),))
+    found = diagnosis(finding("spring", "elbow"), finding("payload", None, 0.3))
+    cases = judged([record(spring, found)])
+    first, second = evidence(cases)
+    assert (first.right, second.right) == (True, False)
+    assert first.rivals == ("payload@None",)
+    assert first.excess == (0.5,)
+    write_evidence(tmp_path / "findings.jsonl", cases)
+    assert len((tmp_path / "findings.jsonl").read_bytes().splitlines()) == 2
+
+
+# ---- real cases, short
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("study")
+
+
+def short(*effects: tuple[str, int, float]) -> Condition:
+    sensors = "no periodic motion"
+    return Condition("catalogue", "two", 1, effects, sensors=sensors, seconds=SHORT)
+
+
+def test_a_failure_is_a_result(cache: Path) -> None:
+    found = run_case(short(), cache, "now", broken)
+    assert found.diagnosis is None
+    assert found.error == "ValueError: no such luck"
+
+
+def test_logs_come_back_from_the_cache_and_without_the_effect(cache: Path) -> None:
+    """The effect changes the torque, not the motion's plan; its excess is its own joint's."""
+    # Shorter logs leave the other joint's viscous friction open, which goes on beyond their speeds.
+    case = replace(short(("spring", 1, 1.0)), seconds=1.5 * SHORT)
+    first, again, bare = logs_of(case, cache), logs_of(case, cache), logs_of(case.without(0), cache)
+    assert [r.path.name for r in first.training] == ["moves", "zigzag"]
+    for one, two, other in zip(first.training, again.training, bare.training, strict=True):
+        assert one.sha256 == two.sha256 != other.sha256
+        assert one.start == other.start
+        assert one.tau is not None
+        np.testing.assert_array_equal(one.tau, two.tau)
+        np.testing.assert_array_equal(one.q, two.q)
+    own = errors(first.held_out, first.robot, stages_of(case, cache))
+    more = excess(case, 0, cache, own)
+    assert more[1] > 1.0 > 0.5 > abs(more[0])
+
+
+@pytest.mark.parametrize("effects", [(), (("quadratic_drag", 0, 1.0),)], ids=str)
+def test_diagnosis_of_real_logs(effects: tuple[tuple[str, int, float], ...], cache: Path) -> None:
+    """One kind is found, and nothing where there is nothing."""
+    case = Condition("catalogue", "two", 1, effects, seconds=14.0)
+    logs, options = logs_of(case, cache), DiscoverOptions()
+    found = diagnose(logs.training[:3], logs.robot, stages_of(case, cache), options=options)
+    _, truths = built(case)
+    judgement = score(found, truths)
+    assert judgement.right if truths else judgement.quiet
+    assert not judgement.sure_and_wrong
+
+
+def test_refinement_is_compared_with_the_arm_without_the_effect(cache: Path) -> None:
+    """A refinement that changes nothing leaves the error, one that loses its stages fails."""
+    case = short(("spring", 1, 1.0))
+
+    def idle(
+        training: Sequence[Recording],
+        held_out: Sequence[Recording],
+        robot: Robot,
+        file: ParameterFile,
+        earlier: object,
+    ) -> tuple[Stages, ClosedLoop]:
+        assert {log.sha256 for log in file.inputs} == {r.sha256 for r in training}
+        tried = RefinementRound(
+            effect="spring",
+            joint="elbow",
+            accepted=False,
+            training_gain=0.0,
+            training_interval=[-0.1, 0.1],
+        )
+        return file.stages, ClosedLoop(rounds=[], refused=[tried])
+
+    found = undeclared_refine.refine_case(case, cache, "now", idle)
+    assert found.after == found.before
+    assert (found.added, found.refused) == ((), ("spring@elbow",))
+    assert undeclared_refine.share_left(found) > 2.0
+    assert "| spring | 1 |" in undeclared_refine.refined_table([found])

@@ -1,0 +1,198 @@
+"""Every command as a function: same results, nothing printed; tables and recordings as logs."""
+
+from __future__ import annotations
+
+import importlib
+import inspect as signatures
+import json
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import seqid_cli
+from seqid_cli import compare, discover, identify, inspect, report
+from seqid_cli.commands.app import COMMANDS, run
+from seqid_cli.errors import ConfigError, InputError, SeqidWarning, UsageError
+from seqid_cli.inspect.progress import Progress
+from seqid_cli.logs.read import read_recording
+from seqid_cli.params.schema import ParameterFile
+from seqid_cli.robot.file import load_robot
+from tests import ROOT
+from tests.unit.params.documents import diagnosis_file
+
+SAMPLES = ROOT / "sample_logs" / "one_joint"
+ROBOT = SAMPLES / "robot.toml"
+GOLDEN = SAMPLES / "golden.json"
+ORDERS = identify.FrictionOptions(position_order=2, velocity_order=3)
+ENCODER = identify.PredictOptions(source="encoder")
+ON_SCREEN_ONLY = {"context", "strict", "form", "explain"}
+OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
+WITHOUT = {"completion", "init", "run"}  # a shell's script, a template, and the others in a row
+RENAMED = {
+    "cutoff": "cutoff_hz",
+    "time": "time_source",
+    "motion": "source",
+    "ramp": "ramp_s",
+    "lock": "locked",
+    "duration": "duration_s",
+    "move_duration": "move_s",
+    "files": "parameters",
+}
+
+
+def function_of(name: str) -> Callable[..., object]:
+    for package in seqid_cli.PACKAGES:
+        found = getattr(getattr(seqid_cli, package), name, None)
+        if callable(found):
+            return found  # type: ignore[no-any-return]
+    raise AssertionError(name)
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - WITHOUT))
+def test_functions_take_what_commands_take(name: str) -> None:
+    command = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
+    asked = set(signatures.signature(command.run).parameters) - ON_SCREEN_ONLY - OTHERWISE
+    function = function_of(COMMANDS[name].module)
+    taken = signatures.signature(function).parameters
+    options = taken["options"].default if "options" in taken else None
+    known = set(taken) | set(getattr(options, "__dataclass_fields__", ()))
+    assert {n for n in asked if n not in known and RENAMED.get(n) not in known} == set()
+    assert function.__doc__
+    assert issubclass(_result(function), msgspec.Struct)
+
+
+def _result(function: Callable[..., object]) -> type:
+    name = signatures.signature(function).return_annotation
+    return getattr(sys.modules[function.__module__], name)  # type: ignore[no-any-return]
+
+
+def test_the_result_is_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    by_hand, by_function = tmp_path / "command.json", tmp_path / "function.json"
+    logs = SAMPLES / "friction"
+    assert run(["friction", str(logs), "-r", str(ROBOT), "-o", str(by_hand)]) == 0
+    capsys.readouterr()
+    found = identify.friction(logs, ROBOT, output=by_function)
+    shown = capsys.readouterr()
+    assert not shown.out
+    assert not shown.err
+    assert found.stages.friction is not None
+    one, other = (json.loads(path.read_text()) for path in (by_hand, by_function))
+    assert one.pop("created") <= other.pop("created")
+    assert one == other
+
+
+def test_results_pass_from_one_function_to_the_next(tmp_path: Path) -> None:
+    """As files and as documents."""
+    path, gravity = tmp_path / "friction.json", tmp_path / "gravity.json"
+    friction = identify.friction(str(SAMPLES / "friction"), str(ROBOT), ORDERS, output=path)
+    by_file = identify.gravity([SAMPLES / "gravity"], ROBOT, path, output=gravity)
+    by_document = identify.gravity([SAMPLES / "gravity"], load_robot(ROBOT), friction)
+    assert by_file.stages.gravity is not None
+    assert by_document.stages.gravity is not None
+    first, second = (f.stages.gravity.parameters for f in (by_file, by_document))  # type: ignore[union-attr]
+    assert [p.value for p in first] == pytest.approx([p.value for p in second], rel=1e-9)
+    same = compare.compare(gravity, gravity)
+    assert same.changed == 0
+
+
+def test_a_table_is_a_log(tmp_path: Path) -> None:
+    """An Arrow table, or whatever gives itself away as one, goes wherever a path does."""
+
+    class Frame:
+        def __init__(self, table: pa.Table) -> None:
+            self.table = table
+
+        def __arrow_c_stream__(self, requested_schema: object = None) -> object:
+            return self.table.__arrow_c_stream__(requested_schema)
+
+    (path,) = (SAMPLES / "friction").glob("*.parquet")
+    table = pq.read_table(path)
+    by_path = identify.friction(path, ROBOT, ORDERS)
+    for log in (table, Frame(table), [table]):
+        found = identify.friction(log, ROBOT, ORDERS)  # type: ignore[arg-type]
+        assert found.stages.friction == by_path.stages.friction
+        assert [log.path for log in found.inputs] == ["table_1"]
+    held = read_recording(path, load_robot(ROBOT))
+    assert identify.friction(held, ROBOT, ORDERS).stages == by_path.stages
+    with pytest.raises(InputError, match="int is no log"):
+        identify.friction(3, ROBOT)  # type: ignore[arg-type]
+
+
+def test_tables_are_inspected_predicted_and_diagnosed() -> None:
+    (path, *_) = sorted((SAMPLES / "validation").glob("*.parquet"))
+    table = pq.read_table(path)
+    seen = inspect.inspect([table], ROBOT)
+    assert [log.path for log in seen.logs] == ["table_1"]
+    assert seen.verdict == inspect.inspect(path, ROBOT).verdict
+    by_path, by_table = (identify.predict(log, ROBOT, GOLDEN, ENCODER) for log in (path, table))
+    assert by_table.joints == by_path.joints
+    with pytest.raises(UsageError, match="given both to fit and to hold out"):
+        discover.refine(table, table, ROBOT, GOLDEN)
+
+
+def test_progress_is_told() -> None:
+    told: list[Progress] = []
+    logs = sorted((SAMPLES / "validation").glob("*.parquet"))
+    identify.predict(logs, ROBOT, GOLDEN, ENCODER, on_progress=told.append)
+    done = [(one.done, one.total, one.log) for one in told if one.state == "done"]
+    assert done == [(k, len(logs), str(log)) for k, log in enumerate(logs, start=1)]
+    notes = [one.note for one in told if one.note is not None]
+    assert all(note.samples > 0 and note.rate_hz > 0.0 for note in notes)
+
+
+def test_problems_are_exceptions(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        identify.friction(tmp_path / "none.parquet", ROBOT)
+    damaged = tmp_path / "damaged.json"
+    damaged.write_text("{")
+    with pytest.raises(ConfigError):
+        identify.gravity(SAMPLES / "gravity", ROBOT, damaged)
+
+
+def test_warnings_are_pythons(tmp_path: Path) -> None:
+    friction = tmp_path / "friction.json"
+    identify.friction(SAMPLES / "friction", ROBOT, ORDERS, output=friction)
+    other = tmp_path / "robot.toml"
+    other.write_text(ROBOT.read_text().replace("gear_ratio = ", "gear_ratio = 2"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        identify.gravity(SAMPLES / "gravity", other, friction)
+    assert any(issubclass(w.category, SeqidWarning) for w in caught)
+
+
+def test_the_package_is_light_until_it_is_used() -> None:
+    text = (
+        "import sys, seqid_cli as s; s.identify.friction; s.discover.refine; s.inspect.inspect;"
+        " s.plan.plan; s.report.report; s.export.export; s.compare.compare;"
+        "print(sorted({'numpy', 'scipy', 'pyarrow', 'pinocchio', 'jinja2'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_documents_show_themselves() -> None:
+    file = msgspec.json.decode(GOLDEN.read_bytes(), type=ParameterFile)
+    shown = file._repr_html_()
+    assert "<table" in shown
+    assert "joint_1" in shown
+
+
+def test_plots_are_the_reports_drawings() -> None:
+    file = msgspec.json.decode(GOLDEN.read_bytes(), type=ParameterFile)
+    drawn = report.plot_friction(file, "joint_1")
+    assert len(drawn.svg) == 3
+    assert all(svg.startswith("<svg") for svg in drawn.svg)
+    assert "srcdoc=" in drawn._repr_html_()
+    assert "<svg" not in drawn._repr_html_()  # escaped: the report's style stays in its frame
+    with pytest.raises(UsageError, match="no friction of 'elbow'"):
+        report.plot_friction(file, "elbow")
+    found = diagnosis_file()
+    parts = [*found.findings, *found.unexplained]
+    assert len(report.plot_evidence(found).svg) == sum(part.evidence is not None for part in parts)

@@ -59,7 +59,7 @@ def diagnose(
     inputs = _prepared(logs, robot, parameters, options, output, on_progress)
     from seqid_cli.discover.diagnosis import diagnose as diagnosed
     from seqid_cli.discover.gather import one_each
-    from seqid_cli.identify.judge import physics_verdicts
+    from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
 
@@ -152,7 +152,7 @@ def _prepared(
 
 
 def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
-    from seqid_cli.identify.one_cutoff import inherited
+    from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
 
     filtering = inherited(inputs.stages, options.cutoff_hz)
@@ -176,7 +176,7 @@ def _refined(
     from seqid_cli.discover.gather import one_each
     from seqid_cli.discover.heldout import WholeLogs
     from seqid_cli.discover.refinement import refine as decide
-    from seqid_cli.identify.judge import physics_verdicts
+    from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
 

@@ -19,9 +19,9 @@ from seqid_cli.discover.event_windows import Track, windows_of_tracks
 from seqid_cli.discover.events import GATE, LENGTHS_S, Interval, standing_out
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import predict
-from seqid_cli.identify.predict_long import LongPrediction
-from seqid_cli.identify.prediction import LogPrediction
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.prediction.predict_long import LongPrediction
 from seqid_cli.logs.pieces import whole_of
 from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects

@@ -82,7 +82,7 @@ def friction(
     inputs = prepare(
         logs, robot, (), options, output=output, executor=executor, on_progress=on_progress
     )
-    from seqid_cli.identify.friction_stage import identify_friction
+    from seqid_cli.identify.friction_surface.stage import identify_friction
 
     def identify(given: LogSet) -> Stages:
         return Stages(friction=identify_friction(given, inputs.robot, options=options))
@@ -122,7 +122,7 @@ def gravity(
         executor=executor,
         on_progress=on_progress,
     )
-    from seqid_cli.identify.gravity_stage import identify_gravity
+    from seqid_cli.identify.rigid.gravity import identify_gravity
 
     def identify(given: LogSet) -> Stages:
         filtering = _filtering(options)
@@ -161,7 +161,7 @@ def imu_calib(
         hint = "Add an [[imu]] table with its accelerometers."
         where = str(inputs.robot.source)
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
-    from seqid_cli.identify.imu import calibrate_imus
+    from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
     from seqid_cli.motion.imu.array import layout_report
 
     def identify(given: LogSet) -> Stages:
@@ -208,9 +208,9 @@ def inertia(
         executor=executor,
         on_progress=on_progress,
     )
-    from seqid_cli.identify.consistency import made_consistent
-    from seqid_cli.identify.inertia_stage import identify_inertia
     from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.identify.rigid.consistency import made_consistent
+    from seqid_cli.identify.rigid.inertia import identify_inertia
 
     def identify(given: LogSet) -> Stages:
         rigid = InertiaOptions(_chosen(inputs, options), options.source)
@@ -248,8 +248,8 @@ def simultaneous(
     inputs = prepare(
         logs, robot, parameters, options, output=output, needs=needs, on_progress=on_progress
     )
-    from seqid_cli.identify.consistency import made_consistent
-    from seqid_cli.identify.one_step import identify_simultaneous
+    from seqid_cli.identify.rigid.consistency import made_consistent
+    from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
     def identify(given: LogSet) -> Stages:
         imu = inputs.stages.imu
@@ -312,11 +312,11 @@ def predict(
     if not present(inputs.stages):
         where = inputs.models[0][0] if inputs.models else ""
         raise ConfigError("holds no stage at all", where=where, hint="Run seqid friction first.")
+    from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.identify.one_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.identify.predict_logs import predict as predicted
-    from seqid_cli.identify.prediction_file import prediction_file
+    from seqid_cli.identify.prediction.document import prediction_file
+    from seqid_cli.identify.prediction.predict import predict as predicted
 
     rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
     given = LogSet.of(inputs)
@@ -356,7 +356,7 @@ def _stage(
     inputs: Inputs, identify: Callable[[LogSet], Stages], *, imus: bool | None = None
 ) -> ParameterFile:
     """Identify new stages, judge them and add them to the stages before."""
-    from seqid_cli.identify.judge import judged
+    from seqid_cli.identify.judging import judged
     from seqid_cli.identify.log_set import LogSet
 
     logs = LogSet.of(inputs, imus=imus)
@@ -390,7 +390,7 @@ def _with_notes(found: Stages, logs: LogSet) -> Stages:
 
 def _chosen(inputs: Inputs, options: RigidOptions) -> MotionOptions:
     """How all logs of an identification are filtered."""
-    from seqid_cli.identify.one_cutoff import identification_options
+    from seqid_cli.identify.common_cutoff import identification_options
 
     return identification_options(
         inputs.logs,

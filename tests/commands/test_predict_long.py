@@ -13,10 +13,11 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from seqid_cli.identify import predict_long, streaming
-from seqid_cli.identify.predict_long import LongPrediction
-from seqid_cli.identify.prediction import LogPrediction
-from seqid_cli.identify.torques_mcap import TOPICS
+from seqid_cli.identify.prediction import predict_long
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict_long import LongPrediction
+from seqid_cli.identify.prediction.torques_mcap import TOPICS
+from seqid_cli.identify.regression import streaming
 from seqid_cli.motion import blocks
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.io import write_json_atomic

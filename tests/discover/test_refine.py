@@ -19,10 +19,10 @@ from seqid_cli.discover.loop import Loop
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import ALL_ALONG, LATE, quiet, refine
 from seqid_cli.discover.reidentify import Material, Refitted, refitted
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions

@@ -15,8 +15,8 @@ from seqid_cli.discover.gather import Gathered, gather
 from seqid_cli.discover.heldout import WholeLogs, held_out_error
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import on_the_same_samples, refine
-from seqid_cli.identify import predict_long
 from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.prediction import predict_long
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
 from seqid_cli.params.document import robot_id, with_stage

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
-from seqid_cli.identify import equations
-from seqid_cli.identify.equations import blocks, filtered_regressor, torque_motion
+from seqid_cli.identify.regression import equations
+from seqid_cli.identify.regression.equations import blocks, filtered_regressor, torque_motion
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions

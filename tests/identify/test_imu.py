@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.errors import UsageError
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.imu_pairs import (
+from seqid_cli.identify.imu_calibration.axis_pairs import (
     Pair,
     fit_rotation,
     rotation_covariance,
     shortest_rotation,
 )
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.motion.options import MotionOptions
 from tests.plants.experiments import Trial, swing
 from tests.plants.rigs import one_joint

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.imu_fit import without
-from seqid_cli.identify.imu_readings import cleaned, roughness
-from seqid_cli.identify.imu_segments import lagrange
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration.readings import cleaned, roughness
+from seqid_cli.identify.imu_calibration.segments import lagrange
+from seqid_cli.identify.imu_calibration.solve import without
 from seqid_cli.motion.imu.array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.judge import as_a_whole, friction_verdicts, inertia_verdicts, judged
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_verdicts, judged
 from seqid_cli.identify.log_verdicts import notes_of_logs, remedies, verdicts_of_logs
 from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.motion.options import MotionOptions

@@ -10,10 +10,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify import predict_long
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import LogPrediction, predict
-from seqid_cli.identify.predict_long import LongPrediction
+from seqid_cli.identify.prediction import predict_long
+from seqid_cli.identify.prediction.predict import LogPrediction, predict
+from seqid_cli.identify.prediction.predict_long import LongPrediction
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.identify import predict_long
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import LogPrediction, predict
-from seqid_cli.identify.predict_long import LongPrediction, local_effects
+from seqid_cli.identify.prediction import predict_long
+from seqid_cli.identify.prediction.predict import LogPrediction, predict
+from seqid_cli.identify.prediction.predict_long import LongPrediction, local_effects
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.apply import scene_of_log
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage

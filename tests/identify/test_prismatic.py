@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions

@@ -9,8 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify import streaming, trials_long
-from seqid_cli.identify.trials import Trial, TrialsOf
+from seqid_cli.identify.friction_surface import trials_long
+from seqid_cli.identify.friction_surface.trials import Trial, TrialsOf
+from seqid_cli.identify.regression import streaming
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import SurveyedLog

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.imu_result import deflecting
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration.result import deflecting
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages

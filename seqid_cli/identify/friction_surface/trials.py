@@ -1,0 +1,331 @@
+"""Constant-velocity trials reduced to a few averages each, and gravity removed from them.
+
+A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
+slice replace a low-pass. Forward and backward trials of one joint, at one speed and in one locked
+configuration, give the gravity torque by Eq. 15; p_xi (Eq. 12-14) is fitted to it.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.polynomial import Chebyshev
+from numpy.typing import NDArray
+
+from seqid_cli.identify.friction_surface.trials_long import pieces
+from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.regression.streaming import open_if_long
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.segmentation import Stretch, constant_velocity, noise_step
+from seqid_cli.robot.kinematics import forward
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+SLICES = 64
+WINDOW_S = 0.08  # s, of motion in a ramp that is averaged
+LEAST_WINDOW = 8  # samples
+ZEROS = 4  # samples, at the ends of a window: two central differences end within them
+MOST_ORDER = 12  # of the polynomial in time that a trial's positions follow
+SAME_SPEED = 0.12
+SAME_CONFIGURATION = 0.03  # rad
+
+
+@dataclass(frozen=True)
+class Ramps:
+    """How the joint of a trial got up to speed and back: means over windows of time.
+
+    `q`, `dq`, `ddq`, `tau` (R,) rad, rad/s, rad/s^2, N m under the same window, so that
+    `tau = I ddq + ...` holds for them as it does at an instant; `weight` samples each.
+    """
+
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    weight: float = 0.0
+
+    @classmethod
+    def none(cls) -> Ramps:
+        """No window."""
+        return cls(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One joint at constant velocity.
+
+    `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
+    acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
+    where every joint stood, the moving one at the middle of its range. `celsius` is the mean of the
+    joint's temperature, NaN where none was logged; `doubt` kg m^2 is the standard error of the
+    inertia whose torque was taken off.
+    """
+
+    joint: int
+    velocity: float
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    ramps: Ramps
+    weight: float  # samples per slice
+    configuration: Array
+    t: Array  # (K,) s since the log began
+    seconds: float  # of a slice
+    log: int = 0  # which one
+    celsius: float = np.nan
+    doubt: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Magnitude of the velocity, rad/s."""
+        return abs(self.velocity)
+
+    def positions(self, n: int) -> Array:
+        """Positions of all joints (K, n) rad, slice by slice."""
+        full = np.tile(self.configuration, (len(self.q), 1))
+        full[:, self.joint] = self.q
+        return full[:, :n]
+
+
+def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
+    """Constant-velocity trials of all logs.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    """
+    return reduced(recordings, TrialsOf(robot), operator.add) or []
+
+
+@dataclass(frozen=True)
+class TrialsOf:
+    """The constant-velocity trials of one log."""
+
+    robot: Robot
+
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over than read; None for others."""
+        return open_if_long(path, robot, time_source=time_source)
+
+    def __call__(self, recording: Recording | SurveyedLog, number: int) -> list[Trial]:
+        """Find them."""
+        resolution, rate = encoder_resolution(self.robot), recording.rate_hz
+        if isinstance(recording, SurveyedLog):
+            assert recording.survey is not None
+            found = pieces(recording, recording.survey.noise_step(resolution))
+            return [
+                _trial(b.q, b.tau, rate, each, begin=b.start, log=number)
+                for b, own in found
+                for each in own
+            ]
+        tau = torque_of(recording)
+        step = noise_step(recording.q, resolution)
+        stretches = constant_velocity(recording.q, rate, step=step, valid=recording.valid)
+        trials = [_trial(recording.q, tau, rate, each, begin=0, log=number) for each in stretches]
+        if recording.temperature is None:
+            return trials
+        return [
+            replace(trial, celsius=_mean(recording.temperature[each.start : each.stop, each.joint]))
+            for trial, each in zip(trials, stretches, strict=True)
+        ]
+
+
+def _mean(values: Array) -> float:
+    """Mean of what is finite; NaN where nothing is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else np.nan
+
+
+def _trial(
+    q: Array, tau: Array, rate_hz: float, stretch: Stretch, *, begin: int, log: int
+) -> Trial:
+    j = stretch.joint
+    slices = int(np.clip(stretch.samples // 4, 4, SLICES))
+    length = stretch.samples // slices
+    stop = stretch.start + slices * length
+    means = tau[stretch.start : stop, j].reshape(slices, length).mean(axis=1)
+    half = (stop - stretch.start) / rate_hz / 2
+    middles = (np.arange(slices) + 0.5) / slices * 2 - 1
+    path = _path(middles, q[stretch.start : stop, j].reshape(slices, length).mean(axis=1))
+    move = slice(stretch.move_start, stretch.move_stop)
+    return Trial(
+        j,
+        stretch.velocity,
+        np.asarray(path(middles), dtype=np.float64),
+        np.asarray(path.deriv()(middles) / half, dtype=np.float64),
+        np.asarray(path.deriv(2)(middles) / half**2, dtype=np.float64),
+        means,
+        _ramps(q[move, j], tau[move, j], rate_hz, stretch),
+        float(length),
+        np.array(stretch.configuration),
+        np.asarray((begin + stretch.start) / rate_hz + (middles + 1) * half, dtype=np.float64),
+        length / rate_hz,
+        log,
+    )
+
+
+def _path(time: Array, q: Array) -> Chebyshev:
+    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts.
+
+    Its order, two at least, is that of least BIC: gravity and friction that change with the
+    position leave their trace in the speed that a soft controller holds.
+    """
+    best, least = None, np.inf
+    most = max(2, min(MOST_ORDER, len(q) // 3))
+    for order in range(min(3, most), most + 1):
+        fit = Chebyshev.fit(time, q, order, domain=[-1, 1])
+        square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
+        score = len(q) * np.log(square) + (order + 1) * np.log(len(q))
+        if score < least:
+            best, least = fit, score
+    assert best is not None  # there are four slices or more
+    return best
+
+
+def _ramps(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Ramps:
+    """Means of a move (N,) under raised cosines that overlap by half, where it speeds up or slows.
+
+    With a window that ends in zeros the means of its derivatives are derivatives of its means:
+    sums over positions times the window's own differences, without differentiating positions.
+    """
+    length = max(LEAST_WINDOW, round(WINDOW_S * rate_hz))
+    window = np.zeros(length + 2 * ZEROS)
+    window[ZEROS:-ZEROS] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+    window /= window.sum()
+    starts = np.arange(0, len(q) - len(window) + 1, max(1, length // 2))
+    middles = starts + len(window) // 2 + stretch.move_start
+    starts = starts[(middles < stretch.start) | (middles >= stretch.stop)]
+    if not len(starts):
+        return Ramps.none()
+    pieces = starts[:, None] + np.arange(len(window))
+    first = -np.gradient(window) * rate_hz
+    second = np.gradient(np.gradient(window)) * rate_hz**2
+    positions = q[pieces]
+    off = positions - positions[:, :1]  # the sums of the differences are zero but for rounding
+    return Ramps(positions @ window, off @ first, off @ second, tau[pieces] @ window, length / 2)
+
+
+def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:
+    """Trials of one joint, slowest first."""
+    return sorted((t for t in trials if t.joint == joint), key=lambda trial: trial.speed)
+
+
+class HasSpeed(Protocol):
+    """Anything measured at one speed, rad/s."""
+
+    @property
+    def speed(self) -> float:
+        """Magnitude of the velocity, rad/s."""
+
+
+S = TypeVar("S", bound=HasSpeed)
+
+
+def speed_levels(trials: list[S]) -> list[list[S]]:
+    """Group what was measured at speeds within 12 percent of the slowest of the group."""
+    levels: list[list[S]] = []
+    for trial in sorted(trials, key=lambda t: t.speed):
+        if levels and trial.speed <= levels[-1][0].speed * (1 + SAME_SPEED):
+            levels[-1].append(trial)
+        else:
+            levels.append([trial])
+    return levels
+
+
+def configurations(trials: list[Trial]) -> list[list[Trial]]:
+    """Group trials of one joint by where the other joints are locked."""
+    groups: list[list[Trial]] = []
+    for trial in trials:
+        for group in groups:
+            off = np.abs(trial.configuration - group[0].configuration)
+            off[trial.joint] = 0.0
+            if off.max(initial=0.0) < SAME_CONFIGURATION:
+                group.append(trial)
+                break
+        else:
+            groups.append([trial])
+    return groups
+
+
+def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
+    """Vector a of Eq. 13 at positions q of one joint, the others locked.
+
+    Parameters
+    ----------
+    robot : Robot
+        Chain and gravity vector.
+    joint : int
+        The moving joint.
+    configuration : (n,) array
+        Positions of the joints before it [rad].
+    q : (K,) array
+        Positions of the joint itself [rad].
+
+    Returns
+    -------
+    (K, 2) array
+        m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic joint, whose gravity
+        force is mass times gravity along the axis; no column where gravity has no part across the
+        axis.
+    """
+    zero = configuration.copy()
+    zero[joint] = 0.0
+    R = forward(robot.chain, zero[None]).R[0, joint]
+    g = R.T @ robot.gravity
+    axis = robot.chain.axis[joint]
+    if robot.chain.prismatic[joint]:
+        column = np.full((len(q), 1), -float(g @ axis))
+        return column if abs(g @ axis) > 1e-6 else column[:, :0]
+    e_x, e_y = plane_across(axis)
+    g_x, g_y = float(g @ e_x), float(g @ e_y)
+    if np.hypot(g_x, g_y) < 1e-6:
+        return np.empty((len(q), 0))
+    sin, cos = np.sin(q), np.cos(q)
+    return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
+
+
+def plane_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    e_x = start - axis * (axis @ start)
+    e_x /= np.linalg.norm(e_x)
+    return e_x, np.cross(axis, e_x)
+
+
+@dataclass(frozen=True)
+class HalfSums:
+    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, the pair's speed, weight."""
+
+    q: Array
+    tau: Array
+    speed: float
+    weight: float
+
+
+def half_sums(group: list[Trial]) -> list[HalfSums]:
+    """Pair forward with backward trials of one configuration, speed by speed (Eq. 15)."""
+    result = []
+    for level in speed_levels(group):
+        forward_trials = [t for t in level if t.velocity > 0]
+        backward = [t for t in level if t.velocity < 0]
+        for ahead, back in zip(forward_trials, backward, strict=False):
+            low = max(ahead.q.min(), back.q.min())
+            high = min(ahead.q.max(), back.q.max())
+            inside = (ahead.q >= low) & (ahead.q <= high)
+            order = np.argsort(back.q)
+            twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
+            if inside.sum() >= 4:
+                half = (ahead.tau[inside] + twin) / 2
+                result.append(HalfSums(ahead.q[inside], half, level[0].speed, ahead.weight))
+    return result

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.identify.regression.streaming import open_if_long
@@ -41,8 +40,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.fused import score_of_smoothed
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 GRID: Array = np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200)
 

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.trials import gravity_columns
 from seqid_cli.identify.log_verdicts import verdicts_of_logs
@@ -32,8 +31,7 @@ from seqid_cli.robot.base import free_basis, standard_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 CLEAR_SIGMA = 4.0  # standard errors, by which a result must be impossible
 DRIVING_SHARE = 0.03  # of the usual friction, that negative friction must be

@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.fit import SurfaceFit
 from seqid_cli.identify.friction_surface.reduction import COUNTS, Orders, SpeedData
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 GROUP = 16  # slices averaged for the criterion
 NOISES = 2.0  # of such an average, that count as none of the surface's error

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.prior import Evidence, Normal, Sizes
 from seqid_cli.identify.friction_surface.reduction import (
@@ -24,9 +23,7 @@ from seqid_cli.identify.friction_surface.reduction import (
     SpeedData,
 )
 from seqid_cli.model.friction_basis import tensor
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 DEVIATION = 0.15  # standard errors, RMS, by which a surface of fewer orders may differ
 CELLS = 17  # per axis, at which two surfaces are compared

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.trials import (
     HalfSums,
@@ -24,8 +23,7 @@ from seqid_cli.identify.friction_surface.trials import (
     half_sums,
 )
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Index
 
 ASYMMETRY_SHARE = 0.02  # of the friction, below which a direction dependence does not matter
 ASYMMETRY_SIGMA = 6.0
@@ -128,7 +126,7 @@ class _System:
     extra: Array
     y: Array
     root: Array
-    block: NDArray[np.intp]
+    block: Index
 
 
 def _system(robot: Robot, joint: int, paired: Paired) -> _System:

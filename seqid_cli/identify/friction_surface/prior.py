@@ -28,14 +28,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, Orders, Reduced
 from seqid_cli.model.friction_basis import Scaling
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 NAMES = (
     *("position", "speed", "both", "trial", "slow", "unsteady", "edge", "noise"),

@@ -18,14 +18,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial, configurations, gravity_columns
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Index
 
 BEYOND = 2.0  # times noise and usual size: torques of acceleration that are not taken off but out
 FEWEST_WINDOWS = 6  # of a configuration, that tell its inertia
@@ -154,7 +152,7 @@ def _within(ramps: Ramps, surface: FrictionSurface) -> Ramps:
     return Ramps(ramps.q[kept], ramps.dq[kept], ramps.ddq[kept], ramps.tau[kept], ramps.weight)
 
 
-def _first_parameter(A: Array, y: Array, cluster: NDArray[np.intp]) -> _Told:
+def _first_parameter(A: Array, y: Array, cluster: Index) -> _Told:
     """Least squares for the first parameter; the rows of a cluster share errors."""
     bread = np.linalg.pinv(A.T @ A, hermitian=True)
     theta = bread @ (A.T @ y)

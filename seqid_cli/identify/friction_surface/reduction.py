@@ -15,11 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 
 from seqid_cli.model.friction_basis import Scaling
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 EDGES = 2  # ends of a trial
 EXTRA = EDGES + 1  # columns beside those of position: the ends, and the inertia's error
@@ -90,7 +88,7 @@ class Reduced:
         """Chebyshev values (T, order + 1) at the trials' speeds."""
         return np.asarray(chebvander(self.u, order), dtype=np.float64)
 
-    def subset(self, kept: NDArray[np.bool_]) -> Reduced:
+    def subset(self, kept: Mask) -> Reduced:
         """Some of the trials."""
         parts = (self.speeds, self.u, self.R, self.z, self.rest, self.total, self.slices)
         return Reduced(self.scaling, *(part[kept] for part in parts))

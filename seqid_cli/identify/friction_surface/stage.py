@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
@@ -38,8 +37,6 @@ from seqid_cli.params.schema import (
     Verdict,
 )
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
 
 
 class UnpairedError(QualityError):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.errors import (
     NEAR_ZERO,
@@ -23,8 +22,7 @@ from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionJoint, GravityOfTrial, SpeedLevel, Verdict
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 DEFAULT_BETA = 0.05
 FEWEST_SPEEDS = 4

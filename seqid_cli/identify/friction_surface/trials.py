@@ -15,7 +15,6 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.trials_long import pieces
 from seqid_cli.identify.log_set import reduced
@@ -27,8 +26,7 @@ from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, noise_step
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 SLICES = 64
 WINDOW_S = 0.08  # s, of motion in a ramp that is averaged

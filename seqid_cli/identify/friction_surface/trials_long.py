@@ -11,13 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.long import Block, LongLog
 from seqid_cli.motion.blocks import joined_blocks, part_of_block
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 ROWS = 65_536  # samples of a piece, at least
 

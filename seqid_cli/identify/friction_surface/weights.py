@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binned_statistic, median_abs_deviation
 
 from seqid_cli.identify.friction_surface.reduction import SpeedData
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 TUKEY = 4.685  # scales, beyond which a slice has no weight: 95 % efficient for normal errors
 BINS = 24  # of position, in which trials are compared before there is a surface

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -24,8 +23,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import AxisReference
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 WEAKEST = 0.1  # rad/s^2 below which an acceleration says nothing
 
@@ -73,7 +71,7 @@ def _axis_pair(
     imu: Imu,
     motion: Motion,
     j: int,
-    own: NDArray[np.bool_],
+    own: Mask,
     dw: Array,
     products: Array,
 ) -> Pair | None:

@@ -14,7 +14,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.imu_calibration.axis_pairs import Pair, axis_trials, fit_rotation
@@ -35,8 +34,6 @@ from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages, Verdict
 from seqid_cli.robot.types import Imu, Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -22,13 +22,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_calibration.normal_equations import Linearised, Seen, Sizes
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.motion.filters.butterworth import Lowpass
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 ROUNDS = 40
 BEYOND = 1.5  # times the jolts' size, which roughness tells of the band no better

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -26,8 +25,7 @@ from seqid_cli.identify.imu_calibration.sensor_model import (
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.robot.types import Imu, Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 LARGEST_DELAY_S = 0.5
 TERMS = 16  # f, H, w, one

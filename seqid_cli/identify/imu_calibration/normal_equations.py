@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from seqid_cli.identify.imu_calibration.segments import REACH, EncoderRows, Segment
@@ -28,9 +27,7 @@ from seqid_cli.identify.imu_calibration.sensor_model import (
 )
 from seqid_cli.motion.filters.differentiation import FIRST, SECOND
 from seqid_cli.robot.types import Imu, Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Index, Mask
 
 WIDTH = 2 * REACH + 1
 THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
@@ -225,13 +222,13 @@ def linearise(
     )
 
 
-def kinds_of(imu: Imu) -> NDArray[np.intp]:
+def kinds_of(imu: Imu) -> Index:
     """Kind (C,) of every channel's sensor: 0 for accelerometers, 1 for the gyro."""
     axes, _, accelerometers = channels_of(imu)
     return np.asarray(np.arange(len(axes)) >= accelerometers, dtype=np.intp)
 
 
-def _seen(A: Array, rows: Array, counts: Array, kinds: NDArray[np.intp]) -> Seen:
+def _seen(A: Array, rows: Array, counts: Array, kinds: Index) -> Seen:
     each = [kinds == kind for kind in range(int(kinds.max()) + 1)]
     across = [A[:, own].transpose(0, 2, 1) for own in each]
     return Seen(

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import Constants, channels_of, tangents
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.robot.types import Imu
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 TURN, LEVER, DELAY = np.pi, 1.0, 0.3  # widest priors: rad, m, s
 BIAS = 3.0  # m/s^2 or rad/s

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import binary_dilation, median_filter
 
@@ -14,9 +13,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robot.types import Imu
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Index, Mask
 
 SPIKE = 8.0  # of the noise
 STUCK = 4  # equal readings at a channel's end of range that count as saturated
@@ -60,7 +57,7 @@ class Readings:
         """Roughness (N, C) of the raw samples next to times `t` [s], NaN where not known."""
         return np.asarray(self.rough[self._near(t)])
 
-    def _near(self, t: Array) -> NDArray[np.intp]:
+    def _near(self, t: Array) -> Index:
         return np.clip(np.searchsorted(self.t, t - 0.5 * self.period), 0, len(self.t) - 1)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_calibration.axis_pairs import Pair, best_references, condition_of
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
@@ -22,9 +21,7 @@ from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
 from seqid_cli.params.schema import ImuCalibration, JointDeflection, Verdict
 from seqid_cli.robot.types import Imu, Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 POOR_DEG = 0.5
 UNDETERMINED_DEG = 5.0

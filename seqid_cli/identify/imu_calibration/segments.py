@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_calibration.readings import Readings, readings_of
 from seqid_cli.logs.recording import Recording
@@ -24,9 +23,7 @@ from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.smoother.encoder import EncoderView, encoder_view
 from seqid_cli.robot.types import Imu, Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Index, Mask
 
 REACH = 4  # nodes that a derivative reaches to each side
 HIGHEST_HZ = 20.0
@@ -47,7 +44,7 @@ class EncoderRows:
     Only rows with information are kept.
     """
 
-    at: NDArray[np.intp]
+    at: Index
     weights: Array
     value: Array
     information: Array
@@ -248,7 +245,7 @@ def _locked_motion(q: Array, recording: Recording, view: EncoderView) -> tuple[A
 
 
 def _encoder_rows(
-    source: _Source, j: int, view: EncoderView, wide: NDArray[np.intp], own: slice
+    source: _Source, j: int, view: EncoderView, wide: Index, own: slice
 ) -> EncoderRows:
     """Rows of one moving joint; a coarse encoder by its edges, a fine one by what is low-passed."""
     rate = source.recording.rate_hz
@@ -270,7 +267,7 @@ def _encoder_rows(
 
 
 def _fine_rows(
-    smooth: Array, speed: Array, view: EncoderView, wide: NDArray[np.intp], rate_hz: float
+    smooth: Array, speed: Array, view: EncoderView, wide: Index, rate_hz: float
 ) -> EncoderRows:
     """One row per node, as good as all the samples that it stands for, if their codes differ."""
     every, count = int(wide[1] - wide[0]), len(wide)

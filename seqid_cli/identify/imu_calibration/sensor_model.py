@@ -12,13 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.robot.types import Imu, Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 MOTION = 15
 

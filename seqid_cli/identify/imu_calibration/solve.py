@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.imu_calibration.deflection import Deflection, deflections, renewed
@@ -44,9 +43,7 @@ from seqid_cli.identify.imu_calibration.segments import REACH, Segment
 from seqid_cli.identify.imu_calibration.sensor_model import Constants, channels_of
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import PER_MEDIAN
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array
 
 ROUNDS, PLAIN_ROUNDS, FREEZE = 25, 2, 5
 SETTLED = 0.1  # of a standard error, of the last step

@@ -27,6 +27,7 @@ from seqid_cli.params.prediction_schema import (
 )
 from seqid_cli.params.schema import Verdict
 from seqid_cli.shares import percent
+from seqid_cli.typing import Array
 
 # Above this share of the measured torque's RMS, a user should not rely on the prediction.
 MAX_RELATIVE_RMSE = 0.3
@@ -37,9 +38,9 @@ class ErrorSums:
     """Sums per joint (n,) over the samples that count; they add up over logs."""
 
     count: NDArray[np.int64]
-    squared_error: NDArray[np.float64]  # (N m)^2
-    squared_torque: NDArray[np.float64]  # (N m)^2
-    max_abs: NDArray[np.float64]  # N m
+    squared_error: Array  # (N m)^2
+    squared_torque: Array  # (N m)^2
+    max_abs: Array  # N m
 
     @classmethod
     def none(cls, n: int) -> ErrorSums:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.inertia import slowest_speeds
@@ -17,9 +16,7 @@ from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base import free_basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
 

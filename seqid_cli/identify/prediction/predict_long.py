@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
@@ -28,8 +27,7 @@ from seqid_cli.model.torque import Added, TorqueModel, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 ROWS = 32_768  # samples of a part, and twice the margin at least
 
@@ -158,7 +156,7 @@ class LongPrediction:
         return added_torque(scene, part, self.effects, slowest)
 
     def _told(
-        self, part: LogPrediction, motion: Motion, moving: NDArray[np.bool_], share: Array
+        self, part: LogPrediction, motion: Motion, moving: Mask, share: Array
     ) -> LogPrediction:
         """The last part, with what is to be said of the log."""
         robot = self.model.robot

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from seqid_cli import __version__
 from seqid_cli.params.files import replacing, writing
+from seqid_cli.typing import Array
 
 if TYPE_CHECKING:
     from seqid_cli.identify.prediction.predict import LogPrediction
 
-Array = NDArray[np.float64]
 
 TOPICS = ("/seqid/measured", "/seqid/predicted", "/seqid/residual", "/seqid/low", "/seqid/high")
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.imu.link_acceleration import best_motion
@@ -16,8 +15,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.base import Basis, base_regressor
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 BLOCK_S = 1.0
 CHUNK = 4096

@@ -8,13 +8,11 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base import Basis, base_regressor, loaded_columns
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 class Columns(Protocol):

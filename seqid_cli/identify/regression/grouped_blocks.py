@@ -10,22 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator
+from seqid_cli.typing import Array, Mask
 
 MOST_ROWS = 4096  # held for one factor; what more there is to merge is merged afterwards
 
-Array = NDArray[np.float64]
-Chunk = tuple[Array, Array, NDArray[np.bool_]]  # H (N, n, p), y (N, n), which rows to use (N, n)
+Chunk = tuple[Array, Array, Mask]  # H (N, n, p), y (N, n), which rows to use (N, n)
 
 
 class GroupedBlocks:
     """Hands the rows of all joints, block by block, to their accumulators."""
 
-    def __init__(
-        self, joints: Sequence[Accumulator], loaded: NDArray[np.bool_] | None = None
-    ) -> None:
+    def __init__(self, joints: Sequence[Accumulator], loaded: Mask | None = None) -> None:
         """Take accumulators, and which columns (n, p) of a joint can differ from zero."""
         self._joints = joints
         self._loaded = loaded

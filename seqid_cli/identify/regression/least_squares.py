@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.qr_factors import (
     ENOUGH,
@@ -35,9 +34,7 @@ from seqid_cli.identify.regression.qr_factors import (
     spans_of,
     triangular,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 MOST_BLOCKS = 256
 LEAST_SPAN = 64  # rows: shorter stretches of them are cheaper picked one by one
@@ -189,7 +186,7 @@ class Solution:
 
     theta: Array
     covariance: Array
-    determined: NDArray[np.bool_]
+    determined: Mask
     rank: int
     condition: float
     sigma: Array  # residual RMS per joint
@@ -288,7 +285,7 @@ def _solve_scaled(factor: Array) -> tuple[Array, Array, Array, float]:
     return theta, basis, left_open, condition
 
 
-def _determined(factor: Array, basis: Array) -> NDArray[np.bool_]:
+def _determined(factor: Array, basis: Array) -> Mask:
     """Parameters without a part in the directions that are not excited."""
     R = factor[:-1, :-1]
     scale = np.linalg.norm(R, axis=0)
@@ -298,7 +295,7 @@ def _determined(factor: Array, basis: Array) -> NDArray[np.bool_]:
     scaled = basis * np.where(alive, scale, 0.0)[:, None]
     Q, _ = np.linalg.qr(scaled)
     inside = np.sum(Q**2, axis=1)
-    determined: NDArray[np.bool_] = alive & (inside > 1 - 1e-4)
+    determined: Mask = alive & (inside > 1 - 1e-4)
     return determined
 
 

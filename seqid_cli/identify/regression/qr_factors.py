@@ -17,13 +17,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk, dtrmm
 from scipy.linalg.lapack import dpotrf, dtpqrt, dtrtri
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Ints = NDArray[np.intp]
+from seqid_cli.typing import Array, Index, Mask
+
 Spans = list[tuple[int, int]]  # half-open ranges of rows
 
 PANEL = 8  # columns that the blocked QR takes at once
@@ -238,7 +236,7 @@ def _lay(
     out[to:] = y
 
 
-def _runs(numbers: Ints) -> Spans:
+def _runs(numbers: Index) -> Spans:
     """Half-open ranges of consecutive ones among ascending numbers."""
     if not len(numbers):
         return []
@@ -258,14 +256,14 @@ def _reflected(R: Array, rows: Array, triangle: int) -> Array:
     return R
 
 
-def _signed(R: Array, chosen: Ints, size: int) -> Array:
+def _signed(R: Array, chosen: Index, size: int) -> Array:
     """R of the chosen columns in a factor (size, size) with no negative entry on its diagonal."""
     flipped = np.flatnonzero(R.diagonal() < 0)
     R[flipped] *= -1.0
     return _in_full(np.ascontiguousarray(R), chosen, size)
 
 
-def _in_full(R: Array, chosen: Ints, size: int) -> Array:
+def _in_full(R: Array, chosen: Index, size: int) -> Array:
     if len(chosen) == size:
         return R
     full = np.zeros((size, size))

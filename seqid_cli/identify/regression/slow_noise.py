@@ -23,13 +23,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 from scipy.special import sici
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 LONGER = 4.0  # log lengths, whose inverse is the lowest frequency of slow noise
 STIFFNESS = (1e-9, 1e-7, 1e-5)  # of V's mean variance, added until it can be factored
@@ -49,15 +47,15 @@ class Rows:
     t: Array
     weight: Array
     seconds: Array
-    trial: Ints
-    log: Ints
+    trial: Index
+    log: Index
 
 
 @dataclass(frozen=True)
 class Whitener:
     """Roots of V, log by log: `rows` (M,) of each, and its lower factor (M, M)."""
 
-    parts: tuple[tuple[Ints, Array], ...]
+    parts: tuple[tuple[Index, Array], ...]
 
     def __call__(self, values: Array) -> Array:
         """Rows (N, ...) whose errors are independent and of unit variance."""
@@ -95,7 +93,7 @@ def whitener_of(rows: Rows) -> Whitener:
     return Whitener(tuple((at, _root(shape, strengths)) for at, *shape in shapes))
 
 
-_Shape = tuple[Ints, Array, Array, Array]
+_Shape = tuple[Index, Array, Array, Array]
 
 
 def _strengths(logs: Array, white: float, typical: float) -> Array:
@@ -104,13 +102,13 @@ def _strengths(logs: Array, white: float, typical: float) -> Array:
     return np.array([w * white, t * typical, f * typical])
 
 
-def _by_log(rows: Rows) -> list[Ints]:
+def _by_log(rows: Rows) -> list[Index]:
     """Rows of each log, in time order."""
     order = np.lexsort((rows.t, rows.log))
     return np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
 
 
-def _shapes(rows: Rows, at: Ints) -> _Shape:
+def _shapes(rows: Rows, at: Index) -> _Shape:
     """W's diagonal, T and F of the rows of one log."""
     t, trial = rows.t[at], rows.trial[at]
     common = (trial[:, None] == trial[None, :]).astype(np.float64)

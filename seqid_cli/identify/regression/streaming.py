@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
@@ -42,9 +41,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base import Basis
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 LONG = 200_000  # samples from which on a log is better passed over than held
 FAR_ENOUGH = 0.8  # of the low-pass's memory: it has forgotten to 1e-10

@@ -20,15 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import Solution, spread_of
 from seqid_cli.identify.rigid.posterior import Posterior, friction_covariance
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import RigidStage, Verdict
 from seqid_cli.robot.base import Basis
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 CLEAR = 4.0  # standard errors of a difference between two cut-offs, from which it is said
 MATTERS = 3.0  # stated standard errors, by which a parameter must differ to make the verdict poor

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.robot.base import Basis, base_regressor
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 STATES = 120
 STRUCTURAL = 1e-6  # singular value of scaled rows, over the largest, that is not rounding

@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
@@ -39,8 +38,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.robot.base import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 POOR_CONDITION = 300.0
 

@@ -21,7 +21,6 @@ from typing import cast
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError, QualityError, UsageError
 from seqid_cli.identify.log_set import reduced
@@ -72,8 +71,7 @@ from seqid_cli.robot.base import Basis, free_basis, gear_ratios, loaded_columns,
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 POOR_CONDITION = 1000.0
 ROUNDS = 6  # of reweighting: the weights settle to a thousandth of a standard error
@@ -319,7 +317,7 @@ class InertiaEquations:
         coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
         return motion.filtered(coupled @ self.rotors)
 
-    def add_chunk(self, motion: Motion, H: Array, y: Array, usable: NDArray[np.bool_]) -> None:
+    def add_chunk(self, motion: Motion, H: Array, y: Array, usable: Mask) -> None:
         """Add rows H (N, n, b + 1), y (N, n) of consecutive samples, where they are usable."""
         self.counts += motion.samples * np.array([motion.independent_share, 1.0])
         known = usable & np.array([surface is not None for surface in self.surfaces])

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base import Basis, standard_names
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 
 def parameters_of(
-    robot: Robot, basis: Basis, chosen: Indices, theta: Array, covariance: Array
+    robot: Robot, basis: Basis, chosen: Index, theta: Array, covariance: Array
 ) -> list[Parameter]:
     """Parameters `chosen` (indices) with standard errors, units and expressions."""
     return [
@@ -42,7 +39,7 @@ def representative_of(basis: Basis, theta: Array, rotors: Array) -> dict[str, fl
     return {name: float(x) for name, x in zip(names, phi, strict=True) if x != 0.0}
 
 
-def not_excited(basis: Basis, solution: Solution, candidates: Indices) -> list[str]:
+def not_excited(basis: Basis, solution: Solution, candidates: Index) -> list[str]:
     """Names of parameters among `candidates` that these data do not determine, with expressions."""
     return [basis.expression_text(int(k)) for k in candidates if not solution.determined[int(k)]]
 

@@ -29,14 +29,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Matrix, RigidStage
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Index
 
 Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
 
@@ -162,7 +160,7 @@ def combined(direct: Sensitivity, gain: Array, through: Sensitivity) -> Sensitiv
 
 
 def as_matrices(
-    sensitivity: Mapping[int, Array], chosen: NDArray[np.intp], names: Sequence[str]
+    sensitivity: Mapping[int, Array], chosen: Index, names: Sequence[str]
 ) -> dict[str, Matrix]:
     """Sensitivities of the parameters `chosen` for the parameter file, every joint named."""
     return {
@@ -172,7 +170,7 @@ def as_matrices(
 
 
 def as_lists(
-    moves: Mapping[int, Array], chosen: NDArray[np.intp], names: Sequence[str]
+    moves: Mapping[int, Array], chosen: Index, names: Sequence[str]
 ) -> dict[str, list[float]]:
     """Moves of the parameters `chosen` for the parameter file."""
     return {names[j]: move[chosen].tolist() for j, move in moves.items()}

@@ -20,13 +20,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.robot.base import Basis
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 CONSISTENT = 3.0  # standard errors within which the free share agrees with 0 or 1
 LOG_ODDS = 5.0  # that decide: 150 to 1

@@ -14,7 +14,6 @@ from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.motion_use import motion_use, source_text
@@ -45,8 +44,7 @@ from seqid_cli.params.schema import (
 from seqid_cli.robot.base import Basis, free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
 SIGN_SHARE = 0.004  # width of the smoothed sign over the joint's fastest speed

@@ -255,7 +255,7 @@ def _sequential(material: Material, model: Refitted) -> Stages:
     if stages.gravity is not None:
         freed = material.before_or_now("gravity", model)
         if new.friction is not stages.friction or not material.as_they_were("gravity", freed):
-            new.gravity = identify_gravity(freed, robot, new, options=motion.motion)
+            new.gravity = identify_gravity(freed, robot, new)
     if stages.inertia is not None:
         freed = [*material.before("inertia", model), *material.now(model)]
         new.inertia = identify_inertia(freed, robot, new, options=motion)

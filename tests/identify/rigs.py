@@ -76,11 +76,11 @@ class Rig:
     def gravity(self) -> RigidStage:
         logs = self.logs("gravity") + self.logs("friction")
         stages = Stages(friction=self.friction)
-        return identify_gravity(logs, self.robot, stages, options=MotionOptions())
+        return identify_gravity(logs, self.robot, stages)
 
     @cached_property
     def imu(self) -> ImuStage:
-        return calibrate_imus(self.logs("imu"), self.robot, None, options=MotionOptions())
+        return calibrate_imus(self.logs("imu"), self.robot, options=MotionOptions())
 
     @cached_property
     def inertia(self) -> RigidStage:

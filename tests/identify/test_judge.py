@@ -13,7 +13,6 @@ from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.logs.read import read_recordings
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
@@ -37,7 +36,7 @@ def friction(robot: Robot) -> FrictionStage:
 @pytest.fixture(scope="module")
 def gravity(robot: Robot, friction: FrictionStage) -> RigidStage:
     logs = list(read_recordings(sorted((RIG / "gravity").glob("*")), robot))
-    return identify_gravity(logs, robot, Stages(friction=friction), options=MotionOptions())
+    return identify_gravity(logs, robot, Stages(friction=friction))
 
 
 def poor(verdicts: list[Verdict]) -> list[str]:

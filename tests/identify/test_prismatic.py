@@ -17,7 +17,6 @@ from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Chain, Joint, Robot
 from tests.identify.rigs import rmse
@@ -124,7 +123,7 @@ class Identified:
     @cached_property
     def gravity(self) -> RigidStage:
         stages = Stages(friction=self.friction)
-        return identify_gravity(self.single, self.robot, stages, options=MotionOptions())
+        return identify_gravity(self.single, self.robot, stages)
 
     @cached_property
     def inertia(self) -> RigidStage:

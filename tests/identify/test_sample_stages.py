@@ -262,7 +262,7 @@ def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: R
 def test_stages_in_the_wrong_order_are_refused(one_joint: Rig) -> None:
     logs, robot = one_joint.logs("gravity"), one_joint.robot
     with pytest.raises(UsageError, match="friction stage"):
-        identify_gravity(logs, robot, Stages(), options=MotionOptions())
+        identify_gravity(logs, robot, Stages())
     with pytest.raises(UsageError, match="friction stage"):
         identify_inertia(logs, robot, Stages(), options=InertiaOptions())
 
@@ -272,7 +272,7 @@ def test_logs_without_what_a_stage_needs_are_refused(six_joint: Rig) -> None:
     with pytest.raises(QualityError, match="moves by itself at constant velocity"):
         identify_friction(validation, robot, options=FrictionOptions())
     with pytest.raises(QualityError, match="no log moves a joint before an IMU"):
-        calibrate_imus(six_joint.logs("friction")[:1], robot, None, options=MotionOptions())
+        calibrate_imus(six_joint.logs("friction")[:1], robot, options=MotionOptions())
 
 
 def test_too_high_a_velocity_order_is_refused(one_joint: Rig) -> None:

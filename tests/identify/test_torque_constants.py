@@ -58,7 +58,7 @@ def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     drills = scaled(rig.logs("friction"), step)
     stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
     slow = scaled(rig.logs("gravity"), step) + drills
-    stages.gravity = identify_gravity(slow, robot, stages, options=MotionOptions())
+    stages.gravity = identify_gravity(slow, robot, stages)
     options = InertiaOptions(source="encoder")
     stages.inertia = identify_inertia(
         scaled(rig.logs("inertia"), step), robot, stages, options=options

@@ -45,8 +45,8 @@ def before_inertia(experiment: Experiment, *, friction: FrictionOptions | None =
     slow = [*logs["friction"], *logs.get("gravity", ())]
     return Stages(
         friction=surface,
-        gravity=identify_gravity(slow, robot, found, options=motion),
-        imu=calibrate_imus(logs["imu"], robot, found, options=motion),
+        gravity=identify_gravity(slow, robot, found),
+        imu=calibrate_imus(logs["imu"], robot, options=motion),
     )
 
 

@@ -209,7 +209,7 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
 
 def calibrated(scene: Scene, seed: int) -> ImuStage:
     """Calibrate the IMUs of one seed."""
-    return calibrate_imus(recordings(scene, seed), scene.robot, None, options=MotionOptions())
+    return calibrate_imus(recordings(scene, seed), scene.robot, options=MotionOptions())
 
 
 def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:

@@ -32,7 +32,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages, Verdict
+from seqid_cli.params.schema import ImuCalibration, ImuStage, Verdict
 from seqid_cli.robot.types import Imu, Robot
 
 
@@ -54,7 +54,7 @@ class Gathered:
 
 
 def calibrate_imus(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages | None, *, options: MotionOptions
+    recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
 ) -> ImuStage:
     """Calibrate every IMU of the robot file.
 
@@ -65,8 +65,6 @@ def calibrate_imus(
         in several configurations.
     robot : Robot
         With its IMUs.
-    stages : Stages, optional
-        Not needed; accepted so that the parameter file can be carried on.
     options : MotionOptions
         Cut-off.
 

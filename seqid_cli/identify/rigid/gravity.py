@@ -34,7 +34,6 @@ from seqid_cli.identify.rigid.posterior import (
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.robot.base import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
@@ -43,9 +42,7 @@ from seqid_cli.typing import Array
 POOR_CONDITION = 300.0
 
 
-def identify_gravity(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: MotionOptions
-) -> RigidStage:
+def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
     """Identify the base parameters of gravity.
 
     Parameters
@@ -57,8 +54,6 @@ def identify_gravity(
         Chain and gravity vector.
     stages : Stages
         With the friction stage.
-    options : MotionOptions
-        Not used by this stage, which averages instead of filtering.
 
     Returns
     -------

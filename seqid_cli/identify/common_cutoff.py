@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import SeqidError
-from seqid_cli.identify.regression.streaming import open_if_long
+from seqid_cli.identify.regression.streaming import open_if_long, survey_of
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
@@ -33,7 +33,6 @@ from seqid_cli.motion.filters.bandwidth import (
     first_maximum,
     lowest_as_good,
 )
-from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
 from seqid_cli.motion.options import MotionOptions
@@ -82,9 +81,7 @@ def score_of(
         If the motion cannot be had from this source.
     """
     resolution, rate = encoder_resolution(robot), log.rate_hz
-    survey = Survey.of(log.q, rate) if isinstance(log, Recording) else log.survey
-    assert survey is not None
-    found = survey.score(resolution, GRID)
+    found = survey_of(log).score(resolution, GRID)
     if found is None:
         return None
     if isinstance(log, SurveyedLog):

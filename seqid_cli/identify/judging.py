@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from seqid_cli.identify.friction_surface.trials import gravity_columns
+from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
 from seqid_cli.identify.log_verdicts import verdicts_of_logs
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters

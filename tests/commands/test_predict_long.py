@@ -13,9 +13,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from seqid_cli.identify.prediction import predict_long
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict_long import LongPrediction
+from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.identify.prediction.torques_mcap import TOPICS
 from seqid_cli.identify.regression import streaming
 from seqid_cli.motion import blocks
@@ -147,7 +146,7 @@ def test_a_log_that_is_passed_over_gives_the_same_files(
     predict("held")
     assert not parts
     monkeypatch.setattr(streaming, "LONG", 10_000)
-    monkeypatch.setattr(predict_long, "ROWS", 3_000)
+    monkeypatch.setattr(LongPrediction, "rows", 3_000)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 4_000)
     predict("long")
     assert len(parts) > 1

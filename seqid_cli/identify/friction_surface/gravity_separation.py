@@ -15,19 +15,87 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.identify.friction_surface.trials import (
-    HalfSums,
-    Trial,
-    configurations,
-    gravity_columns,
-    half_sums,
-)
+from seqid_cli.identify.friction_surface.trials import Trial, configurations, speed_levels
+from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index
 
 ASYMMETRY_SHARE = 0.02  # of the friction, below which a direction dependence does not matter
 ASYMMETRY_SIGMA = 6.0
 ENOUGH_PAIRS = 8
+
+
+def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
+    """Vector a of Eq. 13 at positions q of one joint, the others locked.
+
+    Parameters
+    ----------
+    robot : Robot
+        Chain and gravity vector.
+    joint : int
+        The moving joint.
+    configuration : (n,) array
+        Positions of the joints before it [rad].
+    q : (K,) array
+        Positions of the joint itself [rad].
+
+    Returns
+    -------
+    (K, 2) array
+        m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic joint, whose gravity
+        force is mass times gravity along the axis; no column where gravity has no part across the
+        axis.
+    """
+    zero = configuration.copy()
+    zero[joint] = 0.0
+    R = forward(robot.chain, zero[None]).R[0, joint]
+    g = R.T @ robot.gravity
+    axis = robot.chain.axis[joint]
+    if robot.chain.prismatic[joint]:
+        column = np.full((len(q), 1), -float(g @ axis))
+        return column if abs(g @ axis) > 1e-6 else column[:, :0]
+    e_x, e_y = plane_across(axis)
+    g_x, g_y = float(g @ e_x), float(g @ e_y)
+    if np.hypot(g_x, g_y) < 1e-6:
+        return np.empty((len(q), 0))
+    sin, cos = np.sin(q), np.cos(q)
+    return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
+
+
+def plane_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    e_x = start - axis * (axis @ start)
+    e_x /= np.linalg.norm(e_x)
+    return e_x, np.cross(axis, e_x)
+
+
+@dataclass(frozen=True)
+class HalfSums:
+    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, the pair's speed, weight."""
+
+    q: Array
+    tau: Array
+    speed: float
+    weight: float
+
+
+def half_sums(group: list[Trial]) -> list[HalfSums]:
+    """Pair forward with backward trials of one configuration, speed by speed (Eq. 15)."""
+    result = []
+    for level in speed_levels(group):
+        forward_trials = [t for t in level if t.velocity > 0]
+        backward = [t for t in level if t.velocity < 0]
+        for ahead, back in zip(forward_trials, backward, strict=False):
+            low = max(ahead.q.min(), back.q.min())
+            high = min(ahead.q.max(), back.q.max())
+            inside = (ahead.q >= low) & (ahead.q <= high)
+            order = np.argsort(back.q)
+            twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
+            if inside.sum() >= 4:
+                half = (ahead.tau[inside] + twin) / 2
+                result.append(HalfSums(ahead.q[inside], half, level[0].speed, ahead.weight))
+    return result
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.identify.friction_surface.trials import Ramps, Trial, configurations, gravity_columns
+from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
+from seqid_cli.identify.friction_surface.trials import Ramps, Trial, configurations
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN

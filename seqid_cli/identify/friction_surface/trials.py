@@ -1,30 +1,29 @@
-"""Constant-velocity trials reduced to a few averages each, and gravity removed from them.
+"""Constant-velocity trials reduced to a few averages each.
 
 A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
-slice replace a low-pass. Forward and backward trials of one joint, at one speed and in one locked
-configuration, give the gravity torque by Eq. 15; p_xi (Eq. 12-14) is fitted to it.
+slice replace a low-pass.
 """
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from seqid_cli.identify.friction_surface.trials_long import pieces
+from seqid_cli.identify.friction_surface.pieces import pieces
 from seqid_cli.identify.log_set import reduced
-from seqid_cli.identify.regression.streaming import open_if_long
+from seqid_cli.identify.regression.streaming import open_if_long, survey_of
+from seqid_cli.logs.long import Block
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.motion import encoder_resolution
-from seqid_cli.motion.segmentation import Stretch, constant_velocity, noise_step
-from seqid_cli.robot.kinematics import forward
+from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -108,69 +107,63 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
 
 @dataclass(frozen=True)
 class TrialsOf:
-    """The constant-velocity trials of one log."""
+    """The constant-velocity trials of one log; a long one comes in pieces of `rows` samples."""
 
     robot: Robot
+    rows: int = 65_536
 
     def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
         """Open a log that is better passed over than read; None for others."""
         return open_if_long(path, robot, time_source=time_source)
 
-    def __call__(self, recording: Recording | SurveyedLog, number: int) -> list[Trial]:
+    def __call__(self, log: Recording | SurveyedLog, number: int) -> list[Trial]:
         """Find them."""
-        resolution, rate = encoder_resolution(self.robot), recording.rate_hz
-        if isinstance(recording, SurveyedLog):
-            assert recording.survey is not None
-            found = pieces(recording, recording.survey.noise_step(resolution))
-            return [
-                _trial(b.q, b.tau, rate, each, begin=b.start, log=number)
-                for b, own in found
-                for each in own
-            ]
-        tau = torque_of(recording)
-        step = noise_step(recording.q, resolution)
-        stretches = constant_velocity(recording.q, rate, step=step, valid=recording.valid)
-        trials = [_trial(recording.q, tau, rate, each, begin=0, log=number) for each in stretches]
-        if recording.temperature is None:
-            return trials
+        step = survey_of(log).noise_step(encoder_resolution(self.robot))
+        temperature = log.temperature if isinstance(log, Recording) else None
         return [
-            replace(trial, celsius=_mean(recording.temperature[each.start : each.stop, each.joint]))
-            for trial, each in zip(trials, stretches, strict=True)
+            _trial(block, each, log.rate_hz, number, temperature)
+            for block, own in pieces(log, step, rows=self.rows)
+            for each in own
         ]
 
 
-def _mean(values: Array) -> float:
-    """Mean of what is finite; NaN where nothing is."""
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else np.nan
-
-
 def _trial(
-    q: Array, tau: Array, rate_hz: float, stretch: Stretch, *, begin: int, log: int
+    block: Block, stretch: Stretch, rate_hz: float, number: int, temperature: Array | None
 ) -> Trial:
     j = stretch.joint
     slices = int(np.clip(stretch.samples // 4, 4, SLICES))
     length = stretch.samples // slices
     stop = stretch.start + slices * length
-    means = tau[stretch.start : stop, j].reshape(slices, length).mean(axis=1)
+    own, move = slice(stretch.start, stop), slice(stretch.move_start, stretch.move_stop)
     half = (stop - stretch.start) / rate_hz / 2
     middles = (np.arange(slices) + 0.5) / slices * 2 - 1
-    path = _path(middles, q[stretch.start : stop, j].reshape(slices, length).mean(axis=1))
-    move = slice(stretch.move_start, stretch.move_stop)
+    path = _path(middles, block.q[own, j].reshape(slices, length).mean(axis=1))
+    celsius = np.nan
+    if temperature is not None:
+        celsius = _finite_mean(temperature[stretch.start : stretch.stop, j])
     return Trial(
-        j,
-        stretch.velocity,
-        np.asarray(path(middles), dtype=np.float64),
-        np.asarray(path.deriv()(middles) / half, dtype=np.float64),
-        np.asarray(path.deriv(2)(middles) / half**2, dtype=np.float64),
-        means,
-        _ramps(q[move, j], tau[move, j], rate_hz, stretch),
-        float(length),
-        np.array(stretch.configuration),
-        np.asarray((begin + stretch.start) / rate_hz + (middles + 1) * half, dtype=np.float64),
-        length / rate_hz,
-        log,
+        joint=j,
+        velocity=stretch.velocity,
+        q=np.asarray(path(middles), dtype=np.float64),
+        dq=np.asarray(path.deriv()(middles) / half, dtype=np.float64),
+        ddq=np.asarray(path.deriv(2)(middles) / half**2, dtype=np.float64),
+        tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
+        ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
+        weight=float(length),
+        configuration=np.array(stretch.configuration),
+        t=np.asarray(
+            (block.start + stretch.start) / rate_hz + (middles + 1) * half, dtype=np.float64
+        ),
+        seconds=length / rate_hz,
+        log=number,
+        celsius=celsius,
     )
+
+
+def _finite_mean(values: Array) -> float:
+    """Mean of what is finite; NaN where nothing is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else np.nan
 
 
 def _path(time: Array, q: Array) -> Chebyshev:
@@ -254,76 +247,3 @@ def configurations(trials: list[Trial]) -> list[list[Trial]]:
         else:
             groups.append([trial])
     return groups
-
-
-def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
-    """Vector a of Eq. 13 at positions q of one joint, the others locked.
-
-    Parameters
-    ----------
-    robot : Robot
-        Chain and gravity vector.
-    joint : int
-        The moving joint.
-    configuration : (n,) array
-        Positions of the joints before it [rad].
-    q : (K,) array
-        Positions of the joint itself [rad].
-
-    Returns
-    -------
-    (K, 2) array
-        m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic joint, whose gravity
-        force is mass times gravity along the axis; no column where gravity has no part across the
-        axis.
-    """
-    zero = configuration.copy()
-    zero[joint] = 0.0
-    R = forward(robot.chain, zero[None]).R[0, joint]
-    g = R.T @ robot.gravity
-    axis = robot.chain.axis[joint]
-    if robot.chain.prismatic[joint]:
-        column = np.full((len(q), 1), -float(g @ axis))
-        return column if abs(g @ axis) > 1e-6 else column[:, :0]
-    e_x, e_y = plane_across(axis)
-    g_x, g_y = float(g @ e_x), float(g @ e_y)
-    if np.hypot(g_x, g_y) < 1e-6:
-        return np.empty((len(q), 0))
-    sin, cos = np.sin(q), np.cos(q)
-    return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
-
-
-def plane_across(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
-    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    e_x = start - axis * (axis @ start)
-    e_x /= np.linalg.norm(e_x)
-    return e_x, np.cross(axis, e_x)
-
-
-@dataclass(frozen=True)
-class HalfSums:
-    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, the pair's speed, weight."""
-
-    q: Array
-    tau: Array
-    speed: float
-    weight: float
-
-
-def half_sums(group: list[Trial]) -> list[HalfSums]:
-    """Pair forward with backward trials of one configuration, speed by speed (Eq. 15)."""
-    result = []
-    for level in speed_levels(group):
-        forward_trials = [t for t in level if t.velocity > 0]
-        backward = [t for t in level if t.velocity < 0]
-        for ahead, back in zip(forward_trials, backward, strict=False):
-            low = max(ahead.q.min(), back.q.min())
-            high = min(ahead.q.max(), back.q.max())
-            inside = (ahead.q >= low) & (ahead.q <= high)
-            order = np.argsort(back.q)
-            twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
-            if inside.sum() >= 4:
-                half = (ahead.tau[inside] + twin) / 2
-                result.append(HalfSums(ahead.q[inside], half, level[0].speed, ahead.weight))
-    return result

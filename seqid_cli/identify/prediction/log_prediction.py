@@ -10,7 +10,6 @@ import numpy as np
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.inertia import slowest_speeds
-from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel, friction_surfaces
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base import free_basis
@@ -90,29 +89,26 @@ def lacking(stages: Stages, robot: Robot) -> dict[str, list[str]]:
     return found
 
 
-def notes_on(
-    surfaces: list[FrictionSurface | None], robot: Robot, stages: Stages, share: Array
-) -> Iterator[str]:
+def notes_on(model: TorqueModel, stages: Stages, share: Array) -> Iterator[str]:
     """Say what a prediction lacks.
 
     Parameters
     ----------
-    surfaces : list of FrictionSurface or None
-        Friction of each joint.
-    robot : Robot
+    model : TorqueModel
     stages : Stages
-        The model.
+        That the model is of.
     share : (n,) array
         Of the samples at which a joint slides, those outside its identified friction.
     """
+    names = model.robot.joint_names
     if stages.inertia is None:
         yield "no inertia stage in the parameter file: inertial torque is taken as zero"
-    unknown = [n for n, s in zip(robot.joint_names, surfaces, strict=True) if s is None]
+    unknown = [n for n, s in zip(names, model.surfaces, strict=True) if s is None]
     if unknown:
         yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
     far = [
         f"{name} {percent(part, 0)}"
-        for name, part in zip(robot.joint_names, share, strict=True)
+        for name, part in zip(names, share, strict=True)
         if part > OUTSIDE_NOTE
     ]
     if far:

@@ -1,9 +1,8 @@
 """Equations of logs of any length, in memory that does not grow with them.
 
-A long log is passed over twice: to lay its time base and choose its cut-off
-(`motion.filters.survey`; a third time where its stamps are uneven), and to filter, decimate and
-reduce its equations block by block. What comes out is what the same log held in memory gives with
-the motion of its encoders, because
+A log that is held has its motion in one block. A long one is passed over twice: to lay its time
+base and choose its cut-off (`motion.filters.survey`; a third time where its stamps are uneven), and
+to filter, decimate and reduce its equations block by block. Both give the same, because
 
 - blocks are cut on the same grid as there, filtered with all the samples that the filter remembers;
 - each joint's equations are reduced to the factors of blocks of about a second, as ever; they carry
@@ -22,13 +21,12 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import CHUNK, blocks
-from seqid_cli.identify.regression.filtered_columns import FilteredColumns
+from seqid_cli.identify.regression.equations import CHUNK, FilteredColumns, blocks, torque_motion
 from seqid_cli.logs.long import rows_at_least
 from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import sliding
 from seqid_cli.motion.blocks import (
-    Plan,
     SurveyedLog,
     joined_motions,
     make_plan,
@@ -36,6 +34,8 @@ from seqid_cli.motion.blocks import (
     open_surveyed,
 )
 from seqid_cli.motion.filters.bandwidth import Cutoff
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.motion import Motion, as_asked, encoder_resolution
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
@@ -44,9 +44,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 LONG = 200_000  # samples from which on a log is better passed over than held
-FAR_ENOUGH = 0.8  # of the low-pass's memory: it has forgotten to 1e-10
 LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
-TOGETHER = 2  # times as much, for right sides: they need little memory
 
 
 class Equations(Protocol):
@@ -54,6 +52,7 @@ class Equations(Protocol):
 
     robot: Robot
     basis: Basis
+    stages: Stages
     options: InertiaOptions
     slowest: Array
 
@@ -102,14 +101,19 @@ def open_if_long(
     return log if log is not None and log.samples >= least else None
 
 
-def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
-    """Add the rows of one long log.
+def pass_over(
+    log: Recording | SurveyedLog, equations: Equations, *, forgotten: float = 0.8
+) -> Motion:
+    """Add the rows of one log.
 
     Parameters
     ----------
-    log : SurveyedLog
+    log : Recording or SurveyedLog
+        Held: its motion is one block. Or long, to be passed over: its motion comes in many.
     equations : Equations
         Given the rows.
+    forgotten : float
+        Share of the low-pass's memory that is computed beside a part: 0.8 of it leaves 1e-10.
 
     Returns
     -------
@@ -121,19 +125,21 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
     InputError
         If no stretch of the log is long enough to filter.
     """
-    options = equations.options.motion
-    cutoff, step = chosen_cutoff(log, equations.robot, options)
-    plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
-    lowpass = plan.kept_lowpass
-    reach = int(FAR_ENOUGH * lowpass.memory) + lowpass.settling  # of the low-pass, once
-    count = int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
-    parts = motion_blocks(log.blocks(), plan)
-    rows = count * CHUNK
-    columns = FilteredColumns(equations, rows, reach)
-    expected = _blocks_of(log.samples, plan)
-    equations.expect(expected, -(-log.samples // plan.factor) // max(expected, 1))
+    held = isinstance(log, Recording)
+    if isinstance(log, Recording):
+        parts, lowpass, samples = _held(log, equations)
+    else:
+        parts, lowpass, samples = _streamed(log, equations)
+    reach = int(forgotten * lowpass.memory) + lowpass.settling
+    rows = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
+    columns = FilteredColumns(
+        equations.robot, equations.basis, min(rows, samples), reach, equations.coupling_column
+    )
+    expected = _blocks_of(samples, lowpass.rate_hz)
+    equations.expect(expected, samples // max(expected, 1))
     moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
-    for motion, start, stop in overlapping(parts, TOGETHER * rows, 2 * reach):
+    # Right sides need little memory: they are made of longer parts than the regressor.
+    for motion, start, stop in overlapping(parts, samples if held else 2 * rows, 2 * reach):
         y = equations.right_side(motion)
         for first in range(start, stop, rows):
             _add_part(equations, columns, motion, y, slice(first, min(first + rows, stop)), reach)
@@ -142,15 +148,31 @@ def pass_over(log: SurveyedLog, equations: Equations) -> Motion:
         last = motion
     equations.expect(0, 0)
     if last is None or not usable:
-        raise too_short(log.path, cutoff)
+        raise too_short(log.path, lowpass.cutoff_hz)
     return replace(last, moving=moving[None])
 
 
-def _blocks_of(samples: int, plan: Plan) -> int:
+def _held(log: Recording, equations: Equations) -> tuple[Iterable[Motion], Lowpass, int]:
+    """The motion of a log as one block, its low-pass, and how many samples there are."""
+    options, imu = equations.options, equations.stages.imu
+    motion = torque_motion(log, equations.robot, options.motion, imu=imu, source=options.source)
+    return [motion], motion.lowpass, motion.samples
+
+
+def _streamed(log: SurveyedLog, equations: Equations) -> tuple[Iterable[Motion], Lowpass, int]:
+    """The motion of a long log, block by block, its low-pass, and how many samples there are."""
+    options = equations.options.motion
+    cutoff, step = chosen_cutoff(log, equations.robot, options)
+    plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
+    samples = -(-log.samples // plan.factor)
+    return motion_blocks(log.blocks(), plan), plan.kept_lowpass, samples
+
+
+def _blocks_of(samples: int, rate_hz: float) -> int:
     """How many blocks of equations a log will have."""
-    whole, rest = divmod(-(-samples // plan.factor), CHUNK)
+    whole, rest = divmod(samples, CHUNK)
     sizes = [(CHUNK, whole), (rest, 1 if rest else 0)]
-    return sum(times * sum(1 for _ in blocks(size, plan.kept_rate_hz)) for size, times in sizes)
+    return sum(times * sum(1 for _ in blocks(size, rate_hz)) for size, times in sizes)
 
 
 def _add_part(
@@ -172,12 +194,19 @@ def _add_part(
         equations.add_chunk(chunk, rows, y[first:end], usable[first - low : end - low])
 
 
+def survey_of(log: Recording | SurveyedLog) -> Survey:
+    """What a log's positions tell of its noise steps and its cut-off."""
+    if isinstance(log, Recording):
+        return Survey.of(log.q, log.rate_hz)
+    assert log.survey is not None
+    return log.survey
+
+
 def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tuple[Cutoff, Array]:
     """Choose the cut-off of a log; returns it and the noise steps (n,) rad."""
-    assert log.survey is not None
-    resolution = encoder_resolution(robot)
-    cutoff = as_asked(log.survey.cutoff(resolution), log.path, log.rate_hz, options)
-    return cutoff, log.survey.noise_step(resolution)
+    resolution, survey = encoder_resolution(robot), survey_of(log)
+    cutoff = as_asked(survey.cutoff(resolution), log.path, log.rate_hz, options)
+    return cutoff, survey.noise_step(resolution)
 
 
 def overlapping(
@@ -208,10 +237,10 @@ def overlapping(
         held, before = [joined], stop
 
 
-def too_short(path: Path, cutoff: Cutoff) -> InputError:
+def too_short(path: Path, cutoff_hz: float) -> InputError:
     """The error of a log without a stretch that is long enough to filter."""
     return InputError(
-        f"no stretch without a gap is long enough for a low-pass of {cutoff.hz:.3g} Hz",
+        f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz",
         hint="record longer, mend the gaps, or give a higher --cutoff",
         where=str(path),
     )

@@ -29,8 +29,6 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import (
     blocks,
     cutoff_note,
-    filtered_regressor,
-    torque_motion,
 )
 from seqid_cli.identify.regression.grouped_blocks import GroupedBlocks
 from seqid_cli.identify.regression.least_squares import (
@@ -63,7 +61,7 @@ from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
+from seqid_cli.model.torque import friction_surfaces, known_rotors
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
 from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
@@ -276,28 +274,11 @@ class InertiaEquations:
         full.cutoffs, full.uses, full.counts = rows.cutoffs, rows.uses, rows.counts
         return full
 
-    def add(self, recording: Recording | SurveyedLog) -> None:
-        """Add the rows of one log; a long one is passed over."""
-        if isinstance(recording, SurveyedLog):
-            seen = pass_over(recording, self)
-            self.cutoffs.append(seen.cutoff.hz)
-            self.uses.append(motion_use(recording.path, self.robot, seen))
-            return
-        motion = torque_motion(
-            recording,
-            self.robot,
-            self.options.motion,
-            imu=self.stages.imu,
-            source=self.options.source,
-        )
+    def add(self, log: Recording | SurveyedLog) -> None:
+        """Add the rows of one log."""
+        motion = pass_over(log, self)
         self.cutoffs.append(motion.cutoff.hz)
-        self.uses.append(motion_use(recording.path, self.robot, motion))
-        usable = sliding(motion, self.slowest)
-        y = self.right_side(motion)
-        kappa = self.coupling_column(motion)
-        for rows in filtered_regressor(motion, self.robot, self.basis):
-            H = np.concatenate([rows.H, kappa[rows.where][:, :, None]], axis=2)
-            self.add_chunk(rows.motion, H, y[rows.where], usable[rows.where])
+        self.uses.append(motion_use(log.path, self.robot, motion))
 
     def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""

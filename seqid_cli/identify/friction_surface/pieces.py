@@ -1,9 +1,4 @@
-"""Constant-velocity trials of a log of any length, in memory that does not grow with it.
-
-Trials lie within runs of samples at which one and the same joint moves alone. The log is passed
-over in pieces that are cut between such runs, each with so many samples more on either side as the
-look for motion reaches; what is found is what the whole log gives.
-"""
+"""Stretches of constant velocity of a log, which may be too long to be held."""
 
 from __future__ import annotations
 
@@ -13,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.logs.long import Block, LongLog
+from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import joined_blocks, part_of_block
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
 from seqid_cli.typing import Array
-
-ROWS = 65_536  # samples of a piece, at least
 
 
 @dataclass(frozen=True)
@@ -37,22 +31,34 @@ class _Held:
         return _Held(part_of_block(self.block, low, len(self.block.q)), cut - low)
 
 
-def pieces(log: LongLog, step: Array) -> Iterator[tuple[Block, list[Stretch]]]:
-    """Pass over a log and find its stretches of constant velocity.
+def pieces(
+    log: Recording | LongLog, step: Array, *, rows: int = 65_536
+) -> Iterator[tuple[Block, list[Stretch]]]:
+    """Find the stretches of constant velocity of a log.
+
+    They lie within runs of samples at which one and the same joint moves alone. A long log is cut
+    between such runs into pieces, each with so many samples more on either side as the search for
+    motion reaches; what is found is what the whole log gives. A log that is held is one piece.
 
     Parameters
     ----------
-    log : LongLog
+    log : Recording or LongLog
     step : (n,) array
         Encoder noise [rad], see `noise_step`.
+    rows : int
+        Samples of a piece of a long log, at least.
 
     Yields
     ------
     tuple of Block, list of Stretch
         Samples, and the stretches in them, counted from the first of these samples.
     """
+    if isinstance(log, Recording):
+        found = constant_velocity(log.q, log.rate_hz, step=step, valid=log.valid)
+        yield Block(0, log.q, torque_of(log), log.valid), found
+        return
     margin = motion_reach(log.rate_hz)
-    wait = ROWS
+    wait = rows
     held: _Held | None = None
     for block in log.blocks():
         held = _Held(block, 0) if held is None else held.followed_by(block)
@@ -63,7 +69,7 @@ def pieces(log: LongLog, step: Array) -> Iterator[tuple[Block, list[Stretch]]]:
             wait = 2 * (len(held.block.q) - held.start)
             continue
         yield held.block, _stretches(held, cut, log.rate_hz, step)
-        held, wait = held.after(cut, margin), ROWS
+        held, wait = held.after(cut, margin), rows
     if held is not None:
         yield held.block, _stretches(held, len(held.block.q), log.rate_hz, step)
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.rows import Rows
-from seqid_cli.identify.least_squares import whitened
+from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.filters.differentiation import differentiate

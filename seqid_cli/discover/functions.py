@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from msgspec import structs
 
 from seqid_cli.discover.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
 from seqid_cli.identify.functions import announcement
-from seqid_cli.identify.inputs import Inputs, Models, OnProgress, imu_stage_for, prepare
+from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
+from seqid_cli.identify.keywords import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import present, refined, robot_id
@@ -27,14 +28,13 @@ if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
 
+@documented(Keywords)
 def diagnose(
     logs: Logs,
     robot: PathLike | Robot,
     parameters: Models,
     options: DiagnoseOptions = DiagnoseOptions(),
-    *,
-    output: PathLike | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[Keywords],
 ) -> DiagnosisFile:
     """Find out which physical effects a model lacks; nothing is changed.
 
@@ -42,24 +42,14 @@ def diagnose(
     ----------
     logs : path, table, recording, or a sequence of them
         Any logs with torque or current; long ones are looked at in pieces (see `gather`).
-    robot : path or Robot
     parameters : path or ParameterFile, or a sequence of them
         With the stages friction and inertia; effects that are in it are not missing.
-    options : DiagnoseOptions
-    output : path, optional
-        Where the diagnosis goes.
-    on_progress : callable, optional
-        Given a `Progress` before and after each log.
-
-    Raises
-    ------
-    SeqidError
-        Where the command would exit with 1 or 2.
     """
-    inputs = _prepared(logs, robot, parameters, options, output, on_progress)
+    needs = ("friction", "inertia", *imu_stage_for(options.source))
+    inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.discover.diagnosis import diagnose as diagnosed
     from seqid_cli.discover.gather import one_each
-    from seqid_cli.identify.judge import physics_verdicts
+    from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
 
@@ -85,17 +75,18 @@ def diagnose(
     return file
 
 
+@documented(Keywords)
 def refine(
     logs: Logs,
     holdout: Logs,
     robot: PathLike | Robot,
     parameters: Models,
     options: RefineOptions = RefineOptions(),
-    *,
-    output: PathLike | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[Keywords],
 ) -> ParameterFile:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.
+
+    The result has `stages.effects` and `closed_loop`.
 
     Parameters
     ----------
@@ -103,20 +94,15 @@ def refine(
         Logs to fit; effects are chosen on left-out blocks of them.
     holdout : path, table, recording, or a sequence of them
         Logs that are opened after the last decision, and only reported on.
-    robot, parameters, output, on_progress
+    parameters : path or ParameterFile, or a sequence of them
         As in `diagnose`; logs of earlier stages are read again where they are still there.
-    options : RefineOptions
-
-    Returns
-    -------
-    ParameterFile
-        With `stages.effects` and `closed_loop`.
     """
-    held_out, target = held_out_logs(logs, holdout), optional(output)
+    held_out, target = held_out_logs(logs, holdout), optional(keywords.get("output"))
     files = [log for log in held_out if isinstance(log, Path)]
     if target is not None:
         check_output(target, files)
-    inputs = _prepared(logs, robot, parameters, options, target, on_progress, stored=False)
+    needs = ("friction", "inertia", *imu_stage_for(options.source))
+    inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
     search = replace(
         _search(inputs, options),
         max_effects=options.rounds,
@@ -129,30 +115,8 @@ def refine(
     return file
 
 
-def _prepared(
-    logs: Logs,
-    robot: PathLike | Robot,
-    parameters: Models,
-    options: DiagnoseOptions,
-    output: PathLike | None,
-    on_progress: OnProgress | None,
-    *,
-    stored: bool = True,
-) -> Inputs:
-    return prepare(
-        logs,
-        robot,
-        parameters,
-        options,
-        output=output,
-        needs=("friction", "inertia", *imu_stage_for(options.source)),
-        stored=stored,
-        on_progress=on_progress,
-    )
-
-
 def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
-    from seqid_cli.identify.one_cutoff import inherited
+    from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
 
     filtering = inherited(inputs.stages, options.cutoff_hz)
@@ -176,7 +140,7 @@ def _refined(
     from seqid_cli.discover.gather import one_each
     from seqid_cli.discover.heldout import WholeLogs
     from seqid_cli.discover.refinement import refine as decide
-    from seqid_cli.identify.judge import physics_verdicts
+    from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
 

@@ -21,7 +21,7 @@ from seqid_cli.discover.choose import chosen
 from seqid_cli.discover.look_over import BLOCK_S, LookedOver, look_over
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.streaming import open_if_long
+from seqid_cli.identify.regression.streaming import open_if_long
 from seqid_cli.inspect.screening import sound
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of

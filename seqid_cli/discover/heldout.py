@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import predict
-from seqid_cli.identify.predict_long import local_effects
-from seqid_cli.identify.prediction import LogPrediction
-from seqid_cli.identify.streaming import LONG, open_if_long, streams
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import local_effects, predict
+from seqid_cli.identify.regression.streaming import LONG, open_if_long, streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.heldout import BlockSums, HeldOutError, joined
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

@@ -1,6 +1,6 @@
 """One pass over a log of any length: how the residual runs, and where it is unlike the rest.
 
-The torque is predicted part by part (see `identify.predict_long`). Kept of it are sums of squares
+The torque is predicted part by part (see `identify.prediction`). Kept of it are sums of squares
 over short blocks of time, the motion a few times a second, and the strongest places at which the
 residual stands out against all others of a span of the log (see `events`). None of it says what
 the model lacks; it says where to look (see `choose`), and that nothing is overlooked.
@@ -19,9 +19,8 @@ from seqid_cli.discover.event_windows import Track, windows_of_tracks
 from seqid_cli.discover.events import GATE, LENGTHS_S, Interval, standing_out
 from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import predict
-from seqid_cli.identify.predict_long import LongPrediction
-from seqid_cli.identify.prediction import LogPrediction
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import LongPrediction, predict
 from seqid_cli.logs.pieces import whole_of
 from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects

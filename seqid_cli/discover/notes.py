@@ -11,8 +11,8 @@ from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.loud import LOUD, Loud
 from seqid_cli.discover.rows import extrapolated
-from seqid_cli.identify.imu_result import deflecting, unit_of
-from seqid_cli.identify.prediction import OUTSIDE_NOTE
+from seqid_cli.identify.imu_calibration.result import deflecting, unit_of
+from seqid_cli.identify.prediction.log_prediction import OUTSIDE_NOTE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent

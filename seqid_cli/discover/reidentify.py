@@ -27,12 +27,12 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of, shared_starts
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
-from seqid_cli.identify.one_step import TERMS, identify_simultaneous, surface_entries
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.identify.rigid_stage import representative_of
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.parameters import representative_of
+from seqid_cli.identify.rigid.simultaneous import TERMS, identify_simultaneous, surface_entries
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
@@ -255,7 +255,7 @@ def _sequential(material: Material, model: Refitted) -> Stages:
     if stages.gravity is not None:
         freed = material.before_or_now("gravity", model)
         if new.friction is not stages.friction or not material.as_they_were("gravity", freed):
-            new.gravity = identify_gravity(freed, robot, new, options=motion.motion)
+            new.gravity = identify_gravity(freed, robot, new)
     if stages.inertia is not None:
         freed = [*material.before("inertia", model), *material.now(model)]
         new.inertia = identify_inertia(freed, robot, new, options=motion)

@@ -8,19 +8,13 @@ be done as a subclass of `SeqidError`. Cheap checks come before anything heavy i
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from msgspec.structs import replace
 
 from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.identify.inputs import (
-    Inputs,
-    Models,
-    OnProgress,
-    imu_stage_for,
-    prepare,
-)
+from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
+from seqid_cli.identify.keywords import Keywords, ParallelKeywords, documented
 from seqid_cli.identify.options import (
     FrictionOptions,
     LogOptions,
@@ -40,17 +34,13 @@ if TYPE_CHECKING:
     from seqid_cli.motion.options import MotionOptions
     from seqid_cli.robot.types import Robot
 
-LONG_S = 300.0  # of a log whose smoothing is announced
 
-
+@documented(ParallelKeywords)
 def friction(
     logs: Logs,
     robot: PathLike | Robot,
     options: FrictionOptions = FrictionOptions(),
-    *,
-    output: PathLike | None = None,
-    executor: Executor | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Identify joint friction over position and velocity (Eq. 7-11).
 
@@ -58,31 +48,9 @@ def friction(
     ----------
     logs : path, table, recording, or a sequence of them
         Moves of one joint at a time at constant velocity.
-    robot : path or Robot
-        The robot file.
-    options : FrictionOptions
-        Orders of the surface, and how logs are read.
-    output : path, optional
-        Where the parameter file goes.
-    executor : concurrent.futures.Executor, optional
-        Who reads and reduces the logs (see `seqid_cli.scale.executors`); this process by default.
-    on_progress : callable, optional
-        Given a `Progress` before and after each log.
-
-    Returns
-    -------
-    ParameterFile
-        With the friction stage.
-
-    Raises
-    ------
-    SeqidError
-        Where the command would exit with 1 or 2: it has `message`, `hint` and `where`.
     """
-    inputs = prepare(
-        logs, robot, (), options, output=output, executor=executor, on_progress=on_progress
-    )
-    from seqid_cli.identify.friction_stage import identify_friction
+    inputs = prepare(logs, robot, (), options, **keywords)
+    from seqid_cli.identify.friction_surface.stage import identify_friction
 
     def identify(given: LogSet) -> Stages:
         return Stages(friction=identify_friction(given, inputs.robot, options=options))
@@ -90,15 +58,13 @@ def friction(
     return _stage(inputs, identify)
 
 
+@documented(ParallelKeywords)
 def gravity(
     logs: Logs,
     robot: PathLike | Robot,
     parameters: Models,
     options: LogOptions = LogOptions(),
-    *,
-    output: PathLike | None = None,
-    executor: Executor | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Identify the gravity parameters, given the friction (Eq. 12-19).
 
@@ -106,41 +72,25 @@ def gravity(
     ----------
     logs : path, table, recording, or a sequence of them
         Moves of one joint at a time at constant velocity, others locked in several configurations.
-    robot, output, executor, on_progress
-        As in `friction`.
     parameters : path or ParameterFile, or a sequence of them
         With the friction stage.
-    options : LogOptions
     """
-    inputs = prepare(
-        logs,
-        robot,
-        parameters,
-        options,
-        output=output,
-        needs=("friction",),
-        executor=executor,
-        on_progress=on_progress,
-    )
-    from seqid_cli.identify.gravity_stage import identify_gravity
+    inputs = prepare(logs, robot, parameters, options, needs=("friction",), **keywords)
+    from seqid_cli.identify.rigid.gravity import identify_gravity
 
     def identify(given: LogSet) -> Stages:
-        filtering = _filtering(options)
-        stage = identify_gravity(given, inputs.robot, inputs.stages, options=filtering)
-        return Stages(gravity=stage)
+        return Stages(gravity=identify_gravity(given, inputs.robot, inputs.stages))
 
     return _stage(inputs, identify)
 
 
+@documented(ParallelKeywords)
 def imu_calib(
     logs: Logs,
     robot: PathLike | Robot,
     parameters: Models = (),
     options: LogOptions = LogOptions(),
-    *,
-    output: PathLike | None = None,
-    executor: Executor | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Find how IMUs sit on their links and what they are like (Eq. 29-38).
 
@@ -148,42 +98,35 @@ def imu_calib(
     ----------
     logs : path, table, recording, or a sequence of them
         Rotations of the first joint with the others locked in several configurations.
-    robot, output, executor, on_progress
-        As in `friction`; the robot file names the IMUs.
-    parameters : path or ParameterFile, or a sequence of them
-        What the stage is added to.
-    options : LogOptions
+    robot : path or Robot
+        The robot file, which names the IMUs.
     """
-    inputs = prepare(
-        logs, robot, parameters, options, output=output, executor=executor, on_progress=on_progress
-    )
+    inputs = prepare(logs, robot, parameters, options, **keywords)
     if not inputs.robot.imus:
         hint = "Add an [[imu]] table with its accelerometers."
         where = str(inputs.robot.source)
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
-    from seqid_cli.identify.imu import calibrate_imus
+    from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
     from seqid_cli.motion.imu.array import layout_report
+    from seqid_cli.motion.options import MotionOptions
 
     def identify(given: LogSet) -> Stages:
         for imu in inputs.robot.imus:
             for text in layout_report(imu).statements:
                 given.tell("note", text=f"{imu.name}: {text}")
-        earlier = inputs.previous.stages if inputs.previous else None
-        filtering = _filtering(options)
-        return Stages(imu=calibrate_imus(given, inputs.robot, earlier, options=filtering))
+        filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
+        return Stages(imu=calibrate_imus(given, inputs.robot, options=filtering))
 
     return _stage(inputs, identify, imus=True)
 
 
+@documented(ParallelKeywords)
 def inertia(
     logs: Logs,
     robot: PathLike | Robot,
     parameters: Models,
     options: RigidOptions = RigidOptions(),
-    *,
-    output: PathLike | None = None,
-    executor: Executor | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Identify the inertia parameters, given friction and gravity (Eq. 22-26).
 
@@ -191,26 +134,14 @@ def inertia(
     ----------
     logs : path, table, recording, or a sequence of them
         Moves of two joints (or more) at a time.
-    robot, output, executor, on_progress
-        As in `friction`.
     parameters : path or ParameterFile, or a sequence of them
         With the stages friction and gravity; with imu to use IMUs.
-    options : RigidOptions
     """
     needs = ("friction", "gravity", *imu_stage_for(options.source))
-    inputs = prepare(
-        logs,
-        robot,
-        parameters,
-        options,
-        output=output,
-        needs=needs,
-        executor=executor,
-        on_progress=on_progress,
-    )
-    from seqid_cli.identify.consistency import made_consistent
-    from seqid_cli.identify.inertia_stage import identify_inertia
+    inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.identify.rigid.consistency import made_consistent
+    from seqid_cli.identify.rigid.inertia import identify_inertia
 
     def identify(given: LogSet) -> Stages:
         rigid = InertiaOptions(_chosen(inputs, options), options.source)
@@ -223,14 +154,13 @@ def inertia(
     return _stage(inputs, identify)
 
 
+@documented(Keywords)
 def simultaneous(
     logs: Logs,
     robot: PathLike | Robot,
     parameters: Models = (),
     options: SimultaneousOptions = SimultaneousOptions(),
-    *,
-    output: PathLike | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[Keywords],
 ) -> ParameterFile:
     """Identify everything in one classical least squares (Eq. 5-6).
 
@@ -238,18 +168,13 @@ def simultaneous(
     ----------
     logs : path, table, recording, or a sequence of them
         Any; they are read one after the other.
-    robot, output, on_progress
-        As in `friction`.
     parameters : path or ParameterFile, or a sequence of them
         With the imu stage to use IMUs.
-    options : SimultaneousOptions
     """
     needs = imu_stage_for(options.source)
-    inputs = prepare(
-        logs, robot, parameters, options, output=output, needs=needs, on_progress=on_progress
-    )
-    from seqid_cli.identify.consistency import made_consistent
-    from seqid_cli.identify.one_step import identify_simultaneous
+    inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
+    from seqid_cli.identify.rigid.consistency import made_consistent
+    from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
     def identify(given: LogSet) -> Stages:
         imu = inputs.stages.imu
@@ -269,16 +194,15 @@ def simultaneous(
     return _stage(inputs, identify)
 
 
+@documented(ParallelKeywords)
 def predict(
     logs: Logs,
     robot: PathLike | Robot,
     parameters: Models,
     options: PredictOptions = PredictOptions(),
     *,
-    output: PathLike | None = None,
     torques: PathLike | None = None,
-    executor: Executor | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[ParallelKeywords],
 ) -> PredictionFile:
     """Predict joint torques and compare them with the measured ones.
 
@@ -286,37 +210,27 @@ def predict(
     ----------
     logs : path, table, recording, or a sequence of them
         Any logs with torque or current.
-    robot, output, executor, on_progress
-        As in `friction`.
     parameters : path or ParameterFile, or a sequence of them
         Whatever has been identified.
-    options : PredictOptions
     torques : path, optional
         Where the torques themselves go: as MCAP if it ends so, else Parquet.
     """
-    target, table = optional(output), optional(torques)
+    target, table = optional(keywords.get("output")), optional(torques)
     if target is not None and table is not None and target.resolve() == table.resolve():
         message = "-o and --torques name the same file"
         raise UsageError(message, where=str(target), hint="Give them different names.")
+    outputs, needs = [table] if table else [], imu_stage_for(options.source)
     inputs = prepare(
-        logs,
-        robot,
-        parameters,
-        options,
-        output=target,
-        more_outputs=[table] if table else [],
-        needs=imu_stage_for(options.source),
-        executor=executor,
-        on_progress=on_progress,
+        logs, robot, parameters, options, more_outputs=outputs, needs=needs, **keywords
     )
     if not present(inputs.stages):
         where = inputs.models[0][0] if inputs.models else ""
         raise ConfigError("holds no stage at all", where=where, hint="Run seqid friction first.")
+    from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.identify.one_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.identify.predict_logs import predict as predicted
-    from seqid_cli.identify.prediction_file import prediction_file
+    from seqid_cli.identify.prediction.document import prediction_file
+    from seqid_cli.identify.prediction.predict import predict as predicted
 
     rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
     given = LogSet.of(inputs)
@@ -336,13 +250,15 @@ def predict(
     return file
 
 
-def announcement(imu: ImuStage | None, source: str) -> Callable[[Recording], str]:
-    """Return what says that a log is smoothed that takes long."""
+def announcement(
+    imu: ImuStage | None, source: str, *, min_length_s: float = 300.0
+) -> Callable[[Recording], str]:
+    """Return what says that the smoother takes long, for logs of at least `min_length_s` s."""
 
     def announce(log: Recording) -> str:
         length = len(log.t) / log.rate_hz
         smoothed = imu is not None and source not in ("encoder", "imu") and log.accelerometers
-        if not smoothed or length <= LONG_S:
+        if not smoothed or length <= min_length_s:
             return ""
         return (
             f"{log.path}: smoothing {length / 60:.0f} min of encoders and IMUs"
@@ -356,7 +272,7 @@ def _stage(
     inputs: Inputs, identify: Callable[[LogSet], Stages], *, imus: bool | None = None
 ) -> ParameterFile:
     """Identify new stages, judge them and add them to the stages before."""
-    from seqid_cli.identify.judge import judged
+    from seqid_cli.identify.judging import judged
     from seqid_cli.identify.log_set import LogSet
 
     logs = LogSet.of(inputs, imus=imus)
@@ -390,7 +306,7 @@ def _with_notes(found: Stages, logs: LogSet) -> Stages:
 
 def _chosen(inputs: Inputs, options: RigidOptions) -> MotionOptions:
     """How all logs of an identification are filtered."""
-    from seqid_cli.identify.one_cutoff import identification_options
+    from seqid_cli.identify.common_cutoff import identification_options
 
     return identification_options(
         inputs.logs,
@@ -400,9 +316,3 @@ def _chosen(inputs: Inputs, options: RigidOptions) -> MotionOptions:
         source=options.source,
         time_source=options.time_source,
     )
-
-
-def _filtering(options: LogOptions) -> MotionOptions:
-    from seqid_cli.motion.options import MotionOptions
-
-    return MotionOptions(cutoff_hz=options.cutoff_hz)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from seqid_cli.errors import ConfigError, InputError
+from seqid_cli.identify.keywords import OnProgress
 from seqid_cli.identify.options import LogOptions
 from seqid_cli.logs.given import Log, Logs, PathLike, expanded, is_place, listed, optional, warn
 from seqid_cli.logs.storage.files import check_log, expand
@@ -24,14 +25,12 @@ from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:
-    from seqid_cli.inspect.progress import Progress
     from seqid_cli.logs.recording import Recording
     from seqid_cli.robot.types import Robot
 
 
 Model: TypeAlias = "PathLike | ParameterFile"
 Models: TypeAlias = "Model | Sequence[Model]"
-OnProgress: TypeAlias = "Callable[[Progress], None]"
 
 _WRITTEN_BY = {
     "friction": "friction",

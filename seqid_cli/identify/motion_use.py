@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
@@ -16,8 +15,7 @@ from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.params.schema import ImuStage, MotionUse
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:

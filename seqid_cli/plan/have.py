@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.equations import filtered_regressor, torque_motion
+from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.plan.belief import Belief

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from seqid_cli.identify.one_step import surface_entries
+from seqid_cli.identify.rigid.simultaneous import surface_entries
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Stages
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot

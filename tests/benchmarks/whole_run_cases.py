@@ -36,8 +36,8 @@ def full_rate(robot_path: Path, log: Path) -> Callable[[], Found]:
 
 
 def _streaming(robot_path: Path, log: Path, samples_per_cutoff: float) -> Callable[[], Found]:
-    from seqid_cli.identify.inertia_stage import identify_inertia
     from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.identify.rigid.inertia import identify_inertia
     from seqid_cli.motion.blocks import open_surveyed
     from seqid_cli.motion.options import MotionOptions
     from seqid_cli.robot.file import load_robot

@@ -131,10 +131,8 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], 
     def replaced(module_name: str, function: str, result: object) -> list[object]:
         calls: list[object] = []
 
-        def fake(
-            recordings: Iterable[Recording], *arguments: object, options: object, **more: object
-        ) -> object:
-            calls.extend([len(list(recordings)), *arguments, options, *more.values()])
+        def fake(recordings: Iterable[Recording], *arguments: object, **more: object) -> object:
+            calls.extend([len(list(recordings)), *arguments, *more.values()])
             if isinstance(result, BaseException):
                 raise result
             return result

@@ -101,7 +101,7 @@ def test_a_stage_that_gives_up_writes_nothing(
     rig: Rig, reader: Reader, identified: Replace, error: SeqidError, code: int
 ) -> None:
     (rig.folder / "out.json").write_text("old")
-    identified("friction_stage", "identify_friction", error)
+    identified("friction_surface.stage", "identify_friction", error)
     done = rig.run(*FRICTION, "--json")
     assert done.code == code
     assert json.loads(done.out) == {
@@ -114,7 +114,7 @@ def test_a_stage_that_gives_up_writes_nothing(
 def test_a_bug_says_so_and_shows_its_traceback_only_on_demand(
     rig: Rig, reader: Reader, identified: Replace
 ) -> None:
-    identified("friction_stage", "identify_friction", ZeroDivisionError("ouch"))
+    identified("friction_surface.stage", "identify_friction", ZeroDivisionError("ouch"))
     done = rig.run(*FRICTION)
     assert done.code == 70
     assert "this is a bug in seqid: ZeroDivisionError: ouch" in done.err
@@ -128,7 +128,7 @@ def test_a_number_that_is_not_finite_is_a_bug_and_not_a_result(
 ) -> None:
     stage = friction_stage()
     stage.joints["elbow"].rmse = float("inf")
-    identified("friction_stage", "identify_friction", stage)
+    identified("friction_surface.stage", "identify_friction", stage)
     done = rig.run(*FRICTION)
     assert done.code == 70
     assert "$.stages.friction.joints.elbow.rmse is inf" in done.err
@@ -136,7 +136,7 @@ def test_a_number_that_is_not_finite_is_a_bug_and_not_a_result(
 
 
 def test_an_interruption(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_stage", "identify_friction", KeyboardInterrupt())
+    identified("friction_surface.stage", "identify_friction", KeyboardInterrupt())
     done = rig.run(*FRICTION)
     assert (done.code, done.err) == (130, "seqid friction: interrupted\n")
     assert not (rig.folder / "out.json").exists()

@@ -63,7 +63,7 @@ def test_inertia_passes_it_on(
     rig: Rig, reader: Reader, identified: Replace, given: list[str], passed: str
 ) -> None:
     before = rig.params("p.json", full_file())
-    calls = identified("inertia_stage", "identify_inertia", rigid_stage("kg m^2"))
+    calls = identified("rigid.inertia", "identify_inertia", rigid_stage("kg m^2"))
     assert rig.run("inertia", *LOGS, "-p", before, *given).code == 0
     assert calls[3] == InertiaOptions(MotionOptions(), passed)
 
@@ -72,7 +72,9 @@ def test_simultaneous_takes_calibrations_and_keeps_them(
     rig: Rig, reader: Reader, identified: Replace
 ) -> None:
     before = rig.params("p.json", full_file())
-    calls = identified("one_step", "identify_simultaneous", (friction_stage(), rigid_stage()))
+    calls = identified(
+        "rigid.simultaneous", "identify_simultaneous", (friction_stage(), rigid_stage())
+    )
     done = rig.run("simultaneous", *LOGS, "-p", before, "--motion", "fused", "-o", "out.json")
     assert done.code == 0
     assert isinstance(calls[3], ImuStage)
@@ -108,7 +110,7 @@ def bench(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Bench:
         """No log is long."""
 
     monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", read)
-    monkeypatch.setattr("seqid_cli.identify.predict_logs.open_if_long", held)
+    monkeypatch.setattr("seqid_cli.identify.prediction.predict.open_if_long", held)
     return made
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify.predict_logs import LogPrediction
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
@@ -75,7 +75,7 @@ class Model:
 @pytest.fixture
 def model(monkeypatch: pytest.MonkeyPatch) -> Model:
     fake = Model()
-    module = ModuleType("seqid_cli.identify.predict_logs")
+    module = ModuleType("seqid_cli.identify.prediction.predict")
     module.predict = fake.predict  # type: ignore[attr-defined]
     module.LogPrediction = LogPrediction  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)

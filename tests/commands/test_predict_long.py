@@ -13,10 +13,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from seqid_cli.identify import predict_long, streaming
-from seqid_cli.identify.predict_long import LongPrediction
-from seqid_cli.identify.prediction import LogPrediction
-from seqid_cli.identify.torques_mcap import TOPICS
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import LongPrediction
+from seqid_cli.identify.prediction.torques_mcap import TOPICS
+from seqid_cli.identify.regression import streaming
 from seqid_cli.motion import blocks
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.io import write_json_atomic
@@ -146,7 +146,7 @@ def test_a_log_that_is_passed_over_gives_the_same_files(
     predict("held")
     assert not parts
     monkeypatch.setattr(streaming, "LONG", 10_000)
-    monkeypatch.setattr(predict_long, "ROWS", 3_000)
+    monkeypatch.setattr(LongPrediction, "rows", 3_000)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 4_000)
     predict("long")
     assert len(parts) > 1

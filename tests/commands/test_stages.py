@@ -13,7 +13,7 @@ from seqid_cli.inspect.findings import found
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
-from seqid_cli.params.schema import SCHEMA, RigidStage, Stages
+from seqid_cli.params.schema import SCHEMA, RigidStage
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLES, Reader, Rig
 from tests.unit.params.documents import (
@@ -30,7 +30,7 @@ COMMON = ["a.parquet", "b.parquet", "-r", "robot.toml", "-o", "out.json"]
 
 
 def test_friction(rig: Rig, reader: Reader, identified: Replace) -> None:
-    calls = identified("friction_stage", "identify_friction", friction_stage())
+    calls = identified("friction_surface.stage", "identify_friction", friction_stage())
     options = ["--position-order", "4", "--velocity-order", "5", "--beta", "0.1", "--cutoff", "20"]
     done = rig.run("friction", *COMMON, *options, "--time", "log")
     assert done.code == 0
@@ -56,12 +56,11 @@ def test_the_other_stages_build_on_what_was_there(
     rig: Rig, reader: Reader, identified: Replace
 ) -> None:
     before = rig.params("p.json", gravity_file())
-    calls = identified("imu", "calibrate_imus", imu_stage())
+    identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
     assert rig.run("imu-calib", *COMMON, "-p", before).code == 0
-    assert isinstance(calls[2], Stages)
-    assert calls[2].gravity is not None
+    assert read_parameters(rig.folder / "out.json").stages.gravity is not None
 
-    calls = identified("inertia_stage", "identify_inertia", rigid_stage("kg m^2"))
+    calls = identified("rigid.inertia", "identify_inertia", rigid_stage("kg m^2"))
     arguments = ["a.parquet", "-r", "robot.toml", "-p", "out.json", "-o", "final.json"]
     assert rig.run("inertia", *arguments, "--motion", "imu").code == 0
     assert calls[3] == InertiaOptions(MotionOptions(), "imu")
@@ -72,15 +71,17 @@ def test_the_other_stages_build_on_what_was_there(
 
 
 def test_imu_calib_without_parameters(rig: Rig, reader: Reader, identified: Replace) -> None:
-    calls = identified("imu", "calibrate_imus", imu_stage())
+    identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
     assert rig.run("imu-calib", *COMMON).code == 0
-    assert calls[2] is None
+    stages = read_parameters(rig.folder / "out.json").stages
+    assert stages.imu is not None
+    assert (stages.friction, stages.gravity, stages.inertia) == (None, None, None)
 
 
 @pytest.mark.parametrize("offset", [False, True])
 def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: bool) -> None:
     found = (friction_stage(), rigid_stage())
-    calls = identified("one_step", "identify_simultaneous", found)
+    calls = identified("rigid.simultaneous", "identify_simultaneous", found)
     assert rig.run("simultaneous", *COMMON, *(["--offset"] if offset else [])).code == 0
     assert calls[-1] is offset
     stages = read_parameters(rig.folder / "out.json").stages
@@ -92,7 +93,7 @@ def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: boo
 def test_a_stage_with_nothing_to_identify(rig: Rig, reader: Reader, identified: Replace) -> None:
     before = rig.params("p.json", friction_file())
     empty = RigidStage(parameters=[], condition=0.0, rank=0, notes=["the arm is planar"])
-    identified("gravity_stage", "identify_gravity", empty)
+    identified("rigid.gravity", "identify_gravity", empty)
     done = rig.run("gravity", *COMMON, "-p", before)
     assert done.code == 0
     assert "gravity: nothing to identify on this robot" in done.out
@@ -102,7 +103,7 @@ def test_a_stage_with_nothing_to_identify(rig: Rig, reader: Reader, identified: 
 
 def test_stale_stages_are_left_out_and_named(rig: Rig, reader: Reader, identified: Replace) -> None:
     before = rig.params("p.json", full_file())
-    identified("gravity_stage", "identify_gravity", rigid_stage())
+    identified("rigid.gravity", "identify_gravity", rigid_stage())
     done = rig.run("gravity", *COMMON, "-p", before)
     assert "warning: the inertia stage rested on the old result" in done.err
     stages = read_parameters(rig.folder / "out.json").stages
@@ -114,13 +115,13 @@ def test_an_output_never_replaces_the_parameters_it_read(
     rig: Rig, reader: Reader, identified: Replace
 ) -> None:
     before = rig.params("p.json", friction_file())
-    identified("gravity_stage", "identify_gravity", rigid_stage())
+    identified("rigid.gravity", "identify_gravity", rigid_stage())
     done = rig.run("gravity", "a.parquet", "-r", "robot.toml", "-p", before, "-o", before)
     assert done.code == 2
 
 
 def test_json_is_the_file(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_stage", "identify_friction", friction_stage())
+    identified("friction_surface.stage", "identify_friction", friction_stage())
     reader.warnings = ("jitter is 20 %",)
     done = rig.run("friction", *COMMON, "--json")
     assert done.out == (rig.folder / "out.json").read_text()
@@ -129,7 +130,7 @@ def test_json_is_the_file(rig: Rig, reader: Reader, identified: Replace) -> None
 
 
 def test_without_output_nothing_is_written(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_stage", "identify_friction", friction_stage())
+    identified("friction_surface.stage", "identify_friction", friction_stage())
     before = set(rig.folder.iterdir())
     done = rig.run("friction", "a.parquet", "-r", "robot.toml")
     assert done.code == 0
@@ -142,7 +143,7 @@ def test_without_output_nothing_is_written(rig: Rig, reader: Reader, identified:
 def test_a_poor_verdict(
     rig: Rig, reader: Reader, identified: Replace, strict: list[str], code: int
 ) -> None:
-    identified("friction_stage", "identify_friction", friction_stage(good=False))
+    identified("friction_surface.stage", "identify_friction", friction_stage(good=False))
     done = rig.run("friction", *COMMON, *strict)
     assert done.code == code
     assert done.out.splitlines()[2].endswith("poor: only 1 speed, 3 are needed")
@@ -155,7 +156,7 @@ def test_a_poor_verdict(
 def test_an_error_in_a_log_makes_its_joint_poor(
     rig: Rig, reader: Reader, identified: Replace, strict: list[str], code: int
 ) -> None:
-    identified("friction_stage", "identify_friction", friction_stage())
+    identified("friction_surface.stage", "identify_friction", friction_stage())
     reader.findings = (found("sign_mismatch", "it would gain", joint="elbow", channel="torque"),)
     done = rig.run("friction", *COMMON, *strict)
     assert done.code == code
@@ -171,18 +172,18 @@ def test_an_error_in_a_log_makes_its_joint_poor(
 
 
 def test_a_partly_read_log(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_stage", "identify_friction", friction_stage())
+    identified("friction_surface.stage", "identify_friction", friction_stage())
     reader.partial = "the last 12 of 40 chunks are damaged"
     done = rig.run("friction", *COMMON)
     assert done.code == 3
     assert "a.parquet: only partly read: the last 12 of 40 chunks are damaged" in done.err
     assert (rig.folder / "out.json").exists()
-    identified("friction_stage", "identify_friction", friction_stage(good=False))
+    identified("friction_surface.stage", "identify_friction", friction_stage(good=False))
     assert rig.run("friction", *COMMON, "--strict").code == 1
 
 
 def test_quiet_and_verbose(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_stage", "identify_friction", friction_stage())
+    identified("friction_surface.stage", "identify_friction", friction_stage())
     quiet = rig.run("friction", *COMMON, "-q")
     assert quiet.err == ""
     assert "good" in quiet.out
@@ -193,7 +194,7 @@ def test_a_changed_robot_file_is_a_warning(rig: Rig, reader: Reader, identified:
     before = rig.params("p.json", friction_file())
     with (rig.folder / "robot.toml").open("a") as file:
         file.write("# changed\n")
-    identified("gravity_stage", "identify_gravity", rigid_stage())
+    identified("rigid.gravity", "identify_gravity", rigid_stage())
     done = rig.run("gravity", *COMMON, "-p", before)
     assert done.code == 0
     assert "p.json: the robot file robot.toml has changed" in done.err

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.inertia_stage import identify_inertia
-from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.predict_logs import LogPrediction, predict
+from seqid_cli.identify.prediction.log_prediction import LogPrediction, predict
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
@@ -45,8 +45,8 @@ def before_inertia(experiment: Experiment, *, friction: FrictionOptions | None =
     slow = [*logs["friction"], *logs.get("gravity", ())]
     return Stages(
         friction=surface,
-        gravity=identify_gravity(slow, robot, found, options=motion),
-        imu=calibrate_imus(logs["imu"], robot, found, options=motion),
+        gravity=identify_gravity(slow, robot, found),
+        imu=calibrate_imus(logs["imu"], robot, options=motion),
     )
 
 

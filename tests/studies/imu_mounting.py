@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.imu_result import deflecting
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration.result import deflecting
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
@@ -210,7 +210,7 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
 
 def calibrated(scene: Scene, seed: int) -> ImuStage:
     """Calibrate the IMUs of one seed."""
-    return calibrate_imus(recordings(scene, seed), scene.robot, None, options=MotionOptions())
+    return calibrate_imus(recordings(scene, seed), scene.robot, options=MotionOptions())
 
 
 def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:

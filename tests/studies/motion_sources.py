@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.inertia_stage import identify_inertia
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
 from tests import ROOT

@@ -10,7 +10,7 @@ from pathlib import Path
 from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import refine
-from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage

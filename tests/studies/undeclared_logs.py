@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.plants import cases
@@ -216,7 +215,7 @@ def sequential(logs: Mapping[str, Sequence[Recording]], robot: Robot) -> Stages:
     friction = identify_friction(logs["friction"], robot, options=FrictionOptions())
     stages = Stages(friction=friction)
     slow = [*logs["friction"], *logs["gravity"]]
-    gravity = identify_gravity(slow, robot, stages, options=MotionOptions())
+    gravity = identify_gravity(slow, robot, stages)
     stages = Stages(friction=friction, gravity=gravity)
     inertia = identify_inertia(logs["inertia"], robot, stages, options=InertiaOptions())
     return Stages(friction=friction, gravity=gravity, inertia=inertia)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from seqid_cli.discover.echo import Noiseless
 from seqid_cli.discover.floor import rms
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.identify.one_step import identify_simultaneous
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sliding

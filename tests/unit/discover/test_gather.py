@@ -20,7 +20,7 @@ from seqid_cli.discover.gather import Gathered, gather, one_each
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from tests.unit.discover.long_logs import BEGUN, LongCase, long_case

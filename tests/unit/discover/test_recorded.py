@@ -11,8 +11,8 @@ import pytest
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.errors import InputError
-from seqid_cli.identify.one_step import identify_simultaneous
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.checks.echo import WARNING
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.storage.files import expand

@@ -18,13 +18,12 @@ from seqid_cli.discover.loop import Loop
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import ALL_ALONG, LATE, quiet, refine
 from seqid_cli.discover.reidentify import Material, Refitted, refitted
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.file import load_robot
@@ -56,7 +55,7 @@ def identified(earlier: Earlier) -> ParameterFile:
     """The stages of an arm as its first logs show it."""
     friction = identify_friction(earlier["friction"], robot(), options=FrictionOptions())
     stages = Stages(friction=friction)
-    stages.gravity = identify_gravity(earlier["gravity"], robot(), stages, options=MotionOptions())
+    stages.gravity = identify_gravity(earlier["gravity"], robot(), stages)
     inertia = identify_inertia(earlier["inertia"], robot(), stages, options=InertiaOptions())
     return with_stage(
         None, robot_id(robot()), [], friction=friction, gravity=stages.gravity, inertia=inertia

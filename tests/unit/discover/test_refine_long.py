@@ -15,8 +15,8 @@ from seqid_cli.discover.gather import Gathered, gather
 from seqid_cli.discover.heldout import WholeLogs, held_out_error
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import on_the_same_samples, refine
-from seqid_cli.identify import predict_long
 from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
 from seqid_cli.params.document import robot_id, with_stage
@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gathering, "PASSED_OVER", 1000)
     monkeypatch.setattr(heldout, "LONG", 1000)
-    monkeypatch.setattr(predict_long, "ROWS", 7_000)
+    monkeypatch.setattr(LongPrediction, "rows", 7_000)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
 
 

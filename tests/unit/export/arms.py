@@ -73,7 +73,7 @@ def inertia_stage(
 
     `shift` (b,) is added to them in standard errors.
     """
-    from seqid_cli.identify.rigid_stage import parameters_of, representative_of
+    from seqid_cli.identify.rigid.parameters import parameters_of, representative_of
 
     basis = free_basis(robot)
     rotors = np.zeros(robot.n) if rotor is None else rotor

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.inertia_stage import identify_inertia
-from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.predict_logs import LogPrediction, predict
+from seqid_cli.identify.prediction.log_prediction import LogPrediction, predict
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
@@ -77,11 +77,11 @@ class Rig:
     def gravity(self) -> RigidStage:
         logs = self.logs("gravity") + self.logs("friction")
         stages = Stages(friction=self.friction)
-        return identify_gravity(logs, self.robot, stages, options=MotionOptions())
+        return identify_gravity(logs, self.robot, stages)
 
     @cached_property
     def imu(self) -> ImuStage:
-        return calibrate_imus(self.logs("imu"), self.robot, None, options=MotionOptions())
+        return calibrate_imus(self.logs("imu"), self.robot, options=MotionOptions())
 
     @cached_property
     def inertia(self) -> RigidStage:

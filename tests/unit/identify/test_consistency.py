@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from seqid_cli.identify.consistency import made_consistent
-from seqid_cli.identify.rigid_stage import parameters_of, representative_of
+from seqid_cli.identify.rigid.consistency import made_consistent
+from seqid_cli.identify.rigid.parameters import parameters_of, representative_of
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params.schema import RigidStage, Stages

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.cutoff_check import CutoffCheck, Result, cutoff_check, with_cutoff_check
-from seqid_cli.identify.least_squares import Accumulator, solve
-from seqid_cli.identify.posterior import Posterior
+from seqid_cli.identify.regression.least_squares import Accumulator, solve
+from seqid_cli.identify.rigid.cutoff_check import (
+    CutoffCheck,
+    Result,
+    cutoff_check,
+    with_cutoff_check,
+)
+from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base import base_parameters
 from tests.plants.rigs import one_joint

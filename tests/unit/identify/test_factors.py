@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify import least_squares
-from seqid_cli.identify.factors import LARGEST, Coordinates, by_reflections, not_zero
-from seqid_cli.identify.least_squares import Accumulator
+from seqid_cli.identify.regression import least_squares
+from seqid_cli.identify.regression.least_squares import Accumulator
+from seqid_cli.identify.regression.qr_factors import LARGEST, Coordinates, by_reflections, not_zero
 
 Array = NDArray[np.float64]
 WIDTH, ROWS, BLOCKS = 24, 400, 12

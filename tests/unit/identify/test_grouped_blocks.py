@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqid_cli.identify import grouped_blocks, least_squares
-from seqid_cli.identify.grouped_blocks import GroupedBlocks
-from seqid_cli.identify.least_squares import Accumulator
+from seqid_cli.identify.regression import grouped_blocks, least_squares
+from seqid_cli.identify.regression.grouped_blocks import GroupedBlocks
+from seqid_cli.identify.regression.least_squares import Accumulator
 
 N, P, ROWS = 2, 3, 10
 

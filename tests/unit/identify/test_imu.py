@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.errors import UsageError
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.imu_pairs import (
+from seqid_cli.identify.imu_calibration.axis_pairs import (
     Pair,
     fit_rotation,
     rotation_covariance,
     shortest_rotation,
 )
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.motion.options import MotionOptions
 from tests.plants.experiments import Trial, swing
 from tests.plants.rigs import one_joint
@@ -139,7 +139,7 @@ def test_gravity_at_rest_closes_the_angle_about_a_single_tilted_axis() -> None:
     plant = one_joint()
     log = simulate(plant, rested(plant).reference, 0, every=4)
     stage = calibrate_imus(
-        [recording_of(plant, "rested", log)], robot_of("one", plant), None, options=MotionOptions()
+        [recording_of(plant, "rested", log)], robot_of("one", plant), options=MotionOptions()
     )
     found = stage.imus["imu_a"]
     assert found.not_determined == ["the lever along the link's z is not determined"]
@@ -149,4 +149,4 @@ def test_gravity_at_rest_closes_the_angle_about_a_single_tilted_axis() -> None:
 def test_without_an_imu_in_the_robot_file_there_is_nothing_to_calibrate() -> None:
     plant = replace(one_joint(), imus=())
     with pytest.raises(UsageError, match=r"no \[\[imu\]\]"):
-        calibrate_imus([], robot_of("one", plant), None, options=MotionOptions())
+        calibrate_imus([], robot_of("one", plant), options=MotionOptions())

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.notes import deflection_notes
-from seqid_cli.identify.imu_deflection import Rows, likeliest, log_likelihood
-from seqid_cli.identify.imu_normal import Sizes
-from seqid_cli.identify.imu_result import deflecting, verdict_of
+from seqid_cli.identify.imu_calibration.deflection import Rows, likeliest, log_likelihood
+from seqid_cli.identify.imu_calibration.normal_equations import Sizes
+from seqid_cli.identify.imu_calibration.result import deflecting, verdict_of
 from seqid_cli.params.schema import EffectOfJoint, ImuCalibration, ImuStage, Stages
 from tests.studies.imu_mounting import DEFLECTING, Case, calibrated, instruments, scene_of, scored
 

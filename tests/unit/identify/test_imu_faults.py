@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.imu_fit import without
-from seqid_cli.identify.imu_readings import cleaned, roughness
-from seqid_cli.identify.imu_segments import lagrange
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration.readings import cleaned, roughness
+from seqid_cli.identify.imu_calibration.segments import lagrange
+from seqid_cli.identify.imu_calibration.solve import without
 from seqid_cli.motion.imu.array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration
@@ -44,7 +44,7 @@ def scene(case: Case) -> Scene:
 @lru_cache(maxsize=8)
 def found(case: Case, seed: int) -> dict[str, ImuCalibration]:
     own = scene(case)
-    stage = calibrate_imus(recordings(own, seed), own.robot, None, options=MotionOptions())
+    stage = calibrate_imus(recordings(own, seed), own.robot, options=MotionOptions())
     return stage.imus
 
 
@@ -125,7 +125,7 @@ def test_a_triad_without_a_gyro_is_calibrated_by_gravity_and_the_encoders() -> N
         logs.append(replace(recording, accelerometers=alone))
     imu = own.robot.imus[0]
     triad = replace(imu, positions=imu.positions[:3], axes=imu.axes[:3])
-    stage = calibrate_imus(logs, replace(own.robot, imus=(triad,)), None, options=MotionOptions())
+    stage = calibrate_imus(logs, replace(own.robot, imus=(triad,)), options=MotionOptions())
     assert "does not see angular acceleration" in stage.verdicts[0].reason
     instrument = instruments(own, 1)[0]
     assert instrument.faults is not None

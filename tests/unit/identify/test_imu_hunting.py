@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from seqid_cli import identify
-from seqid_cli.identify.imu_segments import Segment, segments_of
+from seqid_cli.identify.imu_calibration.segments import Segment, segments_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.judge import as_a_whole, friction_verdicts, inertia_verdicts, judged
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_verdicts, judged
 from seqid_cli.identify.log_verdicts import notes_of_logs, remedies, verdicts_of_logs
 from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.logs.read import read_recordings
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
@@ -37,7 +36,7 @@ def friction(robot: Robot) -> FrictionStage:
 @pytest.fixture(scope="module")
 def gravity(robot: Robot, friction: FrictionStage) -> RigidStage:
     logs = list(read_recordings(sorted((RIG / "gravity").glob("*")), robot))
-    return identify_gravity(logs, robot, Stages(friction=friction), options=MotionOptions())
+    return identify_gravity(logs, robot, Stages(friction=friction))
 
 
 def poor(verdicts: list[Verdict]) -> list[str]:

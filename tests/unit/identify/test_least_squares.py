@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.least_squares import (
+from seqid_cli.identify.regression.least_squares import (
     MOST_BLOCKS,
     Accumulator,
     Prior,

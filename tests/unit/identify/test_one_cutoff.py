@@ -11,7 +11,7 @@ import pytest
 
 from seqid_cli.commands.app import run
 from seqid_cli.errors import InputError
-from seqid_cli.identify.one_cutoff import chosen_together, identification_options, score_of
+from seqid_cli.identify.common_cutoff import chosen_together, identification_options, score_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.motion.filters.survey import Survey

@@ -10,10 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify import predict_long
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import LogPrediction, predict
-from seqid_cli.identify.predict_long import LongPrediction
+from seqid_cli.identify.prediction.log_prediction import LogPrediction, predict
+from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
@@ -81,7 +80,7 @@ def passed_over(path: Path, robot: Robot, stages: Stages) -> Iterator[LogPredict
 def test_another_torque_changes_nothing_of_the_prediction(
     way: object, folder: Path, robot: Robot, stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(predict_long, "ROWS", 7_000)
+    monkeypatch.setattr(LongPrediction, "rows", 7_000)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
     assert callable(way)
     pairs = zip(

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.identify import predict_long
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import LogPrediction, predict
-from seqid_cli.identify.predict_long import LongPrediction, local_effects
+from seqid_cli.identify.prediction.log_prediction import LogPrediction, predict
+from seqid_cli.identify.prediction.predict import LongPrediction, local_effects
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.apply import scene_of_log
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage
@@ -55,7 +54,7 @@ def stages(robot: Robot) -> Stages:
 
 @pytest.fixture(autouse=True)
 def _many_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(predict_long, "ROWS", 7_000)
+    monkeypatch.setattr(LongPrediction, "rows", 7_000)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
 
 

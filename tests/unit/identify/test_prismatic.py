@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Chain, Joint, Robot
 from tests.plants.sensors import quantise
@@ -124,7 +123,7 @@ class Identified:
     @cached_property
     def gravity(self) -> RigidStage:
         stages = Stages(friction=self.friction)
-        return identify_gravity(self.single, self.robot, stages, options=MotionOptions())
+        return identify_gravity(self.single, self.robot, stages)
 
     @cached_property
     def inertia(self) -> RigidStage:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.ramps import without_acceleration
-from seqid_cli.identify.trials import Ramps, Trial, collect_trials
+from seqid_cli.identify.friction_surface.ramps import without_acceleration
+from seqid_cli.identify.friction_surface.trials import Ramps, Trial, collect_trials
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqid_cli.identify.one_step import identify_simultaneous
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.predict_logs import predict
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages

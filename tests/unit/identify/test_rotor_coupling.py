@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.inertia_stage import identify_inertia
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.controller import gains_for

@@ -7,12 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.excitation import missing_pairs
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import identify_gravity
-from seqid_cli.identify.imu import calibrate_imus
-from seqid_cli.identify.inertia_stage import identify_inertia
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.rigid.excitation import missing_pairs
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
@@ -262,7 +262,7 @@ def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: R
 def test_stages_in_the_wrong_order_are_refused(one_joint: Rig) -> None:
     logs, robot = one_joint.logs("gravity"), one_joint.robot
     with pytest.raises(UsageError, match="friction stage"):
-        identify_gravity(logs, robot, Stages(), options=MotionOptions())
+        identify_gravity(logs, robot, Stages())
     with pytest.raises(UsageError, match="friction stage"):
         identify_inertia(logs, robot, Stages(), options=InertiaOptions())
 
@@ -272,7 +272,7 @@ def test_logs_without_what_a_stage_needs_are_refused(six_joint: Rig) -> None:
     with pytest.raises(QualityError, match="moves by itself at constant velocity"):
         identify_friction(validation, robot, options=FrictionOptions())
     with pytest.raises(QualityError, match="no log moves a joint before an IMU"):
-        calibrate_imus(six_joint.logs("friction")[:1], robot, None, options=MotionOptions())
+        calibrate_imus(six_joint.logs("friction")[:1], robot, options=MotionOptions())
 
 
 def test_too_high_a_velocity_order_is_refused(one_joint: Rig) -> None:

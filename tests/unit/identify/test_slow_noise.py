@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.slow_noise import Rows, whitener_of
+from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from tests.plants.sensors import noise
 
 Array = NDArray[np.float64]

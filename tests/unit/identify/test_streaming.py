@@ -11,10 +11,10 @@ import pytest
 
 from seqid_cli.__main__ import main
 from seqid_cli.errors import InputError
-from seqid_cli.identify import streaming
-from seqid_cli.identify.inertia_stage import identify_inertia
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.streaming import open_if_long, streams
+from seqid_cli.identify.regression import streaming
+from seqid_cli.identify.regression.streaming import open_if_long, streams
+from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
 from seqid_cli.motion.blocks import SurveyedLog, open_surveyed
@@ -145,7 +145,7 @@ def test_the_command_passes_over_long_logs(
         passed.append(log.path)
         return pass_over(log, equations)
 
-    monkeypatch.setattr("seqid_cli.identify.inertia_stage.pass_over", spy)
+    monkeypatch.setattr("seqid_cli.identify.rigid.inertia.pass_over", spy)
     results = []
     for least in (SAMPLES + 1, SAMPLES):
         monkeypatch.setattr(streaming, "LONG", least)

@@ -9,23 +9,23 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import approx_fprime
 
-from seqid_cli.identify.surface_data import (
-    MAX_POSITION_ORDER,
-    Orders,
-    SpeedData,
-    edges_of,
-    reduce_trials,
-)
-from seqid_cli.identify.surface_errors import fitted_errors, left_out_errors
-from seqid_cli.identify.surface_fit import (
+from seqid_cli.identify.friction_surface.errors import fitted_errors, left_out_errors
+from seqid_cli.identify.friction_surface.fit import (
     DEVIATION,
     SurfaceFit,
     choose_orders,
     fit_surfaces,
     highest_orders,
 )
-from seqid_cli.identify.surface_prior import NAMES, Evidence, Sizes
-from seqid_cli.identify.surface_weights import around_medians, weighted
+from seqid_cli.identify.friction_surface.prior import NAMES, Evidence, Sizes
+from seqid_cli.identify.friction_surface.reduction import (
+    MAX_POSITION_ORDER,
+    Orders,
+    SpeedData,
+    edges_of,
+    reduce_trials,
+)
+from seqid_cli.identify.friction_surface.weights import around_medians, weighted
 from seqid_cli.model.friction_basis import Scaling
 
 Array = NDArray[np.float64]

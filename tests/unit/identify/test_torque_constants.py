@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.compare.differences import _torque_constants_held
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.gravity_stage import GravityRows, _stage, identify_gravity
-from seqid_cli.identify.inertia_stage import identify_inertia
-from seqid_cli.identify.least_squares import Accumulator, Prior, solve
-from seqid_cli.identify.one_step import identify_simultaneous
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.posterior import constant_moves
+from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
+from seqid_cli.identify.rigid.gravity import GravityRows, _stage, identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.posterior import constant_moves
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.bodies.demand import identified
 from seqid_cli.motion.options import MotionOptions
@@ -58,7 +58,7 @@ def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     drills = scaled(rig.logs("friction"), step)
     stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
     slow = scaled(rig.logs("gravity"), step) + drills
-    stages.gravity = identify_gravity(slow, robot, stages, options=MotionOptions())
+    stages.gravity = identify_gravity(slow, robot, stages)
     options = InertiaOptions(source="encoder")
     stages.inertia = identify_inertia(
         scaled(rig.logs("inertia"), step), robot, stages, options=options

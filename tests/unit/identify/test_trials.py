@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
-from seqid_cli.identify.friction_stage import identify_friction
-from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.identify.trials import (
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.friction_surface.trials import (
     Ramps,
     Trial,
     _trial,
@@ -24,6 +23,7 @@ from seqid_cli.identify.trials import (
     plane_across,
     speed_levels,
 )
+from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify import streaming, trials_long
-from seqid_cli.identify.trials import Trial, TrialsOf
+from seqid_cli.identify.friction_surface.trials import Trial, TrialsOf
+from seqid_cli.identify.regression import streaming
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import SurveyedLog
@@ -62,9 +62,9 @@ def write(path: Path, *, waving: bool) -> Path:
     return path
 
 
-def parts_of(path: Path, robot: Robot) -> tuple[list[Trial], list[Trial]]:
+def parts_of(path: Path, robot: Robot, rows: int) -> tuple[list[Trial], list[Trial]]:
     """Return the trials of the log passed over, and those of the held one."""
-    find = TrialsOf(robot)
+    find = TrialsOf(robot, rows)
     log = find.open_log(path, robot, "header")
     assert isinstance(log, SurveyedLog)
     return find(log, 0), find(read_recording(path, robot), 0)
@@ -76,9 +76,8 @@ def test_the_trials_are_those_of_the_held_log(
     waving: bool, rows: int, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(streaming, "LONG", 1_000)
-    monkeypatch.setattr(trials_long, "ROWS", rows)
     monkeypatch.setattr(parquet, "BLOCK_ROWS", 3_000)
-    found, expected = parts_of(write(tmp_path / "log.parquet", waving=waving), robot)
+    found, expected = parts_of(write(tmp_path / "log.parquet", waving=waving), robot, rows)
     assert len(found) == len(expected) > 10
     for own, other in zip(found, expected, strict=True):
         assert (own.joint, own.velocity, own.weight) == (other.joint, other.velocity, other.weight)

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify.friction_stage import identify_friction
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.read import read_recording, read_recordings
 from seqid_cli.logs.recording import Recording

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.predict_logs import LogPrediction
-from seqid_cli.identify.torques_parquet import TorqueWriter
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.identify.rotor_coupling import _open
+from seqid_cli.identify.rigid.rotor_coupling import _open
 from tests.plants.rigs import plain
 from tests.studies import coverage
 from tests.studies.coverage import TUNING, key_of, read, seeds_of, summary

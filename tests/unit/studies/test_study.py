@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.predict_logs import LogPrediction
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.params.schema import Parameter
 from tests.plants.experiments import friction_trials
 from tests.plants.rigid import Rigid

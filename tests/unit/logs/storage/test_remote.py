@@ -104,8 +104,8 @@ def test_damage_is_told_under_the_name_of_the_object(
 def test_a_long_log_keeps_its_copy_until_it_is_done(
     store: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from seqid_cli.identify import inertia_stage as inertia
-    from seqid_cli.identify import streaming
+    from seqid_cli.identify.regression import streaming
+    from seqid_cli.identify.rigid import inertia
 
     passed: list[str] = []
     real = streaming.open_if_long

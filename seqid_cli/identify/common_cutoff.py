@@ -1,0 +1,191 @@
+"""One low-pass cut-off per identification, and for every later stage that builds on it.
+
+An inertia that is identified below one cut-off holds what the logs say there: friction that lags,
+elasticity and what else a model leaves out enter it differently elsewhere. So all logs of a stage
+are filtered alike: the scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
+and joints, and the sum is maximised; the slowest rate of the logs limits it. The file carries the
+cut-off and later stages take it (`inherited`), unless the user gives another.
+
+Where the motion comes from the smoother its own score counts, and the lowest cut-off that scores
+nearly as well as the best, from that of the encoders on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.errors import SeqidError
+from seqid_cli.identify.regression.streaming import open_if_long, survey_of
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.filters.bandwidth import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    Score,
+    first_maximum,
+    lowest_as_good,
+)
+from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.smoother.fused import score_of_smoothed
+from seqid_cli.params.schema import ImuStage, Stages
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+
+GRID: Array = np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200)
+
+
+@dataclass(frozen=True)
+class LogScore:
+    """What one log says of every cut-off of `GRID`, and the highest that it allows [Hz].
+
+    `smoothed` is what the log's smoothed motion says.
+    """
+
+    score: Score
+    highest_hz: float
+    smoothed: Score | None = None
+
+
+def score_of(
+    log: Recording | SurveyedLog,
+    robot: Robot,
+    *,
+    imu: ImuStage | None = None,
+    source: str = "encoder",
+) -> LogScore | None:
+    """Score the cut-offs of one log; None where no joint moves.
+
+    Parameters
+    ----------
+    log : Recording or SurveyedLog
+        Held, or passed over once.
+    robot : Robot
+    imu : ImuStage, optional
+        Calibrations, to score the motion that they give.
+    source : str
+        As of `best_motion`.
+
+    Raises
+    ------
+    SeqidError
+        If the motion cannot be had from this source.
+    """
+    resolution, rate = encoder_resolution(robot), log.rate_hz
+    found = survey_of(log).score(resolution, GRID)
+    if found is None:
+        return None
+    if isinstance(log, SurveyedLog):
+        return LogScore(found, min(HIGHEST_HZ, rate / 8))
+    highest = min(HIGHEST_HZ, rate / 8, highest_bridged(log))
+    return LogScore(found, highest, _smoothed(log, robot, imu, source))
+
+
+def _smoothed(log: Recording, robot: Robot, imu: ImuStage | None, source: str) -> Score | None:
+    """What the smoothed motion says, where that is what will be used."""
+    if imu is None or not imu.imus or source == "encoder":
+        return None
+    encoder = estimate_motion(log, robot, MotionOptions())
+    if best_motion(log, robot, imu, encoder, source=source).source != "fused":
+        return None
+    return score_of_smoothed(log, robot, imu, encoder, GRID)
+
+
+def chosen_together(scores: Sequence[LogScore]) -> tuple[float, float]:
+    """The cut-off [Hz] that suits all logs together, and that for their encoders alone.
+
+    The order of the logs does not matter.
+    """
+    total, allowed = _summed([(one.score, one.highest_hz) for one in scores])
+    best = alone = first_maximum(total[:allowed])
+    if any(one.smoothed for one in scores):
+        total, allowed = _summed([(one.smoothed or one.score, one.highest_hz) for one in scores])
+        joints = sum(one.score.joints for one in scores)
+        best += lowest_as_good(total[best : max(allowed, best + 1)], joints)
+    return float(GRID[best]), float(GRID[alone])
+
+
+def _summed(scores: Sequence[tuple[Score, float]]) -> tuple[Array, int]:
+    """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
+    ordered = sorted(tuple(one.values) for one, _ in scores)  # sums to the last bit
+    highest = min(limit for _, limit in scores)
+    highest = min(highest, max(one.highest_hz for one, _ in scores))
+    return np.sum(ordered, axis=0), max(1, int(np.searchsorted(GRID, highest, side="right")))
+
+
+def identification_options(
+    logs: Sequence[Path | Recording],
+    robot: Robot,
+    *,
+    cutoff_hz: float | None,
+    imu: ImuStage | None = None,
+    source: str = "encoder",
+    time_source: TimeSource = "header",
+) -> MotionOptions:
+    """How all logs of an identification are filtered.
+
+    A single log chooses for itself as it is read. Several are looked at first, and read again.
+
+    Parameters
+    ----------
+    logs : sequence of Path or Recording
+    robot : Robot
+    cutoff_hz : float or None
+        As given by the user.
+    imu : ImuStage, optional
+        Calibrations that the motion is made with.
+    source : str
+        Where the motion comes from, as of `best_motion`.
+    time_source : {"header", "log"}
+        As for `read_recording`.
+    """
+    if cutoff_hz is not None:
+        return MotionOptions(cutoff_hz, origin="as given")
+    if len(logs) < 2:
+        return MotionOptions()
+    found: list[LogScore] = []
+    for given in logs:
+        # Errors are told when the log is read to be identified from.
+        with contextlib.suppress(SeqidError):
+            own = _score_of_given(given, robot, imu, source, time_source)
+            found += [own] if own is not None else []
+    if not found:
+        return MotionOptions()
+    hz, alone = chosen_together(found)
+    origin = f"chosen from all {len(logs)} logs together"
+    return MotionOptions(hz, origin=origin, encoder_hz=alone)
+
+
+def _score_of_given(
+    log: Path | Recording,
+    robot: Robot,
+    imu: ImuStage | None,
+    source: str,
+    time_source: TimeSource,
+) -> LogScore | None:
+    if isinstance(log, Recording):
+        return score_of(log, robot, imu=imu, source=source)
+    fuses = imu is not None and bool(imu.imus) and source != "encoder"
+    with local_copy(log) as copy:
+        file = Path(copy)
+        long = None if fuses else open_if_long(file, robot, time_source=time_source)
+        whole = long or read_recording(file, robot, time_source=time_source)
+        return score_of(whole, robot, imu=imu, source=source)
+
+
+def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:
+    """How logs are filtered by what builds on stages: as these were, unless the user says so."""
+    if cutoff_hz is not None:
+        return MotionOptions(cutoff_hz, origin="as given")
+    if stages.inertia is None or stages.inertia.cutoff_hz is None:
+        return MotionOptions()
+    return MotionOptions(stages.inertia.cutoff_hz, origin="of the inertia stage")

@@ -1,0 +1,201 @@
+"""Step 2 of the friction surface: its entries over position and speed (Eq. 9-10), and its orders.
+
+Both steps together are the generalised least squares of the whole surface, terms of high degree
+held back by what the data say of their size (`surface_prior`). Such a surface may have the paper's
+orders (10, 11) and does not swing between the speeds (Runge). Those that are kept are the fewest
+with which it stays the same: within `DEVIATION` of its standard errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from seqid_cli.identify.friction_surface.prior import Evidence, Normal, Sizes
+from seqid_cli.identify.friction_surface.reduction import (
+    MAX_POSITION_ORDER,
+    MAX_VELOCITY_ORDER,
+    Orders,
+    Reduced,
+    SpeedData,
+)
+from seqid_cli.model.friction_basis import tensor
+from seqid_cli.typing import Array, Mask
+
+DEVIATION = 0.15  # standard errors, RMS, by which a surface of fewer orders may differ
+CELLS = 17  # per axis, at which two surfaces are compared
+
+
+@dataclass(frozen=True)
+class SurfaceFit:
+    """One surface from trials, to be had with any orders up to those of `prior` (size, l + 1)."""
+
+    reduced: Reduced
+    prior: Array
+    normal: Normal
+    sizes: Sizes
+
+    @classmethod
+    def of(cls, reduced: Reduced, sizes: Sizes, highest: Orders) -> SurfaceFit:
+        """Set up; `highest` are the orders of the surface that is taken as the whole one."""
+        prior = sizes.prior(reduced.scaling, reduced.size, highest)
+        return cls(reduced, prior, Normal.of(reduced, sizes, highest.velocity), sizes)
+
+    @cached_property
+    def whole(self) -> tuple[Array, Array]:
+        """Entries (k,) of the whole surface and their covariance (k, k)."""
+        mean, covariance, _ = self.normal.posterior(self.prior.ravel())
+        return mean, covariance
+
+    def entries(self, orders: Orders) -> Array:
+        """Entries (size, l + 1) N m of a surface of fewer orders."""
+        kept = self._kept(orders)
+        return self._solved(self.normal.N, self.normal.b, kept).reshape(self._shape(orders))
+
+    def covariance(self, orders: Orders) -> Array:
+        """Covariance of those entries, row-major.
+
+        It is scaled so that the mean variance over both ranges is that of the whole surface: what
+        is left out has an error too.
+        """
+        kept = np.flatnonzero(self._kept(orders))
+        found = self.whole[1][np.ix_(kept, kept)]
+        columns, error = self._grid
+        own = np.einsum("nk,kl,nl->", columns[:, kept], found, columns[:, kept], optimize=True)
+        scaled: Array = found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0)
+        return scaled
+
+    def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
+        """Each inner speed u, with the entries of a surface fitted to the others."""
+        kept, order = self._kept(orders), self.prior.shape[1] - 1
+        for u in self.reduced.levels[1:-1]:
+            part = Normal.of(self.reduced.subset(self.reduced.u == u), self.sizes, order)
+            N, b = self.normal.N - part.N, self.normal.b - part.b
+            yield float(u), self._solved(N, b, kept).reshape(self._shape(orders))
+
+    def deviation(self, orders: Orders) -> float:
+        """RMS difference from the whole surface, in its standard errors, over both ranges."""
+        kept = self._kept(orders)
+        entries = np.zeros(self.prior.size)
+        entries[kept] = self._solved(self.normal.N, self.normal.b, kept)
+        columns, error = self._grid
+        return float(np.sqrt(np.mean((columns @ (entries - self.whole[0]) / error) ** 2)))
+
+    def distances(self, data: Sequence[SpeedData]) -> list[Array]:
+        """Distances (K,) N m of slices from the whole surface and their trial's own offset."""
+        over_position = self.reduced.scaling.over_position
+        order = over_position.order(self.reduced.size)
+        D = self.whole[0].reshape(self.prior.shape)[: self.reduced.size]
+        levels = D @ self.reduced.over_speed(self.prior.shape[1] - 1).T
+        off = [
+            item.friction - over_position.values(item.q, order) @ levels[:, k]
+            for k, item in enumerate(data)
+        ]
+        return [each - np.median(each) for each in off]
+
+    @cached_property
+    def _grid(self) -> tuple[Array, Array]:
+        """Basis (CELLS^2, k) over both ranges, and the whole surface's standard errors there."""
+        over_position, share = self.reduced.scaling.over_position, np.linspace(0.0, 1.0, CELLS)
+        order = over_position.order(self.reduced.size)
+        X = over_position.values(over_position.at(share), order)
+        T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.prior.shape[1] - 1)
+        X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
+        columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
+        variance = np.einsum("nk,kl,nl->n", columns, self.whole[1], columns, optimize=True)
+        return columns, np.sqrt(np.maximum(variance, 1e-300))
+
+    def _kept(self, orders: Orders) -> Mask:
+        kept = np.zeros(self.prior.shape, dtype=np.bool_)
+        rows, columns = self._shape(orders)
+        kept[:rows, :columns] = True
+        return kept.ravel()
+
+    def _shared(self) -> Mask:
+        """What is no part of the surface but the same in all trials."""
+        beside = np.zeros(self.prior.shape, dtype=np.bool_)
+        beside[self.reduced.size :] = self.prior[self.reduced.size :] > 0.0
+        return beside.ravel()
+
+    def _shape(self, orders: Orders) -> tuple[int, int]:
+        return self.reduced.scaling.over_position.size(orders.position), orders.velocity + 1
+
+    def _solved(self, N: Array, b: Array, kept: Mask) -> Array:
+        """Entries `kept` of the surface; what all trials share is fitted beside them."""
+        fitted = kept | self._shared()
+        prior = self.prior.ravel()[fitted]
+        inner = N[np.ix_(fitted, fitted)] * np.outer(prior, prior)
+        inner[np.diag_indices_from(inner)] += 1.0
+        solved: Array = prior * np.linalg.solve(inner, prior * b[fitted])
+        return solved[kept[fitted]]
+
+
+def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int | None) -> Orders:
+    """The orders that the data, or the user, allow at most."""
+    levels = min(len(own.levels) for own in sets)
+    most = min(MAX_VELOCITY_ORDER, max(levels - 1, 0))
+    return Orders(
+        MAX_POSITION_ORDER if position is None else position,
+        most if velocity is None else velocity,
+    )
+
+
+def fit_surfaces(
+    sets: Sequence[Reduced], *, position: int | None = None, velocity: int | None = None
+) -> tuple[list[SurfaceFit], float]:
+    """Fit one surface to each set of trials, with sizes of terms and errors in common.
+
+    Parameters
+    ----------
+    sets : sequence of Reduced
+        Trials of both directions, or one set for each direction.
+    position, velocity : int, optional
+        Orders that the user fixes.
+
+    Returns
+    -------
+    list of SurfaceFit and float
+        Twice the logarithm of the marginal likelihood of all slices comes second.
+    """
+    highest = highest_orders(sets, position, velocity)
+    sizes, evidence = Evidence.of(sets, highest).strongest()
+    return [SurfaceFit.of(own, sizes, highest) for own in sets], evidence
+
+
+def choose_orders(
+    fits: Sequence[SurfaceFit],
+    *,
+    position: int | None,
+    velocity: int | None,
+    accept: Callable[[Orders], bool] | None = None,
+) -> Orders:
+    """Choose the fewest orders that do as well as the highest ones.
+
+    Parameters
+    ----------
+    fits : sequence of SurfaceFit
+        The surfaces that are to have the same orders.
+    position, velocity : int, optional
+        Orders that the user fixes.
+    accept : callable, optional
+        Whether orders are good enough to stop at; else it is asked whether the surface stays the
+        same to `DEVIATION`.
+    """
+    first = fits[0].reduced
+    highest = highest_orders([fit.reduced for fit in fits], position, velocity)
+    good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
+    size = first.scaling.over_position.size
+    lowest = Orders(
+        0 if position is None else position,
+        min(1, highest.velocity) if velocity is None else velocity,
+    )
+    steps = [
+        Orders(m, l)
+        for m in range(lowest.position, highest.position + 1)
+        for l in range(lowest.velocity, highest.velocity + 1)
+    ]
+    steps.sort(key=lambda orders: size(orders.position) * (orders.velocity + 1))
+    return next((orders for orders in steps[:-1] if good(orders)), steps[-1])

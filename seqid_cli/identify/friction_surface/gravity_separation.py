@@ -1,0 +1,259 @@
+"""Eq. 12-15: the gravity torque of single-joint trials, and whether friction depends on direction.
+
+Forward and backward trials at one speed have the half-sum
+
+    (tau_1 + tau_2) / 2 = a(q)' p_xi + (f_forward - f_backward) / 2.
+
+Gravity cannot know the speed and has the shape a(q); the second term is the direction dependence
+that Eq. 15 takes to be zero. Both are fitted, the second as an offset and a slope over the speed,
+and kept only where the data speak for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.identify.friction_surface.trials import Trial, configurations, speed_levels
+from seqid_cli.robot.kinematics import forward
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index
+
+ASYMMETRY_SHARE = 0.02  # of the friction, below which a direction dependence does not matter
+ASYMMETRY_SIGMA = 6.0
+ENOUGH_PAIRS = 8
+
+
+def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
+    """Vector a of Eq. 13 at positions q of one joint, the others locked.
+
+    Parameters
+    ----------
+    robot : Robot
+        Chain and gravity vector.
+    joint : int
+        The moving joint.
+    configuration : (n,) array
+        Positions of the joints before it [rad].
+    q : (K,) array
+        Positions of the joint itself [rad].
+
+    Returns
+    -------
+    (K, 2) array
+        m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic joint, whose gravity
+        force is mass times gravity along the axis; no column where gravity has no part across the
+        axis.
+    """
+    zero = configuration.copy()
+    zero[joint] = 0.0
+    R = forward(robot.chain, zero[None]).R[0, joint]
+    g = R.T @ robot.gravity
+    axis = robot.chain.axis[joint]
+    if robot.chain.prismatic[joint]:
+        column = np.full((len(q), 1), -float(g @ axis))
+        return column if abs(g @ axis) > 1e-6 else column[:, :0]
+    e_x, e_y = plane_across(axis)
+    g_x, g_y = float(g @ e_x), float(g @ e_y)
+    if np.hypot(g_x, g_y) < 1e-6:
+        return np.empty((len(q), 0))
+    sin, cos = np.sin(q), np.cos(q)
+    return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
+
+
+def plane_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    e_x = start - axis * (axis @ start)
+    e_x /= np.linalg.norm(e_x)
+    return e_x, np.cross(axis, e_x)
+
+
+@dataclass(frozen=True)
+class HalfSums:
+    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, the pair's speed, weight."""
+
+    q: Array
+    tau: Array
+    speed: float
+    weight: float
+
+
+def half_sums(group: list[Trial]) -> list[HalfSums]:
+    """Pair forward with backward trials of one configuration, speed by speed (Eq. 15)."""
+    result = []
+    for level in speed_levels(group):
+        forward_trials = [t for t in level if t.velocity > 0]
+        backward = [t for t in level if t.velocity < 0]
+        for ahead, back in zip(forward_trials, backward, strict=False):
+            low = max(ahead.q.min(), back.q.min())
+            high = min(ahead.q.max(), back.q.max())
+            inside = (ahead.q >= low) & (ahead.q <= high)
+            order = np.argsort(back.q)
+            twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
+            if inside.sum() >= 4:
+                half = (ahead.tau[inside] + twin) / 2
+                result.append(HalfSums(ahead.q[inside], half, level[0].speed, ahead.weight))
+    return result
+
+
+@dataclass(frozen=True)
+class GravityGroup:
+    """Trials in one locked configuration with p_xi (2,) kg m and its standard errors."""
+
+    robot: Robot
+    configuration: Array
+    trials: list[Trial]
+    p_xi: Array
+    std_error: Array
+
+    def torque(self, q: Array) -> Array:
+        """Gravity torque (K,) N m at positions q (K,) of the moving joint (Eq. 12)."""
+        joint = self.trials[0].joint
+        return gravity_columns(self.robot, joint, self.configuration, q) @ self.p_xi
+
+
+@dataclass(frozen=True)
+class GravityFit:
+    """p_xi of every configuration; `asymmetry` is the direction-dependent share of friction."""
+
+    groups: list[GravityGroup]
+    unpaired: int
+    directional: bool
+    asymmetry: float
+
+
+def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
+    """Fit p_xi per configuration to the half-sums, with or without direction dependence.
+
+    Parameters
+    ----------
+    robot : Robot
+        Chain and gravity vector.
+    joint : int
+        The moving joint.
+    trials : list of Trial
+        Its constant-velocity trials.
+
+    Returns
+    -------
+    GravityFit
+        Groups without a forward/backward pair are left out and counted in `unpaired`.
+    """
+    groups = configurations(trials)
+    loaded = gravity_columns(robot, joint, trials[0].configuration, trials[0].q).shape[1] > 0
+    paired = [(group, sums) for group in groups if (sums := half_sums(group))]
+    if not loaded and len(paired) < len(groups):
+        return GravityFit([_unloaded(robot, group) for group in groups], 0, False, 0.0)
+    unpaired = len(trials) - sum(len(group) for group, _ in paired)
+    if not paired:
+        return GravityFit([], unpaired, False, 0.0)
+    friction = _friction_scale(paired)
+    system = _system(robot, joint, paired)
+    share, directional = _asymmetry(system, friction)
+    plain, errors, _ = _solve(system, extended=directional)
+    width = system.columns.shape[1] // len(paired)
+    fitted = [
+        GravityGroup(
+            robot,
+            group[0].configuration,
+            group,
+            plain[i * width : (i + 1) * width],
+            errors[i * width : (i + 1) * width],
+        )
+        for i, (group, _) in enumerate(paired)
+    ]
+    return GravityFit(fitted, unpaired, directional, share)
+
+
+def _unloaded(robot: Robot, group: list[Trial]) -> GravityGroup:
+    """Trials of a joint that gravity does not load: nothing to remove, no twin needed."""
+    return GravityGroup(robot, group[0].configuration, group, np.zeros(0), np.zeros(0))
+
+
+Paired = list[tuple[list[Trial], list[HalfSums]]]
+
+
+def _friction_scale(paired: Paired) -> float:
+    """RMS friction, N m: half the difference of the directions."""
+    squares = []
+    for group, _ in paired:
+        ahead = [t.tau.mean() for t in group if t.velocity > 0]
+        back = [t.tau.mean() for t in group if t.velocity < 0]
+        if ahead and back:
+            squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
+    return float(np.sqrt(np.mean(squares)))
+
+
+@dataclass(frozen=True)
+class _System:
+    """Half-sums `y` by gravity `columns` and direction-dependent `extra`, weighted by `root`."""
+
+    columns: Array
+    extra: Array
+    y: Array
+    root: Array
+    block: Index
+
+
+def _system(robot: Robot, joint: int, paired: Paired) -> _System:
+    """Stack the half-sums: gravity columns per configuration, offset and slope over the speed."""
+    rows, extra, right, root, block = [], [], [], [], []
+    pairs = sum(len(sums) for _, sums in paired)
+    fastest = max(item.speed for _, sums in paired for item in sums)
+    count = 0
+    for i, (group, sums) in enumerate(paired):
+        for item in sums:
+            a = gravity_columns(robot, joint, group[0].configuration, item.q)
+            wide = np.zeros((len(item.q), a.shape[1] * len(paired)))
+            wide[:, i * a.shape[1] : (i + 1) * a.shape[1]] = a
+            rows.append(wide)
+            slope = np.full(len(item.q), item.speed / fastest)
+            # The gravity force of a prismatic joint is itself an offset.
+            offset = [] if robot.chain.prismatic[joint] and a.shape[1] else [np.ones_like(slope)]
+            extra.append(np.column_stack([*offset, slope]))
+            right.append(item.tau)
+            root.append(np.full(len(item.q), np.sqrt(item.weight)))
+            # Drift and friction errors are shared within a pair; few pairs must be cut up.
+            parts = 1 if pairs >= ENOUGH_PAIRS else 4
+            block.append(count + np.arange(len(item.q)) * parts // len(item.q))
+            count += parts
+    return _System(
+        np.vstack(rows),
+        np.vstack(extra),
+        np.concatenate(right),
+        np.concatenate(root),
+        np.concatenate(block),
+    )
+
+
+def _solve(system: _System, *, extended: bool) -> tuple[Array, Array, float]:
+    """Weighted least squares: solution, standard errors robust within blocks, squares left."""
+    columns = system.columns
+    if extended:
+        columns = np.hstack([columns, system.extra])
+    if columns.shape[1] == 0:
+        return np.zeros(0), np.zeros(0), float(np.sum((system.root * system.y) ** 2))
+    A, y = columns * system.root[:, None], system.y * system.root
+    solution: Array = np.asarray(np.linalg.lstsq(A, y, rcond=1e-10)[0], dtype=np.float64)
+    left = y - A @ solution
+    bread = np.linalg.pinv(A.T @ A)
+    blocks = int(system.block.max()) + 1
+    scores = np.zeros((blocks, A.shape[1]))
+    np.add.at(scores, system.block, A * left[:, None])
+    scale = blocks / max(blocks - A.shape[1], 1)
+    covariance = bread @ (scores.T @ scores) @ bread * scale
+    return solution, np.sqrt(np.maximum(np.diag(covariance), 0.0)), float(left @ left)
+
+
+def _asymmetry(system: _System, friction: float) -> tuple[float, bool]:
+    """Share of friction that depends on direction, and whether it is beyond doubt and size."""
+    size = system.columns.shape[1]
+    solution, errors, left_both = _solve(system, extended=True)
+    _, _, left_plain = _solve(system, extended=False)
+    offset = system.extra @ solution[size:]
+    share = float(np.sqrt(np.mean(offset**2)) / max(friction, 1e-12))
+    sigma = np.abs(solution[size:]) / np.maximum(errors[size:], 1e-300)
+    helps = left_both < 0.97 * left_plain
+    return share, bool(share > ASYMMETRY_SHARE and sigma.max() > ASYMMETRY_SIGMA and helps)

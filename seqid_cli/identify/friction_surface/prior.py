@@ -1,0 +1,258 @@
+"""How large the terms of a friction surface and the errors of its trials are, as the data say.
+
+Slices of trial k, reduced (`surface_data`), are
+
+    z_k = R_k (D phi(u_k) + e_k) + n_k,
+
+D the surface, phi Chebyshev polynomials of the scaled speed, n_k white noise of variance s_n^2,
+and e_k what the trial has for itself: an offset of variance s_t^2 and terms of degree j of variance
+s_s^2 / j, which is how 1/f noise over the length of a trial spreads over polynomials; torque of a
+speed that changes by a share of itself along its way, I dv/dt ~ v^2, of variance
+s_a^2 (v / v_max)^4 / max(j, 1); and at its ends what is left of acceleration, of variance s_e^2
+(R_k has columns for it). All trials share the error of the inertia whose torque was taken off them:
+an entry of D beside the surface, of variance 1, whose column is the torque of one standard error
+times the acceleration. The other entries of D are Gaussian too. Coulomb and viscous friction, d_00
+and d_01, are as large as they like; others have variances that fall with their degrees,
+
+    var d_j0 = s_q^2 / j^a,   var d_0r = s_v^2 / r^b,   var d_jr = s_qv^2 / (j^a r^b).
+
+The eight sizes and both powers maximise the marginal likelihood of all slices (C. E. Rasmussen and
+C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, Sec. 5.4), which, as restricted
+likelihood does, allows for what the surface takes. What the data do not tell stays near its usual
+value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, Orders, Reduced
+from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.typing import Array
+
+NAMES = (
+    *("position", "speed", "both", "trial", "slow", "unsteady", "edge", "noise"),
+    *("over_position", "over_speed"),
+)
+BROAD = 3.0  # of the RMS friction: size of Coulomb and viscous friction, as good as free
+DECAY = 3.0  # usual power of the degree with which the variance of a term falls
+DECAY_SPREAD = float(np.log(2.0))  # standard deviation of its logarithm
+USUAL = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1)  # of the RMS friction: sizes over position ... edge
+SPREAD = float(np.log(10.0))  # standard deviation of a size's logarithm about the usual one
+NEAR, STEP, NEWTON = 0.1, 1e-4, 20  # of the logarithms: farthest and trial step; how many steps
+DONE = 1e-10  # of the logarithms: a step that is none
+LIMIT = 5.0  # spreads, beyond which no size is looked for
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Standard deviations, N m.
+
+    Of the surface's terms over `position`, over `speed` and over `both`; of a `trial`'s own offset,
+    of its `slow` changes, of its `unsteady` speed if it is the fastest, of its `edge`s; of the
+    white `noise` of one sample. `broad` holds for Coulomb and viscous friction. `over_position` and
+    `over_speed` are the powers with which variances fall.
+    """
+
+    position: float
+    speed: float
+    both: float
+    trial: float
+    slow: float
+    unsteady: float
+    edge: float
+    noise: float
+    over_position: float
+    over_speed: float
+    broad: float
+
+    def prior(self, scaling: Scaling, size: int, orders: Orders) -> Array:
+        """Standard deviations (size + 3, l + 1) of a surface's entries.
+
+        They are 0 above position order m, and for the ends of a trial, which the surface has not.
+        The last is that of the inertia's error, one and the same in all trials.
+        """
+        over_position = scaling.over_position
+        j = over_position.degrees(over_position.order(size))[:, None]
+        r = np.arange(orders.velocity + 1.0)[None, :]
+        fall = np.maximum(j, 1.0) ** (-self.over_position / 2.0)
+        fall = fall * np.maximum(r, 1.0) ** (-self.over_speed / 2.0)
+        kind = np.where(j == 0, self.speed, np.where(r == 0, self.position, self.both))
+        found = np.where((j == 0) & (r <= 1), self.broad, kind * fall)
+        found[over_position.size(orders.position) :] = 0.0
+        inertia = np.eye(1, found.shape[1])
+        return np.vstack([found, np.zeros((EDGES, found.shape[1])), inertia])
+
+    def own(self, scaling: Scaling, size: int, speeds: Array) -> Array:
+        """Variances (4, T, size + 3) of own terms of trials at speeds (T,), by their causes."""
+        degree = scaling.over_position.degrees(scaling.over_position.order(size))
+        spread = np.append(1.0 / np.maximum(degree, 1.0), np.zeros(EXTRA))
+        first = np.append(degree == 0, np.zeros(EXTRA))
+        last = np.concatenate([np.zeros(size), np.ones(EDGES), np.zeros(EXTRA - EDGES)])
+        fast = (speeds / scaling.speed[1]) ** 4
+        shapes = (first, spread * (1.0 - first), np.outer(fast, spread), last)
+        sizes = (self.trial, self.slow, self.unsteady, self.edge)
+        every = np.ones((len(fast), 1))
+        return np.stack([a**2 * shape * every for a, shape in zip(sizes, shapes, strict=True)])
+
+
+ROUNDING = 1e-14  # of a covariance's largest entry: below it there is nothing but rounding
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,).
+
+    `inverse` (T, p, p) are those of the trials' covariances V_k, `S` (T, p, p) = R' V^-1 R,
+    `log_size` and `power` sum log det V_k and z' V^-1 z.
+    """
+
+    N: Array
+    b: Array
+    inverse: Array
+    S: Array
+    log_size: float
+    power: float
+
+    @classmethod
+    def of(cls, reduced: Reduced, sizes: Sizes, order: int) -> Normal:
+        """Add up the trials; `order` is that over speed."""
+        R, z, phi = reduced.R, reduced.z, reduced.over_speed(order)
+        own = sizes.own(reduced.scaling, reduced.size, reduced.speeds).sum(axis=0)
+        scaled = R * np.sqrt(own)[:, None, :]
+        V = scaled @ scaled.transpose(0, 2, 1)
+        diagonal = np.arange(V.shape[1])
+        rounding = ROUNDING * V[:, diagonal, diagonal].max(axis=1, keepdims=True)
+        V[:, diagonal, diagonal] += sizes.noise**2 + rounding
+        inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
+        toward = R.transpose(0, 2, 1) @ inverse
+        S: Array = toward @ R
+        t = (toward @ z[:, :, None])[:, :, 0]
+        size = V.shape[1] * phi.shape[1]
+        N = np.einsum("kij,kr,ks->irjs", S, phi, phi, optimize=True).reshape(size, size)
+        b = (t.T @ phi).ravel()
+        log_size = float(np.linalg.slogdet(V)[1].sum())
+        power = float(np.einsum("ki,kij,kj->", z, inverse, z, optimize=True))
+        return cls(N, b, inverse, S, log_size, power)
+
+    def posterior(self, prior: Array) -> tuple[Array, Array, float]:
+        """Mean (k,), covariance (k, k) and log det(1 + P^1/2 N P^1/2), P = diag(prior^2) (k,)."""
+        inner = self.N * np.outer(prior, prior)
+        inner[np.diag_indices_from(inner)] += 1.0
+        factor = cho_factor(inner, lower=True, check_finite=False)
+        covariance = prior[:, None] * cho_solve(factor, np.diag(prior), check_finite=False)
+        log_size = 2.0 * float(np.log(np.diag(factor[0])).sum())
+        return covariance @ self.b, covariance, log_size
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Marginal likelihood of sets of trials, a surface each and the sizes in common."""
+
+    sets: Sequence[Reduced]
+    highest: Orders
+    usual: Array  # (10,) N m, and powers
+    spread: Array  # (10,) of their logarithms
+    broad: float
+
+    @classmethod
+    def of(cls, sets: Sequence[Reduced], highest: Orders) -> Evidence:
+        """Set up; the sizes' usual values are shares of the friction."""
+        level = max(max(own.level_of_friction for own in sets), 1e-300)
+        rest = sum(own.rest.sum() for own in sets)
+        free = sum(np.maximum(own.slices - own.z.shape[1], 0.0).sum() for own in sets)
+        noise = np.sqrt(rest / free) if free > 0 else 0.0
+        noise = max(noise, 1e-6 * level)
+        usual = np.array([*(level * np.array(USUAL)), noise, DECAY, DECAY])
+        spread = np.array([SPREAD] * (len(USUAL) + 1) + [DECAY_SPREAD] * 2)
+        return cls(sets, highest, usual, spread, BROAD * level)
+
+    def sizes(self, logs: Array) -> Sizes:
+        """Sizes from the logarithms (10,) of what they are times the usual ones."""
+        values = (self.usual * np.exp(logs)).tolist()
+        return Sizes(**dict(zip(NAMES, values, strict=True)), broad=self.broad)
+
+    def __call__(self, logs: Array) -> tuple[float, Array]:
+        """Twice the negative logarithm, but for a constant, and its gradient (10,)."""
+        sizes = self.sizes(logs)
+        cost, gradient = float(np.sum((logs / self.spread) ** 2)), 2.0 * logs / self.spread**2
+        for own in self.sets:
+            more, slope = self._of_set(own, sizes)
+            cost, gradient = cost + more, gradient + slope
+        return cost, gradient
+
+    def strongest(self) -> tuple[Sizes, float]:
+        """The sizes of the largest marginal likelihood, and twice its logarithm."""
+        bounds = [(-LIMIT * spread, LIMIT * spread) for spread in self.spread]
+        start = np.zeros(len(self.usual))
+        found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
+        logs = self._sharpened(np.asarray(found.x, dtype=np.float64))
+        return self.sizes(logs), -self(logs)[0]
+
+    def _sharpened(self, logs: Array) -> Array:
+        """The top to the last digits: the likelihood is flat about it, its gradient is not."""
+        slope = self(logs)[1]
+        steps = STEP * np.eye(len(logs))
+        curvature = np.stack([(self(logs + step)[1] - slope) / STEP for step in steps])
+        curvature = 0.5 * (curvature + curvature.T)
+        if np.linalg.eigvalsh(curvature)[0] <= 0.0:
+            return logs
+        for _ in range(NEWTON):
+            step = np.linalg.solve(curvature, self(logs)[1])
+            if np.abs(step).max() > NEAR:
+                break
+            logs = logs - step
+            if np.abs(step).max() < DONE:
+                break
+        return logs
+
+    def _of_set(self, own: Reduced, sizes: Sizes) -> tuple[float, Array]:
+        prior = sizes.prior(own.scaling, own.size, self.highest)
+        normal = Normal.of(own, sizes, self.highest.velocity)
+        mean, covariance, log_size = normal.posterior(prior.ravel())
+        beyond = float(np.sum(own.slices - own.z.shape[1]))
+        rest = float(own.rest.sum()) / sizes.noise**2
+        cost = normal.log_size + normal.power + log_size - float(mean @ normal.b)
+        cost += 2.0 * beyond * np.log(sizes.noise) + rest
+        gradient = np.empty(len(self.usual))
+        square = (np.diag(covariance) + mean**2).reshape(prior.shape)
+        share = np.where(prior > 0, 1.0 - square / np.where(prior > 0, prior, 1.0) ** 2, 0.0)
+        share[own.size :] = 0.0
+        gradient[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
+        gradient[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
+        gradient[7] += beyond - rest
+        gradient[8:] = _of_falls(own, sizes, share)
+        return cost, 2.0 * gradient
+
+    def _of_errors(
+        self, own: Reduced, sizes: Sizes, normal: Normal, mean: Array, covariance: Array
+    ) -> Array:
+        """Derivatives (5,) by half the logarithms of trial ... noise, but for the rest."""
+        phi = own.over_speed(self.highest.velocity)
+        shape = (own.z.shape[1], phi.shape[1])
+        left = own.z - (own.R @ (phi @ mean.reshape(shape).T)[:, :, None])[:, :, 0]
+        four = covariance.reshape(*shape, *shape)
+        doubt = np.einsum("irjs,kr,ks->kij", four, phi, phi, optimize=True)
+        white = (normal.inverse @ left[:, :, None])[:, :, 0]
+        pulled = (own.R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
+        pulled += np.einsum("kij,kjl,kli->ki", normal.S, doubt, normal.S, optimize=True)
+        by_term = np.diagonal(normal.S, axis1=1, axis2=2) - pulled
+        by_kind = np.einsum("tp,ktp->k", by_term, sizes.own(own.scaling, own.size, own.speeds))
+        spread = normal.inverse @ own.R @ doubt @ own.R.transpose(0, 2, 1) @ normal.inverse
+        by_noise = np.trace(normal.inverse - spread, axis1=1, axis2=2).sum() - np.sum(white**2)
+        return np.append(by_kind, sizes.noise**2 * by_noise)
+
+
+def _of_falls(own: Reduced, sizes: Sizes, share: Array) -> Array:
+    """Derivatives (2,) by half the logarithms of the powers; `share` by those of the entries."""
+    share = share[: own.size].copy()
+    share[0, :2] = 0.0
+    degrees = own.scaling.over_position.degrees(own.scaling.over_position.order(own.size))
+    over_position = np.log(np.maximum(degrees, 1.0)) @ share.sum(axis=1)
+    over_speed = share.sum(axis=0) @ np.log(np.maximum(np.arange(share.shape[1]), 1.0))
+    return -0.5 * np.array([sizes.over_position * over_position, sizes.over_speed * over_speed])

@@ -1,0 +1,166 @@
+"""Acceleration that is left in trials of constant velocity: its torque and that torque's error.
+
+A controller never holds a speed exactly. With one joint moving, the torque of its acceleration is
+d_kk ddq (Eq. 25), d_kk being one number per configuration of the other joints. The ramps up to the
+speed and back down tell it: over windows of them and over the slices of the trial itself,
+
+    tau - f(q, dq) = a(q)' p_xi + d_kk ddq,
+
+with friction f as far as it is known and gravity as in Eq. 12. Friction that is not quite right
+adds to d_kk in one ramp what it takes off in the other. Where nothing tells d_kk it is taken as
+zero, and as uncertain by what the other configurations show. Where they show nothing either, the
+friction surface is told of a `doubt` with which all torque of the trials may be acceleration's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
+from seqid_cli.identify.friction_surface.trials import Ramps, Trial, configurations
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.robot.types import Robot
+from seqid_cli.robust import PER_MEDIAN
+from seqid_cli.typing import Array, Index
+
+BEYOND = 2.0  # times noise and usual size: torques of acceleration that are not taken off but out
+FEWEST_WINDOWS = 6  # of a configuration, that tell its inertia
+
+
+@dataclass(frozen=True)
+class SteadyGroup:
+    """Trials of one joint in one configuration, with the torque of acceleration taken off.
+
+    `inertia` and `std_error` are d_kk, kg m^2 (kg where prismatic), as it was used.
+    """
+
+    trials: list[Trial]
+    inertia: float
+    std_error: float
+
+
+def without_acceleration(
+    robot: Robot, trials: Sequence[Trial], surface: FrictionSurface
+) -> list[SteadyGroup]:
+    """Take the torque of what acceleration is left (Eq. 25) off the trials of one joint.
+
+    What friction differs by because the speed is not quite constant is taken off as well, so that
+    the trial is one at its mean velocity.
+
+    Parameters
+    ----------
+    robot : Robot
+        Chain and gravity vector.
+    trials : sequence of Trial
+        Of one joint, in any configurations.
+    surface : FrictionSurface
+        Friction of the joint, if only a first estimate.
+
+    Returns
+    -------
+    list of SteadyGroup
+        One per configuration.
+    """
+    groups = configurations(list(trials))
+    found = [_told(robot, group, surface) for group in groups]
+    inflation = _inflation([told for told in found if told is not None])
+    known = [told.value for told in found if told is not None]
+    usual = float(np.sqrt(np.mean(np.square(known)))) if known else 0.0
+    result = []
+    for group, told in zip(groups, found, strict=True):
+        value = 0.0 if told is None else max(told.value, 0.0)
+        error = usual if told is None else told.error(inflation)
+        doubt = error if known else _as_friction(group)
+        steady = [replace(_steady(t, value, surface), doubt=doubt) for t in group]
+        result.append(SteadyGroup(steady, value, error))
+    return result
+
+
+def _as_friction(group: Sequence[Trial]) -> float:
+    """Inertia of which nothing is known: with it all torque of the trials could be acceleration."""
+    torque = max(float(np.median(np.abs(trial.tau))) for trial in group)
+    accelerated = max(float(np.sqrt(np.mean(trial.ddq**2))) for trial in group)
+    return torque / accelerated if accelerated > 0.0 else 0.0
+
+
+def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:
+    mean = np.full(len(trial.q), trial.velocity)
+    pushed = inertia * trial.ddq
+    off = pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
+    return _settled(replace(trial, tau=trial.tau - off), pushed)
+
+
+def _settled(trial: Trial, pushed: Array) -> Trial:
+    """Without the slices whose acceleration takes a torque `pushed` (K,) beyond noise and usual.
+
+    At the ends a controller settles faster than the path follows: what is taken off is as wrong
+    there as it is large.
+    """
+    noise = PER_MEDIAN * float(np.median(np.abs(np.diff(trial.tau, 2)))) / np.sqrt(6.0)
+    usual = float(np.median(np.abs(pushed)))
+    kept = np.abs(pushed) <= BEYOND * np.hypot(noise, usual)
+    names = ("q", "dq", "ddq", "tau", "t")
+    return replace(trial, **{name: getattr(trial, name)[kept] for name in names})
+
+
+@dataclass(frozen=True)
+class _Told:
+    """d_kk of one configuration, its variance for white noise and that robust within trials."""
+
+    value: float
+    white: float
+    robust: float
+    trials: int
+
+    def error(self, inflation: float) -> float:
+        """Standard error; few trials do not tell by themselves what they share."""
+        return float(np.sqrt(max(self.robust, self.white * inflation)))
+
+
+def _inflation(told: Sequence[_Told]) -> float:
+    """How many times the variance is that of white noise, by all configurations."""
+    white = sum(t.trials * t.white for t in told)
+    return max(sum(t.trials * t.robust for t in told) / white, 1.0) if white > 0 else 1.0
+
+
+def _told(robot: Robot, group: list[Trial], surface: FrictionSurface) -> _Told | None:
+    """d_kk of one configuration; None where its ramps do not tell it."""
+    ramps = [_within(trial.ramps, surface) for trial in group]
+    if sum(len(part.q) for part in ramps) < FEWEST_WINDOWS:
+        return None
+    rows, right, cluster = [], [], []
+    for number, (trial, part) in enumerate(zip(group, ramps, strict=True)):
+        for q, dq, ddq, tau, weight in (
+            (trial.q, trial.dq, trial.ddq, trial.tau, trial.weight),
+            (part.q, part.dq, part.ddq, part.tau, part.weight),
+        ):
+            if not len(q):
+                continue
+            a = gravity_columns(robot, trial.joint, trial.configuration, q)
+            rows.append(np.column_stack([ddq, a]) * np.sqrt(weight))
+            right.append((tau - surface.torque(q, dq)) * np.sqrt(weight))
+            cluster.append(np.full(len(q), number))
+    return _first_parameter(np.vstack(rows), np.concatenate(right), np.concatenate(cluster))
+
+
+def _within(ramps: Ramps, surface: FrictionSurface) -> Ramps:
+    """Windows at speeds at which friction was seen; the others hold a reversal or a rest."""
+    low, high = surface.scaling.speed
+    kept = (np.abs(ramps.dq) >= low) & (np.abs(ramps.dq) <= high)
+    return Ramps(ramps.q[kept], ramps.dq[kept], ramps.ddq[kept], ramps.tau[kept], ramps.weight)
+
+
+def _first_parameter(A: Array, y: Array, cluster: Index) -> _Told:
+    """Least squares for the first parameter; the rows of a cluster share errors."""
+    bread = np.linalg.pinv(A.T @ A, hermitian=True)
+    theta = bread @ (A.T @ y)
+    left = y - A @ theta
+    count = int(cluster.max()) + 1
+    scores = np.zeros((count, A.shape[1]))
+    np.add.at(scores, cluster, A * left[:, None])
+    robust = count / max(count - 1, 1) * float(np.sum((scores @ bread)[:, 0] ** 2))
+    white = float(left @ left) / max(len(y) - A.shape[1], 1) * float(bread[0, 0])
+    return _Told(float(theta[0]), white, robust, count)

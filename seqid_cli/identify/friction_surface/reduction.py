@@ -1,0 +1,126 @@
+"""Step 1 of the friction surface: each trial reduced to a polynomial of position (Eq. 8).
+
+With A (K, p) the functions of position at the slices of one trial, W their weights and y the
+friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest say as much of the
+surface as the slices do, so speeds and orders can be left out without going back to them. Two
+columns more have what is left of speeding up and of slowing down at the ends of a trial,
+exp(-s / `EDGE_S`), s the time from the end. The last has the torque that one standard error of the
+joint's inertia makes of its acceleration; its coefficient is the same in all trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+
+from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.typing import Array, Mask
+
+EDGES = 2  # ends of a trial
+EXTRA = EDGES + 1  # columns beside those of position: the ends, and the inertia's error
+EDGE_S = 0.05  # s, in which what is left of an acceleration falls by e: half a window of its search
+COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
+EMPTY = 1e-12  # of an R factor: a row that says nothing, whose right side is a matter of rounding
+MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Orders m over position and l over speed."""
+
+    position: int
+    velocity: int
+
+
+@dataclass(frozen=True)
+class SpeedData:
+    """One trial: slice positions (K,) rad, friction (K,) N m, weights (K,) in samples.
+
+    `edges` (K, 2) are how near, in time, each slice is to the begin and to the end; `push` (K,) N m
+    is what friction is wrong by if the joint's inertia is wrong by one standard error.
+    """
+
+    speed: float
+    direction: int
+    q: Array
+    friction: Array
+    weight: Array
+    edges: Array
+    push: Array
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Trials after step 1: T of them, p functions of position and three columns more each.
+
+    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 3, p + 3), `z` (T, p + 3), `rest` (T,) squares
+    that no such function takes, `total` (T,) sums of weights, `slices` (T,) how many.
+    """
+
+    scaling: Scaling
+    speeds: Array
+    u: Array
+    R: Array
+    z: Array
+    rest: Array
+    total: Array
+    slices: Array
+
+    @property
+    def size(self) -> int:
+        """Functions of position, p."""
+        return int(self.z.shape[1]) - EXTRA
+
+    @property
+    def levels(self) -> Array:
+        """Scaled speeds, each once, slowest first."""
+        return np.unique(self.u)
+
+    @property
+    def level_of_friction(self) -> float:
+        """RMS of friction, N m."""
+        return float(np.sqrt((np.sum(self.z**2) + self.rest.sum()) / self.total.sum()))
+
+    def over_speed(self, order: int) -> Array:
+        """Chebyshev values (T, order + 1) at the trials' speeds."""
+        return np.asarray(chebvander(self.u, order), dtype=np.float64)
+
+    def subset(self, kept: Mask) -> Reduced:
+        """Some of the trials."""
+        parts = (self.speeds, self.u, self.R, self.z, self.rest, self.total, self.slices)
+        return Reduced(self.scaling, *(part[kept] for part in parts))
+
+
+def reduce_trials(data: Sequence[SpeedData], scaling: Scaling) -> Reduced:
+    """Reduce every trial to its R factor (Eq. 8)."""
+    parts = [_reduced(item, scaling) for item in data]
+    speeds = np.array([item.speed for item in data])
+    R, z, rest, total, slices = (np.array(part) for part in zip(*parts, strict=True))
+    return Reduced(scaling, speeds, scaling.u(speeds), R, z, rest, total, slices)
+
+
+def _reduced(data: SpeedData, scaling: Scaling) -> tuple[Array, Array, float, float, float]:
+    root = np.sqrt(data.weight)
+    over_position = scaling.over_position.values(data.q, MAX_POSITION_ORDER)
+    A = np.column_stack([over_position, data.edges, data.push]) * root[:, None]
+    y = root * data.friction
+    size = A.shape[1]
+    padded = np.zeros((max(len(y), size), size + 1))  # few slices: rows of zeros
+    padded[: len(y)] = np.column_stack([A, y])
+    factor: Array = np.asarray(np.linalg.qr(padded, mode="r"), dtype=np.float64)
+    R, z = factor[:size, :size], factor[:size, size]
+    rest = float(factor[size, size] ** 2) if len(factor) > size else 0.0
+    empty = np.linalg.norm(R, axis=1) <= EMPTY * np.linalg.norm(R)
+    rest, z = rest + float(np.sum(z[empty] ** 2)), np.where(empty, 0.0, z)
+    slices = float(np.count_nonzero(data.weight > COUNTS * data.weight.max(initial=0.0)))
+    return R, z, rest, float(data.weight.sum()), slices
+
+
+def edges_of(t: Array, seconds: float) -> Array:
+    """How near slices at times t (K,), each so many seconds long, are to both ends (K, 2)."""
+    begin, end = t[0] - seconds / 2.0, t[-1] + seconds / 2.0
+    near: Array = np.exp(-np.stack([t - begin, end - t], axis=1) / EDGE_S)
+    return near

@@ -1,0 +1,221 @@
+"""Friction stage (Sec. 2.2.1-2.2.2, Eq. 7-16): one surface per joint from steady motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from seqid_cli.errors import QualityError
+from seqid_cli.identify.friction_surface.errors import joined, left_out_errors
+from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
+from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
+from seqid_cli.identify.friction_surface.ramps import without_acceleration
+from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData, edges_of, reduce_trials
+from seqid_cli.identify.friction_surface.summary import (
+    DEFAULT_BETA,
+    Fit,
+    JointFit,
+    summarise,
+)
+from seqid_cli.identify.friction_surface.trials import (
+    Trial,
+    by_joint,
+    collect_trials,
+    speed_levels,
+)
+from seqid_cli.identify.friction_surface.weights import around_medians, weighted
+from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.rigid.posterior import constants_note
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.params.schema import (
+    FrictionStage,
+    Verdict,
+)
+from seqid_cli.robot.types import Robot
+
+
+class UnpairedError(QualityError):
+    """A joint's trials cannot be freed of gravity."""
+
+
+WIDE_RANGE = 4.0  # fastest over slowest speed from which a logarithmic scale is tried
+ROUNDS = 2  # of a first look at which slices belong
+NARROW_SIGN = 25.0  # the sign is all there at a fifth of the slowest speed
+
+
+def identify_friction(
+    recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
+) -> FrictionStage:
+    """Identify the friction surface of every joint that the logs move at constant velocity.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque; one joint moves at a time, forward and backward, at several speeds.
+    robot : Robot
+        Chain and gravity, to remove the gravity torque by Eq. 12-15.
+    options : FrictionOptions
+        Orders m, l and threshold beta.
+
+    Returns
+    -------
+    FrictionStage
+        One surface per joint, N m, with a verdict for every joint of the robot.
+
+    Raises
+    ------
+    QualityError
+        If no joint moves by itself at constant velocity, or the orders ask for more speeds than
+        there are.
+    """
+    trials = collect_trials(recordings, robot)
+    if not trials:
+        raise QualityError(
+            "no stretch was found in which one joint moves by itself at constant velocity",
+            hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
+        )
+    joints, verdicts, notes = {}, [], []
+    last: UnpairedError | None = None
+    for j, joint in enumerate(robot.joints):
+        own = by_joint(trials, j)
+        if not own:
+            reason = "no constant-velocity trial moves this joint"
+            verdicts.append(Verdict(joint=joint.name, good=False, reason=reason))
+            continue
+        try:
+            fit = _identify_joint(robot, j, own, options)
+        except UnpairedError as error:
+            verdicts.append(Verdict(joint=joint.name, good=False, reason=error.message))
+            last = error
+            continue
+        joints[joint.name] = fit.joint
+        verdicts.append(fit.verdict)
+        notes += fit.notes
+    if not joints and last is not None:
+        raise last
+    notes += constants_note(robot)
+    return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
+
+
+def _identify_joint(
+    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
+) -> JointFit:
+    """Fit twice: the first surface shows what acceleration is left in the trials."""
+    first = _fit(robot, j, trials, options, thorough=False)
+    paired = [trial for group in first.gravity.groups for trial in group.trials]
+    groups = without_acceleration(robot, paired, first.surface)
+    steady = [trial for group in groups for trial in group.trials]
+    unpaired = first.gravity.unpaired
+    second = _fit(robot, j, steady, options, thorough=True)
+    return summarise(robot, j, second, unpaired, options)
+
+
+def _fit(
+    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions, *, thorough: bool
+) -> Fit:
+    gravity = fit_gravity(robot, j, trials)
+    if not gravity.groups:
+        raise UnpairedError(
+            "no pair of forward and backward trials at one speed in one configuration",
+            hint="record every speed in both directions over the same range (Eq. 15)",
+            where=f"joint {robot.joints[j].name}",
+        )
+    data = friction_data(gravity)
+    _check_orders(robot, j, data, options.velocity_order)
+    sides = (1, -1) if gravity.directional else (0,)
+    sets = [[item for item in data if side in (0, item.direction)] for side in sides]
+    asked = {"position": options.position_order, "velocity": options.velocity_order}
+    scalings = _scalings(data) if thorough else _scalings(data)[:1]
+    parts = _fitted(sets, scalings, **asked)
+    fits = [fit for _, fit in parts]
+
+    def accept(chosen: Orders) -> bool:
+        errors = joined([left_out_errors(own, fit, chosen) for own, fit in parts])
+        return errors.meets(options.beta or DEFAULT_BETA)
+
+    chosen = choose_orders(fits, **asked, accept=accept if options.beta else None)
+    surface = _surface(fits, chosen, directional=gravity.directional)
+    return Fit(gravity, parts, chosen, surface)
+
+
+def _fitted(
+    sets: list[list[SpeedData]],
+    scalings: list[Scaling],
+    *,
+    position: int | None,
+    velocity: int | None,
+) -> list[tuple[list[SpeedData], SurfaceFit]]:
+    """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
+    distances = [around_medians(own) for own in sets]
+    for last in (*[False] * ROUNDS, True):
+        data = [weighted(own, off) for own, off in zip(sets, distances, strict=True)]
+        tried = [
+            fit_surfaces(
+                [reduce_trials(own, scaling) for own in data], position=position, velocity=velocity
+            )
+            for scaling in (scalings if last else scalings[:1])
+        ]
+        fits = max(tried, key=lambda each: each[1])[0]
+        distances = [fit.distances(own) for own, fit in zip(sets, fits, strict=True)]
+    return list(zip(data, fits, strict=True))
+
+
+def _scalings(data: list[SpeedData]) -> list[Scaling]:
+    """Bases that may suit: speeds or their logarithms, positions of one range or of every turn."""
+    low = min(float(item.q.min()) for item in data)
+    high = max(float(item.q.max()) for item in data)
+    speeds = [item.speed for item in data]
+    slow, fast = min(speeds), max(speeds)
+    return [
+        Scaling((low, high), (slow, fast), logarithmic, periodic)
+        for periodic in ((False, True) if high - low > 2.0 * np.pi else (False,))
+        for logarithmic in ((False, True) if slow * WIDE_RANGE < fast else (False,))
+    ]
+
+
+def friction_data(gravity: GravityFit) -> list[SpeedData]:
+    """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
+    result = []
+    for group in gravity.groups:
+        for trial in group.trials:
+            direction = 1 if trial.velocity > 0 else -1
+            friction = direction * (trial.tau - group.torque(trial.q))
+            weight = np.full(len(trial.q), trial.weight)
+            edges = edges_of(trial.t, trial.seconds)
+            push = direction * trial.doubt * trial.ddq
+            result.append(SpeedData(trial.speed, direction, trial.q, friction, weight, edges, push))
+    return _on_levels(result)
+
+
+def _on_levels(data: list[SpeedData]) -> list[SpeedData]:
+    result = []
+    for level in speed_levels(data):
+        speed = float(np.mean([item.speed for item in level]))
+        result += [replace(item, speed=speed) for item in level]
+    return result
+
+
+def _check_orders(robot: Robot, j: int, data: list[SpeedData], velocity: int | None) -> None:
+    levels = len({item.speed for item in data})
+    if velocity is not None and velocity + 1 > levels:
+        raise QualityError(
+            f"velocity order {velocity} needs at least {velocity + 1} speeds, "
+            f"these logs hold {levels}",
+            hint=f"record more speeds or use --velocity-order {levels - 1} or less",
+            where=f"joint {robot.joints[j].name}",
+        )
+
+
+def _surface(fits: list[SurfaceFit], orders: Orders, *, directional: bool) -> FrictionSurface:
+    """One surface for both directions together (Eq. 15's assumption) or one for each."""
+    D = [fit.entries(orders) for fit in fits]
+    scaling = fits[0].reduced.scaling
+    covariance = block_diag(*(fit.covariance(orders) for fit in fits))
+    return FrictionSurface(
+        scaling, scaling.speed[0] / NARROW_SIGN, D[0], D[-1], covariance, directional
+    )

@@ -1,0 +1,192 @@
+"""What the friction stage says of one joint: the file's entry, a verdict and notes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.identify.friction_surface.errors import (
+    NEAR_ZERO,
+    Errors,
+    fitted_errors,
+    joined,
+    left_out_errors,
+)
+from seqid_cli.identify.friction_surface.fit import SurfaceFit
+from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
+from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData
+from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.params.schema import FrictionJoint, GravityOfTrial, SpeedLevel, Verdict
+from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
+from seqid_cli.typing import Array
+
+DEFAULT_BETA = 0.05
+FEWEST_SPEEDS = 4
+POOR_DOUBT = 0.15  # of the friction at a speed, beyond which the surface is not to be trusted
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One joint's friction data, freed of gravity, and the surface fitted to them."""
+
+    gravity: GravityFit
+    parts: list[tuple[list[SpeedData], SurfaceFit]]  # of both directions, or of each
+    orders: Orders
+    surface: FrictionSurface
+
+    @property
+    def data(self) -> list[SpeedData]:
+        """Of both directions."""
+        return [item for own, _ in self.parts for item in own]
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """One joint's part of the stage."""
+
+    joint: FrictionJoint
+    verdict: Verdict
+    notes: list[str]
+
+
+def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions) -> JointFit:
+    """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
+    surface, gravity = fit.surface, fit.gravity
+    fitted = joined([fitted_errors(*part, fit.orders) for part in fit.parts])
+    unseen = joined([left_out_errors(*part, fit.orders) for part in fit.parts])
+    beta = options.beta or DEFAULT_BETA
+    levels = _levels(fit, fitted, unseen)
+    joint = FrictionJoint(
+        position_order=fit.orders.position,
+        velocity_order=fit.orders.velocity,
+        max_error=unseen.relative,
+        max_abs_error=unseen.largest,
+        rmse=fitted.rms,
+        held_out_rmse=unseen.rms if len(levels) >= FEWEST_SPEEDS else None,
+        beta=beta,
+        criterion_met=unseen.meets(beta),
+        position_range=list(surface.scaling.position),
+        position_basis="fourier" if surface.scaling.periodic else "chebyshev",
+        speed_range=list(surface.scaling.speed),
+        speed_scale="log" if surface.scaling.logarithmic else "linear",
+        sign_width=surface.sign_width,
+        directional=surface.directional,
+        asymmetry=gravity.asymmetry,
+        temperature=_temperature(gravity),
+        positive=surface.positive.tolist(),
+        negative=surface.negative.tolist(),
+        covariance=surface.entry_covariance.tolist(),
+        torque_constant_error=robot.joints[j].torque_constant_error,
+        gravity=[
+            GravityOfTrial(
+                configuration=group.configuration.tolist(),
+                p_xi=group.p_xi.tolist(),
+                std_error=group.std_error.tolist(),
+            )
+            for group in gravity.groups
+        ],
+        speeds=levels,
+        unit="N" if robot.joints[j].prismatic else "N m",
+    )
+    name = robot.joints[j].name
+    verdict = _verdict(name, joint, unseen, surface.scaling)
+    error = robot.joints[j].torque_constant_error
+    for level in joint.speeds:
+        level.std_error = float(np.hypot(level.std_error, error * level.friction))
+    notes = _notes(name, joint, gravity.asymmetry, unpaired)
+    return JointFit(joint, verdict, notes)
+
+
+def _temperature(gravity: GravityFit) -> float | None:
+    """Mean temperature [degC] of the trials; None where one of them has none."""
+    trials = [trial for group in gravity.groups for trial in group.trials]
+    samples = [trial.weight * len(trial.q) for trial in trials]
+    mean = float(np.average([trial.celsius for trial in trials], weights=samples))
+    return mean if np.isfinite(mean) else None
+
+
+def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
+    data = fit.data
+    speeds = sorted({item.speed for item in data})
+    scaled = fit.surface.scaling.u(np.array(speeds))
+    result = []
+    for speed, u in zip(speeds, scaled, strict=True):
+        own = [item for item in data if item.speed == speed]
+        inner = len(speeds) >= FEWEST_SPEEDS and speeds[0] < speed < speeds[-1]
+        result.append(
+            SpeedLevel(
+                speed=speed,
+                forward=sum(item.direction > 0 for item in own),
+                backward=sum(item.direction < 0 for item in own),
+                friction=float(np.sqrt(np.mean(fitted.at(u).friction ** 2))),
+                std_error=_std_error(fit.surface, own),
+                rmse=fitted.at(u).rms,
+                left_out=unseen.at(u).rms if inner else None,
+            )
+        )
+    return result
+
+
+def _std_error(surface: FrictionSurface, own: list[SpeedData]) -> float:
+    """RMS standard error of the surface over the slices of one speed, N m."""
+    errors = [
+        surface.std_error(item.q, np.full(len(item.q), item.direction * item.speed)) for item in own
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+def _verdict(name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling) -> Verdict:
+    """Good, or poor and why: the speed at which the surface is worst decides."""
+    if joint.held_out_rmse is None:
+        reason = (
+            f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"
+        )
+        return Verdict(joint=name, good=False, reason=reason)
+    usual = float(np.sqrt(np.mean([level.friction**2 for level in joint.speeds])))
+    u = scaling.u(np.array([level.speed for level in joint.speeds]))
+    doubts = [
+        float(np.hypot(_rms(unseen.at(at).missed), level.std_error))
+        / max(level.friction, NEAR_ZERO * usual, 1e-12)
+        for at, level in zip(u, joint.speeds, strict=True)
+    ]
+    worst = int(np.argmax(doubts))
+    unit = "m/s" if joint.unit == "N" else "rad/s"
+    at = f"{percent(doubts[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
+    if doubts[worst] > POOR_DOUBT:
+        reason = (
+            f"friction is known to {at} only; record more or longer trials there, or look at what "
+            "else moves the torque (seqid diagnose)"
+        )
+        return Verdict(joint=name, good=False, reason=reason)
+    overall = percent(joint.held_out_rmse / max(usual, 1e-12))
+    reason = f"speeds left out are predicted to {overall} of the friction; known to {at} or better"
+    return Verdict(joint=name, good=True, reason=reason)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> list[str]:
+    notes = []
+    if unpaired:
+        notes.append(
+            f"{name}: {unpaired} trial(s) have no twin in the other direction in the same "
+            "configuration and were left out; Eq. 15 needs both"
+        )
+    if joint.directional:
+        notes.append(
+            f"{name}: friction depends on direction by {percent(asymmetry)}, against the "
+            "assumption of Eq. 15; each direction has its own surface"
+        )
+    if not joint.criterion_met:
+        notes.append(
+            f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the "
+            f"largest error is {percent(joint.max_error)} "
+            f"({joint.max_abs_error:.3g} {joint.unit})"
+        )
+    return notes

@@ -1,0 +1,249 @@
+"""Constant-velocity trials reduced to a few averages each.
+
+A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
+slice replace a low-pass.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.polynomial import Chebyshev
+
+from seqid_cli.identify.friction_surface.pieces import pieces
+from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.regression.streaming import open_if_long, survey_of
+from seqid_cli.logs.long import Block
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.segmentation import Stretch
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+
+SLICES = 64
+WINDOW_S = 0.08  # s, of motion in a ramp that is averaged
+LEAST_WINDOW = 8  # samples
+ZEROS = 4  # samples, at the ends of a window: two central differences end within them
+MOST_ORDER = 12  # of the polynomial in time that a trial's positions follow
+SAME_SPEED = 0.12
+SAME_CONFIGURATION = 0.03  # rad
+
+
+@dataclass(frozen=True)
+class Ramps:
+    """How the joint of a trial got up to speed and back: means over windows of time.
+
+    `q`, `dq`, `ddq`, `tau` (R,) rad, rad/s, rad/s^2, N m under the same window, so that
+    `tau = I ddq + ...` holds for them as it does at an instant; `weight` samples each.
+    """
+
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    weight: float = 0.0
+
+    @classmethod
+    def none(cls) -> Ramps:
+        """No window."""
+        return cls(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One joint at constant velocity.
+
+    `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
+    acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
+    where every joint stood, the moving one at the middle of its range. `celsius` is the mean of the
+    joint's temperature, NaN where none was logged; `doubt` kg m^2 is the standard error of the
+    inertia whose torque was taken off.
+    """
+
+    joint: int
+    velocity: float
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    ramps: Ramps
+    weight: float  # samples per slice
+    configuration: Array
+    t: Array  # (K,) s since the log began
+    seconds: float  # of a slice
+    log: int = 0  # which one
+    celsius: float = np.nan
+    doubt: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Magnitude of the velocity, rad/s."""
+        return abs(self.velocity)
+
+    def positions(self, n: int) -> Array:
+        """Positions of all joints (K, n) rad, slice by slice."""
+        full = np.tile(self.configuration, (len(self.q), 1))
+        full[:, self.joint] = self.q
+        return full[:, :n]
+
+
+def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
+    """Constant-velocity trials of all logs.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    """
+    return reduced(recordings, TrialsOf(robot), operator.add) or []
+
+
+@dataclass(frozen=True)
+class TrialsOf:
+    """The constant-velocity trials of one log; a long one comes in pieces of `rows` samples."""
+
+    robot: Robot
+    rows: int = 65_536
+
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over than read; None for others."""
+        return open_if_long(path, robot, time_source=time_source)
+
+    def __call__(self, log: Recording | SurveyedLog, number: int) -> list[Trial]:
+        """Find them."""
+        step = survey_of(log).noise_step(encoder_resolution(self.robot))
+        temperature = log.temperature if isinstance(log, Recording) else None
+        return [
+            _trial(block, each, log.rate_hz, number, temperature)
+            for block, own in pieces(log, step, rows=self.rows)
+            for each in own
+        ]
+
+
+def _trial(
+    block: Block, stretch: Stretch, rate_hz: float, number: int, temperature: Array | None
+) -> Trial:
+    j = stretch.joint
+    slices = int(np.clip(stretch.samples // 4, 4, SLICES))
+    length = stretch.samples // slices
+    stop = stretch.start + slices * length
+    own, move = slice(stretch.start, stop), slice(stretch.move_start, stretch.move_stop)
+    half = (stop - stretch.start) / rate_hz / 2
+    middles = (np.arange(slices) + 0.5) / slices * 2 - 1
+    path = _path(middles, block.q[own, j].reshape(slices, length).mean(axis=1))
+    celsius = np.nan
+    if temperature is not None:
+        celsius = _finite_mean(temperature[stretch.start : stretch.stop, j])
+    return Trial(
+        joint=j,
+        velocity=stretch.velocity,
+        q=np.asarray(path(middles), dtype=np.float64),
+        dq=np.asarray(path.deriv()(middles) / half, dtype=np.float64),
+        ddq=np.asarray(path.deriv(2)(middles) / half**2, dtype=np.float64),
+        tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
+        ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
+        weight=float(length),
+        configuration=np.array(stretch.configuration),
+        t=np.asarray(
+            (block.start + stretch.start) / rate_hz + (middles + 1) * half, dtype=np.float64
+        ),
+        seconds=length / rate_hz,
+        log=number,
+        celsius=celsius,
+    )
+
+
+def _finite_mean(values: Array) -> float:
+    """Mean of what is finite; NaN where nothing is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else np.nan
+
+
+def _path(time: Array, q: Array) -> Chebyshev:
+    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts.
+
+    Its order, two at least, is that of least BIC: gravity and friction that change with the
+    position leave their trace in the speed that a soft controller holds.
+    """
+    best, least = None, np.inf
+    most = max(2, min(MOST_ORDER, len(q) // 3))
+    for order in range(min(3, most), most + 1):
+        fit = Chebyshev.fit(time, q, order, domain=[-1, 1])
+        square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
+        score = len(q) * np.log(square) + (order + 1) * np.log(len(q))
+        if score < least:
+            best, least = fit, score
+    assert best is not None  # there are four slices or more
+    return best
+
+
+def _ramps(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Ramps:
+    """Means of a move (N,) under raised cosines that overlap by half, where it speeds up or slows.
+
+    With a window that ends in zeros the means of its derivatives are derivatives of its means:
+    sums over positions times the window's own differences, without differentiating positions.
+    """
+    length = max(LEAST_WINDOW, round(WINDOW_S * rate_hz))
+    window = np.zeros(length + 2 * ZEROS)
+    window[ZEROS:-ZEROS] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+    window /= window.sum()
+    starts = np.arange(0, len(q) - len(window) + 1, max(1, length // 2))
+    middles = starts + len(window) // 2 + stretch.move_start
+    starts = starts[(middles < stretch.start) | (middles >= stretch.stop)]
+    if not len(starts):
+        return Ramps.none()
+    pieces = starts[:, None] + np.arange(len(window))
+    first = -np.gradient(window) * rate_hz
+    second = np.gradient(np.gradient(window)) * rate_hz**2
+    positions = q[pieces]
+    off = positions - positions[:, :1]  # the sums of the differences are zero but for rounding
+    return Ramps(positions @ window, off @ first, off @ second, tau[pieces] @ window, length / 2)
+
+
+def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:
+    """Trials of one joint, slowest first."""
+    return sorted((t for t in trials if t.joint == joint), key=lambda trial: trial.speed)
+
+
+class HasSpeed(Protocol):
+    """Anything measured at one speed, rad/s."""
+
+    @property
+    def speed(self) -> float:
+        """Magnitude of the velocity, rad/s."""
+
+
+S = TypeVar("S", bound=HasSpeed)
+
+
+def speed_levels(trials: list[S]) -> list[list[S]]:
+    """Group what was measured at speeds within 12 percent of the slowest of the group."""
+    levels: list[list[S]] = []
+    for trial in sorted(trials, key=lambda t: t.speed):
+        if levels and trial.speed <= levels[-1][0].speed * (1 + SAME_SPEED):
+            levels[-1].append(trial)
+        else:
+            levels.append([trial])
+    return levels
+
+
+def configurations(trials: list[Trial]) -> list[list[Trial]]:
+    """Group trials of one joint by where the other joints are locked."""
+    groups: list[list[Trial]] = []
+    for trial in trials:
+        for group in groups:
+            off = np.abs(trial.configuration - group[0].configuration)
+            off[trial.joint] = 0.0
+            if off.max(initial=0.0) < SAME_CONFIGURATION:
+                group.append(trial)
+                break
+        else:
+            groups.append([trial])
+    return groups

@@ -1,0 +1,264 @@
+"""From the fit of an IMU's constants to the parameter file: numbers where the logs give them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.identify.imu_calibration.axis_pairs import Pair, best_references, condition_of
+from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
+from seqid_cli.identify.imu_calibration.segments import Segment
+from seqid_cli.identify.imu_calibration.sensor_model import (
+    MOTION,
+    channels_of,
+    design,
+    mounted,
+    tilted,
+)
+from seqid_cli.identify.imu_calibration.solve import Fit
+from seqid_cli.motion.imu.array import layout
+from seqid_cli.motion.imu.link_acceleration import axes_in_link
+from seqid_cli.params.schema import ImuCalibration, JointDeflection, Verdict
+from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.typing import Array, Mask
+
+POOR_DEG = 0.5
+UNDETERMINED_DEG = 5.0
+OPEN_LEVER, OPEN_BIAS, OPEN_RATE = 0.02, 0.2, 0.02  # m, m/s^2, rad/s: standard errors too large
+OPEN_GAIN, OPEN_TILT_DEG, OPEN_DELAY = 0.005, 0.25, 0.005  # -, degrees, s
+PRIOR_SHARE = 0.5  # of a fixed prior's width, beyond which the logs have said nothing
+POOR_HOLDOUT = 1.5
+SAMPLING = 0.01  # of a sample, by which jolts between two rows shift a clock
+FEW = 6
+
+
+def calibration_of(
+    robot: Robot,
+    imu: Imu,
+    fit: Fit,
+    segments: list[Segment],
+    pairs: list[Pair],
+    density: float | None,
+) -> ImuCalibration:
+    """Calibration of one IMU as the parameter file has it."""
+    constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
+    about, worst = _open_direction(fit.covariance[:3, :3])
+    lever = _lever_known(sigma[3:6], about)
+    delay_error = float(np.hypot(sigma[6], SAMPLING * segments[0].readings.period))
+    delay_known = delay_error < OPEN_DELAY
+    known = _known(imu, fit)
+    off = np.array([np.linalg.norm(constants.R @ p.imu - p.link) for p in pairs])
+    calibration = ImuCalibration(
+        rotation=constants.R.tolist(),
+        std_error_deg=worst,
+        std_errors_deg=np.degrees(np.minimum(sigma[:3], np.pi)).tolist(),
+        configurations=len(pairs) or len({s.log for s in segments if s.moving}),
+        condition=condition_of(pairs) if pairs else 0.0,
+        references=best_references(pairs, robot.joint_names),
+        not_determined=_missing(about, lever, known, delay_known=delay_known),
+        axis_rmse_deg=float(np.degrees(np.sqrt(np.mean(off**2)))) if pairs else None,
+        noise_density=density,
+        time_offset_s=constants.delay if delay_known else 0.0,
+        time_offset_std_error_s=delay_error if delay_known else None,
+        acceleration_std_error=_acceleration_error(robot, imu, fit),
+        lever=_listed(constants.lever, lever),
+        lever_std_errors=_listed(sigma[3:6], lever),
+        samples=fit.kept,
+        outliers=fit.set_aside,
+        holdout=fit.holdout,
+        deflections=[
+            JointDeflection(
+                joint=robot.joint_names[d.joint],
+                acceleration=d.acceleration,
+                significance=d.significance,
+            )
+            for d in fit.deflections
+        ],
+    )
+    _add_sensors(calibration, imu, fit, known, _densities(segments))
+    return calibration
+
+
+def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
+    """Relative standard error of the accelerations that the readings give of the last joint.
+
+    That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the constants,
+    all channels together take it by a'da / a'a too large.
+    """
+    axis = robot.chain.axis[imu.after_joint]
+    x = np.zeros((1, MOTION))
+    if robot.chain.prismatic[imu.after_joint]:
+        x[0, :3] = axis
+    else:
+        x[0, 3:12] = np.cross(np.eye(3), axis).ravel()  # rows of the matrix dw x
+    channels = mounted(imu, fit.constants)
+    k = channels.accelerometers
+    a = (channels.matrix @ x[0])[:k]
+    slope = a @ design(channels, x, np.zeros((1, len(channels.axes))))[0, :k]
+    slope[7 : 7 + len(channels.axes)] = 0.0  # a bias is no acceleration
+    slope /= max(float(a @ a), 1e-300)
+    return float(np.sqrt(slope @ fit.covariance @ slope))
+
+
+@dataclass(frozen=True)
+class _Known:
+    """Standard errors of each channel's bias, gain and tilt (degrees), and which are told."""
+
+    bias: Array
+    gain: Array
+    tilt: Array
+    bias_told: Mask
+    gain_told: Mask
+    tilt_told: Mask
+    accelerometers: int
+
+
+def _known(imu: Imu, fit: Fit) -> _Known:
+    axes, _, k = channels_of(imu)
+    c, sigma = len(axes), np.sqrt(np.diag(fit.covariance))
+    bias, gain = sigma[7 : 7 + c], sigma[7 + c : 7 + 2 * c]
+    tilt = np.degrees(np.sqrt(np.mean(sigma[7 + 2 * c :].reshape(c, 2) ** 2, axis=1)))
+    tilt_prior = np.degrees(fit.prior[7 + 2 * c :: 2])
+    limit = np.where(np.arange(c) < k, OPEN_BIAS, OPEN_RATE)
+    return _Known(
+        bias=bias,
+        gain=gain,
+        tilt=tilt,
+        bias_told=bias < limit,
+        gain_told=(gain < OPEN_GAIN) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
+        tilt_told=(tilt < OPEN_TILT_DEG) & _beyond_prior(tilt, tilt_prior, k),
+        accelerometers=k,
+    )
+
+
+def _add_sensors(
+    calibration: ImuCalibration, imu: Imu, fit: Fit, known: _Known, noise: Array
+) -> None:
+    """Write the channels' own constants into a calibration."""
+    axes, constants = channels_of(imu)[0], fit.constants
+    turned = np.where(known.tilt_told[:, None], tilted(axes, constants.tilt), axes)
+    gains, k = np.exp(constants.log_gain), known.accelerometers
+    for sensor, own in (("accelerometer", slice(0, k)), ("gyro", slice(k, None))):
+        bias, gain, tilt = known.bias_told[own], known.gain_told[own], known.tilt_told[own]
+        for key, value in (
+            ("bias", _listed(constants.bias[own], bias)),
+            ("bias_std_errors", _listed(known.bias[own], bias)),
+            ("scale", _listed(gains[own], gain)),
+            ("scale_std_errors", _listed(known.gain[own], gain)),
+            ("axes", turned[own].tolist()),
+            ("tilt_std_errors_deg", _listed(known.tilt[own], tilt)),
+            ("noise", noise[own].tolist()),
+        ):
+            setattr(calibration, f"{sensor}_{key}", value)
+
+
+def _open_direction(covariance: Array) -> tuple[Array | None, float]:
+    """Axis about which the mounting is open, if any, and the standard error in degrees."""
+    value, vector = np.linalg.eigh(covariance)
+    worst = np.degrees(np.sqrt(value))
+    if worst[2] <= UNDETERMINED_DEG:
+        return None, float(worst[2])
+    axis = vector[:, 2] * np.sign(vector[np.argmax(np.abs(vector[:, 2])), 2])
+    return axis, float(worst[1])
+
+
+def _lever_known(sigma: Array, about: Array | None) -> Mask:
+    """Which of the lever's components the logs give.
+
+    Where the angle about an axis is open, so is where the IMU sits around it.
+    """
+    known = sigma < OPEN_LEVER
+    if about is None:
+        return known
+    near: Mask = np.linalg.norm(np.cross(np.eye(3), about), axis=1) < 0.1
+    return known & near
+
+
+def _beyond_prior(sigma: Array, prior: Array, accelerometers: int) -> Mask:
+    """Whether the logs say more than a prior of fixed width did; widths of many are found."""
+    found = np.zeros(len(sigma), dtype=bool)
+    if accelerometers >= FEW:
+        found[:accelerometers] = True
+    return found | (sigma < PRIOR_SHARE * prior)
+
+
+def _listed(values: Array, known: Mask) -> list[float | None]:
+    return [float(v) if k else None for v, k in zip(values, known, strict=True)]
+
+
+def _densities(segments: list[Segment]) -> Array:
+    """One-sided noise densities (C,) from the raw readings' white noise per sample."""
+    found = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
+    return np.asarray(np.median(found, axis=0))
+
+
+def _missing(about: Array | None, lever: Mask, known: _Known, *, delay_known: bool) -> list[str]:
+    """Say in words what the logs leave open."""
+    said = []
+    if about is not None:
+        axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
+        said.append(f"the angle about the link's axis ({axis}) is not determined")
+    if not lever.all():
+        names = " and ".join(n for n, told in zip("xyz", lever, strict=True) if not told)
+        said.append(f"the lever along the link's {names} is not determined")
+    k = known.accelerometers
+    kinds = ((known.bias_told, "bias"), (known.gain_told, "scale"), (known.tilt_told, "axis"))
+    for own, sensor in ((slice(0, k), "accelerometer"), (slice(k, None), "gyro")):
+        for told, name in kinds:
+            count = int((~told[own]).sum())
+            if count:
+                said.append(f"the {name} of {count} {sensor} channel(s) is not determined")
+    if not delay_known:
+        said.append("the clock offset to the encoders is not determined")
+    return said
+
+
+def verdict_of(robot: Robot, imu: Imu, calibration: ImuCalibration, *, converged: bool) -> Verdict:
+    """Whether the mounting can be trusted, and why not."""
+    worst = calibration.std_error_deg
+    reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
+    angle = [text for text in calibration.not_determined if text.startswith("the angle")]
+    missing = bool(angle)
+    if missing:
+        reason += "; " + "; ".join(angle)
+        if _planar(robot, imu.after_joint):
+            reason += ", and does not matter: every joint before the IMU turns about that axis"
+            missing = False
+    good = worst < POOR_DEG and not missing
+    if not converged:
+        good, reason = False, reason + "; the fit has not settled"
+    if calibration.holdout is not None and calibration.holdout > POOR_HOLDOUT:
+        good = False
+        reason += f"; a log left out is predicted to {calibration.holdout:.2g} times the noise"
+    bends = deflecting(calibration)
+    if bends is not None:
+        good = False
+        reason += (
+            f"; the link after {bends.joint} accelerates {bends.acceleration:.2g} "
+            f"{unit_of(robot, bends.joint)} (RMS) beyond what its encoder tells: the joint is "
+            "elastic or has backlash; errors are widened: record slower, smoother swings, and run "
+            "seqid diagnose"
+        )
+    if not layout(imu).acceleration and not calibration.gyro_axes:
+        reason += "; without a gyro this layout does not see angular acceleration"
+    return Verdict(joint=imu.name, good=good, reason=reason)
+
+
+def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
+    """Return the joint that deflects by most, where one does beyond doubt."""
+    sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
+    return max(sure, key=lambda d: d.significance, default=None)
+
+
+def unit_of(robot: Robot, joint: str) -> str:
+    """Return the unit of a joint's acceleration."""
+    prismatic = robot.chain.prismatic[robot.joint_names.index(joint)]
+    return "m/s^2" if prismatic else "rad/s^2"
+
+
+def _planar(robot: Robot, link: int) -> bool:
+    """Whether all joints up to a link turn about parallel axes, whatever their angles."""
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
+    axes = axes_in_link(robot, q, link)[:, ~robot.chain.prismatic[: link + 1]]
+    return bool(np.all(np.abs(axes @ robot.chain.axis[link]) > 1 - 1e-9))

@@ -1,0 +1,348 @@
+"""Checks on results: what no arm can be, and what one stage says against another.
+
+A stage's own verdicts say how well it fits. Here its result is held against physics and against
+the stages before: friction takes energy away, the inertia that a drive feels is positive, gravity
+is the same wherever it shows, and its size is of the order of the URDF's. The logs' own errors
+(`seqid inspect`) join in, and a stage is good as a whole only if all of it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
+from seqid_cli.identify.log_verdicts import verdicts_of_logs
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.torque import standard_parameters
+from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.schema import (
+    FrictionJoint,
+    FrictionStage,
+    ImuStage,
+    ParameterFile,
+    RigidStage,
+    Stages,
+    Verdict,
+)
+from seqid_cli.robot.base import free_basis, standard_regressor
+from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
+from seqid_cli.typing import Array
+
+CLEAR_SIGMA = 4.0  # standard errors, by which a result must be impossible
+DRIVING_SHARE = 0.03  # of the usual friction, that negative friction must be
+DRIVING_CELLS = 0.02  # of the positions and speeds looked at
+GRID = 33  # positions over a joint's range
+SPEEDS = 9  # over the range of a friction that is a law over speed
+POSTURES = 60  # in which torques are compared
+DISAGREE = 0.25  # of a joint's gravity torque, by which two stages may differ
+LIGHT = 0.05  # of the largest gravity torque: joints that carry less are not compared
+FACTOR = 2.5  # that gravity may be off the URDF's inertials
+FALSE_SIGN = -0.3  # times the URDF's gravity: beyond it the sign is another one
+ALIKE = 0.3  # correlation with the URDF's gravity: below it, it points elsewhere
+HELD_NM = 1e-3  # gravity torques below say nothing
+
+JUDGED = ("friction", "gravity", "imu", "inertia")
+
+
+def judged(
+    found: Stages,
+    previous: ParameterFile | None,
+    robot: Robot,
+    findings: Sequence[InspectionFinding] = (),
+) -> Stages:
+    """Add to the verdicts of new stages what the logs and physics say.
+
+    Parameters
+    ----------
+    found : Stages
+        The new stages alone.
+    previous : ParameterFile or None
+        The stages before.
+    robot : Robot
+    findings : sequence of InspectionFinding
+        What inspection says of the logs that were read.
+
+    Returns
+    -------
+    Stages
+        A stage with a poor verdict of any joint has one as a whole (joint empty).
+    """
+    before = previous.stages if previous else Stages()
+    known = Stages(
+        friction=found.friction or before.friction, gravity=found.gravity or before.gravity
+    )
+    stages = {}
+    for name in JUDGED:
+        stage = getattr(found, name)
+        if stage is not None:
+            own = [*stage.verdicts, *_physics(stage, known, robot), *verdicts_of_logs(findings)]
+            stages[name] = replace(stage, verdicts=as_a_whole(own))
+    return replace(found, **stages)
+
+
+def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
+    """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
+
+    Parameters
+    ----------
+    stages : Stages
+    robot : Robot
+        As it is now: its gear ratios or gravity may not be those of the identification.
+
+    Returns
+    -------
+    list of Verdict
+        What no arm can be, each reason once per joint.
+    """
+    there = (stages.friction, stages.gravity, stages.inertia)
+    found = [v for stage in there if stage is not None for v in _physics(stage, stages, robot)]
+    return list({(v.joint, v.reason): v for v in found}.values())
+
+
+def as_a_whole(verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """Verdicts with a poor one of the whole (joint empty), where that of any joint is poor."""
+    poor = list(dict.fromkeys(v.joint for v in verdicts if v.joint and not v.good))
+    whole = [verdict for verdict in verdicts if not verdict.joint]
+    if not poor or any(not verdict.good for verdict in whole):
+        return list(verdicts)
+    reason = "; ".join([*(v.reason for v in whole), f"not good: {', '.join(poor)}"])
+    return [*(v for v in verdicts if v.joint), Verdict(good=False, reason=reason)]
+
+
+def _physics(
+    stage: FrictionStage | RigidStage | ImuStage, known: Stages, robot: Robot
+) -> Iterator[Verdict]:
+    if isinstance(stage, FrictionStage):
+        yield from friction_verdicts(stage, robot)
+    elif isinstance(stage, RigidStage) and stage.parameters:
+        is_gravity = stage is known.gravity
+        if not is_gravity:
+            yield from inertia_verdicts(stage, robot)
+            if known.gravity is not None and known.gravity.parameters:
+                yield from _gravity_again(stage, known.gravity, robot)
+        elif known.friction is not None:
+            yield from _gravity_of_trials(stage, known.friction, robot)
+        yield from _against_urdf(stage, robot)
+
+
+def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
+    """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
+    for name, joint in stage.joints.items():
+        drives = _driving(joint)
+        if drives is not None:
+            value, error, speed = drives
+            reason = (
+                f"its friction is {value:.3g} +- {error:.2g} {joint.unit} at {speed:.3g} per "
+                "second: it would drive the joint. The sign of torque or current is wrong, or it "
+                "is another joint's"
+            )
+            yield Verdict(joint=name, good=False, reason=reason)
+    yield from _weighed(_measured_gravity(stage, robot), robot)
+
+
+def _driving(joint: FrictionJoint) -> tuple[float, float, float] | None:
+    """Find friction that drives: the worst value, its standard error and the speed; else None.
+
+    The mean of both directions counts: what is the same in both is an offset and takes no energy.
+    """
+    surface = FrictionSurface.from_stage(joint)
+    (low, high), (first, last) = joint.speed_range, joint.position_range
+    levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]
+    speeds = np.array(levels or [high])
+    if joint.parameters:  # a law over speed, of one level alone
+        speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, SPEEDS)
+    q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, GRID), speeds))
+    value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
+    error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
+    usual = float(np.sqrt(np.mean(value**2)))
+    drives = (value < -CLEAR_SIGMA * error) & (value < -DRIVING_SHARE * usual)
+    if np.mean(drives) <= DRIVING_CELLS:
+        return None
+    worst = int(np.argmin(np.where(drives, value, np.inf)))
+    return float(value[worst]), float(error[worst]), float(v[worst])
+
+
+Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
+
+
+def _measured_gravity(stage: FrictionStage, robot: Robot) -> Samples:
+    """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
+    found: Samples = {}
+    for j, name in enumerate(robot.joint_names):
+        joint = stage.joints.get(name)
+        postures, torques = [], []
+        for group in joint.gravity if joint is not None else ():
+            if not group.p_xi or joint is None:
+                continue
+            first, last = joint.position_range
+            q = np.linspace(first, last, GRID)
+            full = np.tile(np.array(group.configuration), (GRID, 1))
+            full[:, j] = q
+            postures.append(full)
+            columns = gravity_columns(robot, j, np.array(group.configuration), q)
+            torques.append(columns @ np.array(group.p_xi))
+        if postures:
+            found[j] = np.vstack(postures), np.concatenate(torques)
+    return found
+
+
+def _gravity_of_trials(
+    stage: RigidStage, friction: FrictionStage, robot: Robot
+) -> Iterator[Verdict]:
+    """Compare the chain's gravity with that of the friction trials, posture by posture."""
+    names = robot.joint_names
+    least = max(HELD_NM, LIGHT * float(_largest(robot, stage).max()))
+    for j, (q, measured) in _measured_gravity(friction, robot).items():
+        own = _gravity_torque(stage, robot, q)[:, j]
+        size = float(np.sqrt(np.mean(measured**2)))
+        if size < least:
+            continue
+        off = float(np.sqrt(np.mean((own - measured) ** 2))) / size
+        if off > DISAGREE:
+            factor = float(own @ measured) / float(measured @ measured)
+            reason = (
+                f"gravity in the friction trials (Eq. 12-15) is not that of the parameters: "
+                f"{percent(off, 0)} are left, the ratio is {factor:.2g}. Check unit and sign of "
+                "the torque, the direction of gravity and the order of the joints"
+            )
+            yield Verdict(joint=names[j], good=False, reason=reason)
+
+
+def _gravity_again(stage: RigidStage, gravity: RigidStage, robot: Robot) -> Iterator[Verdict]:
+    """Compare the gravity that the inertia logs show with that of the gravity stage."""
+    q = _postures(robot)
+    before, after = (_gravity_torque(each, robot, q) for each in (gravity, stage))
+    sizes = np.sqrt(np.mean(before**2, axis=0))
+    for j, name in enumerate(robot.joint_names):
+        if sizes[j] < max(HELD_NM, LIGHT * float(sizes.max())):
+            continue
+        off = float(np.sqrt(np.mean((after[:, j] - before[:, j]) ** 2))) / float(sizes[j])
+        if off > DISAGREE:
+            reason = (
+                f"gravity in these logs differs from the gravity stage's by {percent(off, 0)} of "
+                "it. Check that the logs are of one robot, in one unit and with the joints in order"
+            )
+            yield Verdict(joint=name, good=False, reason=reason)
+
+
+def inertia_verdicts(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
+    """Judge whether rotors and the inertia that each drive feels are positive."""
+    for parameter in stage.parameters:
+        positive = parameter.terms and all(
+            factor > 0.0 and name.startswith("Ia_") for name, factor in parameter.terms.items()
+        )
+        if positive and parameter.value < -CLEAR_SIGMA * parameter.std_error:
+            reason = (
+                f"{parameter.name} is {parameter.value:.3g} +- {parameter.std_error:.2g}: a rotor "
+                "cannot have negative inertia"
+            )
+            yield Verdict(joint=parameter.joint, good=False, reason=reason)
+    yield from _felt_inertia(stage, robot)
+
+
+def _felt_inertia(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
+    """The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors."""
+    phi, rotor = standard_parameters(stage, robot.n)
+    basis = free_basis(robot)
+    place = {name: k for k, name in enumerate(basis.names)}
+    own = [place[p.name] for p in stage.parameters if p.name in place]
+    if len(own) != len(stage.parameters) or np.shape(stage.covariance) != (len(own), len(own)):
+        return
+    covariance = np.array(stage.covariance)
+    q = _postures(robot)
+    standard = np.concatenate([phi.ravel(), rotor])
+    for j, name in enumerate(robot.joint_names):
+        if stage.rmse and name not in stage.rmse:
+            continue
+        pushed = np.zeros_like(q)
+        pushed[:, j] = 1.0
+        still = np.zeros_like(q)
+        H = standard_regressor(robot, q, still, pushed, coupling="diagonal")
+        H = H - standard_regressor(robot, q, still, still, coupling="diagonal")
+        felt = H[:, j] @ standard
+        columns = H[:, j] @ basis.representative[:, own]
+        error = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", columns, covariance, columns), 0.0))
+        worst = int(np.argmax(felt + CLEAR_SIGMA * error))
+        if felt[worst] < -CLEAR_SIGMA * error[worst]:  # in every posture
+            reason = (
+                f"the inertia that its drive feels is at most {felt[worst]:.3g} +- "
+                f"{error[worst]:.2g}: it cannot be negative. Check sign and unit of the torque, "
+                "torque_constant, gear_ratio and rotor_inertia"
+            )
+            yield Verdict(joint=name, good=False, reason=reason)
+
+
+def _against_urdf(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
+    q = _postures(robot)
+    torque = _gravity_torque(stage, robot, q)
+    yield from _weighed({j: (q, torque[:, j]) for j in range(robot.n)}, robot)
+
+
+def _weighed(samples: Samples, robot: Robot) -> Iterator[Verdict]:
+    """Compare gravity with that of the URDF's inertials, where there are any."""
+    if robot.nominal is None or not samples:
+        return
+    largest = _largest(robot, None)
+    for j, (q, measured) in samples.items():
+        still = np.zeros_like(q)
+        nominal = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)[:, j]
+        if float(np.abs(nominal).max()) < max(HELD_NM, 2.0 * LIGHT * float(largest.max())):
+            continue
+        ratio = float(measured @ nominal) / float(nominal @ nominal)
+        size = float(np.sqrt(np.mean(measured**2) / np.mean(nominal**2)))
+        if ratio < FALSE_SIGN:
+            reason = (
+                f"gravity is {ratio:.2g} times that of the URDF's inertials: sign of the torque, "
+                "direction of the joint's axis, or direction of gravity in the robot file"
+            )
+        elif not 1.0 / FACTOR < size < FACTOR:
+            reason = (
+                f"gravity is {size:.2g} times that of the URDF's inertials: unit of the torque, "
+                "torque_constant, gear_ratio"
+            )
+        elif ratio < ALIKE * size:
+            reason = (
+                "gravity over the positions is not that of the URDF's inertials: direction of "
+                "gravity in the robot file, zeros and order of the joints"
+            )
+        else:
+            continue
+        yield Verdict(joint=robot.joint_names[j], good=False, reason=reason)
+
+
+def _gravity_torque(stage: RigidStage, robot: Robot, q: Array) -> Array:
+    """Gravity torque (N, n) by a stage's parameters."""
+    phi, _ = standard_parameters(stage, robot.n)
+    still = np.zeros_like(q)
+    return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
+
+
+def _largest(robot: Robot, stage: RigidStage | None) -> Array:
+    """Largest gravity torque (n,), by a stage's parameters or by the URDF's."""
+    q = _postures(robot)
+    still = np.zeros_like(q)
+    if stage is not None:
+        torque = _gravity_torque(stage, robot, q)
+    else:
+        assert robot.nominal is not None
+        torque = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+    return np.asarray(np.abs(torque).max(axis=0))
+
+
+def _postures(robot: Robot) -> Array:
+    """Postures (P, n) within the limits, always the same."""
+    rng = np.random.default_rng(0)
+    default = [(-0.5, 0.5) if joint.prismatic else (-np.pi, np.pi) for joint in robot.joints]
+    limits = [j.position_limits or d for j, d in zip(robot.joints, default, strict=True)]
+    low, high = np.array(limits).T
+    return rng.uniform(low, high, (POSTURES, robot.n))
+
+
+def poor_joints(verdicts: Iterable[Verdict]) -> list[str]:
+    """Return the joints whose verdict is poor."""
+    return list(dict.fromkeys(v.joint for v in verdicts if v.joint and not v.good))

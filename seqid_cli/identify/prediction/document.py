@@ -1,0 +1,208 @@
+"""Predicted torques as a document: errors added up log by log, with a verdict for each joint."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.inputs import Inputs
+from seqid_cli.identify.judging import as_a_whole, physics_verdicts
+from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.prediction.log_prediction import LogPrediction, lacking
+from seqid_cli.identify.prediction.torques_mcap import McapTorqueWriter
+from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
+from seqid_cli.model.effects.fitted import effect_notes
+from seqid_cli.params.document import now, present, robot_id, tool
+from seqid_cli.params.prediction_schema import (
+    PREDICTION_SCHEMA,
+    JointError,
+    LogPredictionError,
+    PredictionFile,
+)
+from seqid_cli.params.schema import Verdict
+from seqid_cli.shares import percent
+from seqid_cli.typing import Array
+
+# Above this share of the measured torque's RMS, a user should not rely on the prediction.
+MAX_RELATIVE_RMSE = 0.3
+
+
+@dataclass(frozen=True)
+class ErrorSums:
+    """Sums per joint (n,) over the samples that count; they add up over logs."""
+
+    count: NDArray[np.int64]
+    squared_error: Array  # (N m)^2
+    squared_torque: Array  # (N m)^2
+    max_abs: Array  # N m
+
+    @classmethod
+    def none(cls, n: int) -> ErrorSums:
+        """Return the sums over no sample of n joints."""
+        return cls(np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n), np.zeros(n))
+
+    @classmethod
+    def of(cls, log: LogPrediction, *, sliding: bool) -> ErrorSums:
+        """Return the sums over one log.
+
+        Over the samples that slide, or over all that count: at rest friction takes any value up to
+        its limit, and the error is the distance to that interval.
+        """
+        counts = log.sliding if sliding else np.broadcast_to(log.used[:, None], log.tau.shape)
+        error = np.where(counts, log.residual if sliding else log.beyond, 0.0)
+        torque = np.where(counts, log.tau, 0.0)
+        return cls(
+            count=counts.sum(axis=0, dtype=np.int64),
+            squared_error=np.square(error).sum(axis=0),
+            squared_torque=np.square(torque).sum(axis=0),
+            max_abs=np.abs(error).max(axis=0, initial=0.0),
+        )
+
+    def __add__(self, other: ErrorSums) -> ErrorSums:
+        """Return the sums over both."""
+        return ErrorSums(
+            self.count + other.count,
+            self.squared_error + other.squared_error,
+            self.squared_torque + other.squared_torque,
+            np.maximum(self.max_abs, other.max_abs),
+        )
+
+    def samples(self, joint: int) -> int:
+        """Return how many samples count."""
+        return int(self.count[joint])
+
+    def rmse(self, joint: int) -> float | None:
+        """Return the RMS error in N m; None without samples."""
+        if self.count[joint] == 0:
+            return None
+        return math.sqrt(self.squared_error[joint] / self.count[joint])
+
+    def relative_rmse(self, joint: int) -> float | None:
+        """Return the RMS error over the RMS torque; None without torque."""
+        if self.squared_torque[joint] == 0.0:
+            return None
+        return math.sqrt(self.squared_error[joint] / self.squared_torque[joint])
+
+    def largest(self, joint: int) -> float | None:
+        """Return the largest error in N m; None without samples."""
+        return float(self.max_abs[joint]) if self.count[joint] else None
+
+
+def prediction_file(
+    inputs: Inputs,
+    logs: LogSet,
+    predictions: Iterable[LogPrediction],
+    *,
+    torques: Path | None,
+    cutoff_origin: str,
+    unexplained: bool,
+) -> PredictionFile:
+    """Add up the errors of predictions, and write their torques where these are wanted.
+
+    Parameters
+    ----------
+    inputs : Inputs
+    logs : LogSet
+        The logs that the predictions are of, which it reads while these are taken.
+    predictions : iterable of LogPrediction
+        Of a long log its parts, one after the other.
+    torques : Path or None
+        Where the torques go: as MCAP if it ends so, else Parquet.
+    cutoff_origin : str
+        Where the cut-off is from.
+    unexplained : bool
+        Whether smooth terms of no known cause count.
+    """
+    robot, stages = inputs.robot, inputs.stages
+    names = robot.joint_names
+    overall = sliding = none = ErrorSums.none(len(names))
+    errors = []
+    told = effect_notes(stages, robot, unexplained=unexplained)
+    with contextlib.ExitStack() as stack:
+        writer = stack.enter_context(_torque_writer(torques, names)) if torques else None
+        own = slid = none
+        for log in predictions:
+            own = own + ErrorSums.of(log, sliding=False)
+            slid = slid + ErrorSums.of(log, sliding=True)
+            if writer is not None:
+                writer.write(log)
+            if log.last:
+                errors.append(_log_error(log, _joints(own, slid, names)))
+                overall, sliding = overall + own, sliding + slid
+                own = slid = none
+    joints = _joints(overall, sliding, names)
+    lacks = lacking(stages, robot)
+    verdicts = [_verdict(n, e, lacks.get(n, ())) for n, e in joints.items() if e.samples]
+    return PredictionFile(
+        schema=PREDICTION_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(robot),
+        inputs=logs.inputs(),
+        parameters=inputs.ids(),
+        stages=list(present(stages)),
+        joints=joints,
+        logs=errors,
+        cutoff_origin=cutoff_origin or "chosen per log",
+        verdicts=as_a_whole([*verdicts, *physics_verdicts(stages, robot), *logs.verdicts()]),
+        notes=[*told, *_notes(joints), *logs.notes()],
+    )
+
+
+def _torque_writer(
+    path: Path, names: tuple[str, ...]
+) -> contextlib.AbstractContextManager[TorqueWriter | McapTorqueWriter]:
+    if path.suffix.lower() == ".mcap":
+        return McapTorqueWriter.open(path, names)
+    return TorqueWriter.open(path, names)
+
+
+def _log_error(log: LogPrediction, joints: dict[str, JointError]) -> LogPredictionError:
+    return LogPredictionError(
+        path=str(log.path),
+        sha256=log.sha256,
+        samples=log.samples,
+        cutoff_hz=log.cutoff_hz,
+        joints=joints,
+        notes=list(log.notes),
+        motion=log.motion,
+    )
+
+
+def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
+    return {
+        name: JointError(
+            rmse=sliding.rmse(index),
+            relative_rmse=sliding.relative_rmse(index),
+            max_abs=sliding.largest(index),
+            samples=sliding.samples(index),
+            rmse_all=sums.rmse(index),
+            samples_all=sums.samples(index),
+            share_sliding=_share(sliding.samples(index), sums.samples(index)),
+        )
+        for index, name in enumerate(names)
+    }
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _notes(joints: dict[str, JointError]) -> list[str]:
+    still = [name for name, error in joints.items() if not error.samples]
+    return [f"never slides in these logs and is not judged: {', '.join(still)}"] if still else []
+
+
+def _verdict(name: str, error: JointError, lacks: Sequence[str]) -> Verdict:
+    """A joint is poor where the model lacks something of it, or its error is too large."""
+    share, reasons = error.relative_rmse, list(lacks)
+    if share is None or share > MAX_RELATIVE_RMSE:
+        limit, told = percent(MAX_RELATIVE_RMSE), "-" if share is None else percent(share)
+        reasons.append(f"the error is {told} of the torque's RMS, above {limit}")
+    return Verdict(joint=name, good=not reasons, reason="; ".join(reasons))

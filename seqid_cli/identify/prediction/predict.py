@@ -1,0 +1,273 @@
+"""Torque predicted by an identified model, log by log.
+
+A log that is held is one block. A long one is passed over at its own rate; every part of it is
+worked on with so many samples more on either side that the filters have forgotten what lies beyond,
+so that the parts together are what the log as a whole gives.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from seqid_cli.identify.log_set import mapped
+from seqid_cli.identify.motion_use import motion_use
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.prediction.log_prediction import LogPrediction, notes_on, slides_from
+from seqid_cli.identify.regression.streaming import (
+    chosen_cutoff,
+    open_if_long,
+    overlapping,
+    streams,
+    too_short,
+)
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Health, Recording, torque_of
+from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.model.effects.apply import added_torque, scene_of_log
+from seqid_cli.model.effects.fitted import Fitted, fitted_effects
+from seqid_cli.model.torque import TorqueModel, sliding
+from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks
+from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
+
+
+def predict(
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    unexplained: bool = False,
+) -> Iterator[LogPrediction]:
+    """Predict the torque of any logs, with the effects that the parameter file names.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque or current.
+    robot : Robot
+    stages : Stages
+        Whatever has been identified; what is missing is taken as zero and noted.
+    options : InertiaOptions
+        Cut-off and source of the motion.
+    unexplained : bool
+        Whether smooth terms of no known cause count as well.
+
+    Yields
+    ------
+    LogPrediction
+        One per log; of a long one that is passed over, its parts one after the other.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    ConfigError
+        If an effect is not known to this version, or is not what it should be.
+    """
+    model = TorqueModel.from_stages(stages, robot)
+    effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
+    for found in mapped(recordings, _PredictionOf(model, stages, options, effects)):
+        yield from found
+
+
+def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
+    """Whether effects can be predicted part by part, as they come out of the whole log.
+
+    The speed over which the direction of motion changes must be known beforehand as well.
+    """
+    known = all(surface is not None for surface in model.surfaces)
+    return not effects or (known and all(effect.local for effect in effects))
+
+
+@dataclass(frozen=True)
+class _PredictionOf:
+    """The prediction of one log."""
+
+    model: TorqueModel
+    stages: Stages
+    options: InertiaOptions
+    effects: tuple[Fitted, ...]
+
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over than read; None for others."""
+        if not (streams(self.stages, self.options) and local_effects(self.model, self.effects)):
+            return None
+        return open_if_long(path, robot, time_source=time_source)
+
+    def __call__(self, log: Recording | SurveyedLog, number: int) -> Iterable[LogPrediction]:
+        """Predict it; parts of a long one follow as they are asked for."""
+        del number
+        if isinstance(log, SurveyedLog):
+            return LongPrediction.of(log, self.model, self.stages, self.options, self.effects)
+        torque_of(log)
+        encoder = estimate_motion(log, self.model.robot, self.options.motion)
+        source = self.options.source
+        motion = best_motion(log, self.model.robot, self.stages.imu, encoder, source=source)
+        slowest = slides_from(self.model, self.options)
+        part = _predicted(self.model, self.effects, slowest, motion, log, slice(None))
+        counts = _Counts.none(self.model.robot.n).plus(part, motion)
+        return [_described(part, self.model, self.stages, motion, counts)]
+
+
+@dataclass(frozen=True)
+class LongPrediction:
+    """A long log, opened; `parts` passes over it. Sent elsewhere, it reads the file anew."""
+
+    rows: ClassVar[int] = 32_768  # samples of a part, and twice the margin at least
+
+    log: SurveyedLog
+    sha256: str
+    plan: Plan
+    model: TorqueModel
+    stages: Stages
+    slides_from: tuple[float, ...]  # rad/s, by joint
+    effects: tuple[Fitted, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        log: SurveyedLog,
+        model: TorqueModel,
+        stages: Stages,
+        options: InertiaOptions,
+        effects: Sequence[Fitted] = (),
+    ) -> LongPrediction:
+        """Choose how the log is filtered; the effects must be `local_effects`."""
+        cutoff, step = chosen_cutoff(log, model.robot, options.motion)
+        plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
+        slowest = tuple(slides_from(model, options).tolist())
+        log = replace(log, survey=None)
+        return cls(log, log.sha256, plan, model, stages, slowest, tuple(effects))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the temporary file, which is of this process."""
+        return {**self.__dict__, "log": replace(self.log, spool=None)}
+
+    def __iter__(self) -> Iterator[LogPrediction]:
+        return self.parts()
+
+    def parts(self) -> Iterator[LogPrediction]:
+        """Yield the log's samples in order.
+
+        Raises
+        ------
+        InputError
+            The file can no longer be read, or no stretch of it is long enough to filter.
+        """
+        lowpass = self.plan.lowpass
+        margin = 2 * (lowpass.memory + lowpass.settling)
+        counts = _Counts.none(self.model.robot.n)
+        with self._file() as log:
+            blocks = motion_blocks(log.blocks(), self.plan)
+            cut = overlapping(blocks, max(self.rows, 2 * margin), margin)
+            for number, (motion, start, stop) in enumerate(cut):
+                part = self._part(motion, slice(start, stop))
+                counts = counts.plus(part, motion)
+                ends = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)
+                if ends and not counts.used:
+                    raise too_short(log.path, self.plan.cutoff.hz)
+                if ends:
+                    part = _described(part, self.model, self.stages, motion, counts)
+                yield replace(part, part=number, last=ends)
+
+    @contextlib.contextmanager
+    def _file(self) -> Iterator[SurveyedLog]:
+        """The log with its file at hand: a stored one's copy has gone with its first pass."""
+        if self.log.spool is not None:
+            yield self.log
+            return
+        with local_copy(self.log.path) as file:
+            yield self.log if file is self.log.path else replace(self.log, file=Path(file))
+
+    def _part(self, motion: Motion, inner: slice) -> LogPrediction:
+        """Predict the inner samples of a motion."""
+        log = Recording(
+            path=self.log.path,
+            sha256=self.sha256,
+            format=self.log.format,
+            t=motion.t,
+            q=motion.q,
+            valid=motion.valid,
+            health=Health(self.log.rate_hz, self.log.jitter),
+            start=self.log.start_ns * 1e-9,
+        )
+        slowest = np.array(self.slides_from)
+        part = _predicted(self.model, self.effects, slowest, motion, log, inner)
+        return replace(part, samples=self.log.samples)
+
+
+def _predicted(
+    model: TorqueModel,
+    effects: Sequence[Fitted],
+    slowest: Array,
+    motion: Motion,
+    log: Recording,
+    inner: slice,
+) -> LogPrediction:
+    """Predict the inner samples of a motion; `log` holds what effects need of all of them."""
+    slides, added = sliding(motion, slowest), None
+    if effects:
+        added = added_torque(scene_of_log(log, model.robot, model, motion), log, effects, slowest)
+    allowed = model.predict_set(motion, slides, added)
+    own = motion.part(inner)
+    assert own.tau is not None
+    return LogPrediction(
+        path=log.path,
+        sha256=log.sha256,
+        samples=motion.samples,
+        cutoff_hz=motion.cutoff.hz,
+        t=own.t,
+        tau=own.tau,
+        predicted=allowed.value[inner],
+        low=allowed.low[inner],
+        high=allowed.high[inner],
+        used=own.usable,
+        sliding=slides[inner],
+        q=own.q,
+        dq=own.dq,
+        ddq=own.ddq,
+        start=log.start,
+        outside=model.outside(own) & slides[inner],
+    )
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """Of a log so far: samples (n,) that slide, that are `outside` too, joints that move."""
+
+    sliding: Array
+    outside: Array
+    moving: Mask
+    used: bool  # any sample counts
+
+    @classmethod
+    def none(cls, n: int) -> _Counts:
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), False)
+
+    def plus(self, part: LogPrediction, motion: Motion) -> _Counts:
+        assert part.outside is not None
+        return _Counts(
+            self.sliding + part.sliding.sum(axis=0),
+            self.outside + part.outside.sum(axis=0),
+            self.moving | motion.moving.any(axis=0),
+            self.used or bool(part.used.any()),
+        )
+
+
+def _described(
+    part: LogPrediction, model: TorqueModel, stages: Stages, motion: Motion, counts: _Counts
+) -> LogPrediction:
+    """The last part of a log, with its notes and where its motion is from."""
+    share = counts.outside / np.maximum(counts.sliding, 1.0)
+    use = motion_use(part.path, model.robot, replace(motion, moving=counts.moving[None]))
+    return replace(part, notes=tuple(notes_on(model, stages, share)), motion=use)

@@ -1,0 +1,69 @@
+"""Measured, predicted and residual torque as Parquet, with what it is looked at over."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.params.files import replacing, writing
+
+_ROWS = 65536  # per row group
+_KINDS = ("torque", "predicted", "residual")
+_REST = ("low", "high")
+_MOTION = ("position", "velocity")
+
+
+class TorqueWriter:
+    """Writes `t`, `log`, torques of each joint, then what they are looked at over.
+
+    Of a joint: measured, predicted and residual torque, whether it slides, and at rest (else null)
+    the bounds of what the model allows. Then `used` (whether the errors count the sample), and
+    position and velocity of each joint.
+    """
+
+    def __init__(self, path: Path, writer: pq.ParquetWriter, schema: pa.Schema) -> None:
+        self._path = path
+        self._writer = writer
+        self._schema = schema
+
+    @classmethod
+    @contextlib.contextmanager
+    def open(cls, path: Path, joints: Sequence[str]) -> Iterator[TorqueWriter]:
+        """Write to `path` in one step: an interrupted run leaves the old file or none."""
+        fields = [("t", pa.float64()), ("log", pa.string())]
+        for name in joints:
+            fields += [(f"{name}.{kind}", pa.float64()) for kind in _KINDS]
+            fields += [(f"{name}.sliding", pa.bool_())]
+            fields += [(f"{name}.{kind}", pa.float64()) for kind in _REST]
+        fields += [("used", pa.bool_())]
+        fields += [(f"{name}.{kind}", pa.float64()) for name in joints for kind in _MOTION]
+        schema = pa.schema(fields)
+        with replacing(path) as temporary:
+            with writing(path):
+                # Torques hardly repeat: a dictionary of them takes most of the time for nothing.
+                writer = pq.ParquetWriter(temporary, schema, use_dictionary=["log"])
+            yield cls(path, writer, schema)
+            with writing(path):
+                writer.close()
+
+    def write(self, log: LogPrediction) -> None:
+        """Append a log, or the next part of one, all its samples."""
+        columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
+        for j in range(log.tau.shape[1]):
+            columns += [pa.array(x[:, j]) for x in (log.tau, log.predicted, log.residual)]
+            columns.append(pa.array(log.sliding[:, j]))
+            columns += [pa.array(x[:, j], mask=log.sliding[:, j]) for x in (log.low, log.high)]
+        columns.append(pa.array(log.used))
+        for joint in range(log.tau.shape[1]):
+            for values in (log.q, log.dq):
+                known = np.full(len(log.t), np.nan) if values is None else values[:, joint]
+                columns.append(pa.array(known, from_pandas=True))  # NaN is null
+        with writing(self._path):
+            table = pa.table(columns, schema=self._schema)
+            self._writer.write_table(table, row_group_size=_ROWS)

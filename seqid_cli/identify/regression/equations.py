@@ -1,0 +1,138 @@
+"""Rows of the torque equation (Eq. 4) of one log, filtered and decimated, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.motion import Motion, decimated, estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import ImuStage
+from seqid_cli.robot.base import Basis, base_regressor, loaded_columns
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+
+BLOCK_S = 1.0
+CHUNK = 4096
+
+
+def torque_motion(
+    recording: Recording,
+    robot: Robot,
+    options: MotionOptions,
+    *,
+    imu: ImuStage | None = None,
+    source: str = "encoder",
+) -> Motion:
+    """Decimated motion of a log that carries torque.
+
+    `imu` holds the calibrations and `source` says where motion comes from (see `best_motion`).
+
+    Raises
+    ------
+    InputError
+        If the log carries neither torque nor current, or not the IMU that `source` insists on.
+    """
+    torque_of(recording)
+    encoder = estimate_motion(recording, robot, options)
+    motion = best_motion(recording, robot, imu, encoder, source=source)
+    return decimated(motion, options.samples_per_cutoff)
+
+
+def cutoff_note(cutoffs: Sequence[float], options: MotionOptions) -> str:
+    """Say which low-pass was used and where it came from."""
+    low, high = min(cutoffs), max(cutoffs)
+    span = f"{low:.3g} Hz" if high - low < 0.005 * high else f"{low:.3g} to {high:.3g} Hz"
+    if options.cutoff_hz is not None:
+        return f"low-pass {span}, {options.origin or 'as given'} (--cutoff overrides)"
+    return (
+        f"low-pass {span}, chosen per log from the encoder's step, the rate and the motion's "
+        "bandwidth (--cutoff overrides)"
+    )
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Consecutive samples of all joints: H (N, n, b) filtered like `motion.tau`."""
+
+    motion: Motion
+    H: Array
+    where: slice
+
+
+class FilteredColumns:
+    """Filtered base regressors of consecutive parts of one log, all in the same memory.
+
+    Parameters
+    ----------
+    robot : Robot
+    basis : Basis
+    longest : int
+        Samples of a part, at most.
+    reach : int
+        Samples on either side that the low-pass remembers.
+    beside : callable, optional
+        One more column (N, n) of a motion, filtered already.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        basis: Basis,
+        longest: int,
+        reach: int,
+        beside: Callable[[Motion], Array] | None = None,
+    ) -> None:
+        self._robot, self._basis, self._reach, self._beside = robot, basis, reach, beside
+        spare = 0 if beside is None else 1
+        loaded = np.pad(loaded_columns(robot, basis), ((0, 0), (0, spare)))
+        self._only = np.flatnonzero(loaded)
+        # What is never written to is never given to the process.
+        self._room = np.zeros((*loaded.shape, longest + 2 * reach))
+        self._rows = self._room.reshape(loaded.size, -1)
+        self._spare = spare
+
+    def of(self, motion: Motion, start: int, stop: int) -> Array:
+        """Rows (stop - start, n, b) of samples [start, stop), valid until the next call.
+
+        `motion` must hold as many samples on both sides as the low-pass remembers, where there are
+        any.
+        """
+        low, high = max(0, start - self._reach), min(stop + self._reach, motion.samples)
+        near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
+        state = self._robot, self._basis, near.q, near.dq, near.ddq
+        base_regressor(*state, spare=self._spare, out=self._room)
+        filtered = self._rows[:, : near.samples]
+        motion.lowpass.filter_rows(filtered, near.valid, only=self._only)
+        H = self._room.transpose(2, 0, 1)[inner]
+        if self._beside is not None:
+            H[:, :, -1] = self._beside(near)[inner]
+        return H
+
+
+def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[Rows]:
+    """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
+
+    Yields
+    ------
+    Rows
+        Chunks in time order; H is valid until the next.
+    """
+    columns = FilteredColumns(robot, basis, min(CHUNK, motion.samples), motion.lowpass.memory)
+    for start in range(0, motion.samples, CHUNK):
+        where = slice(start, min(start + CHUNK, motion.samples))
+        yield Rows(motion.part(where), columns.of(motion, where.start, where.stop), where)
+
+
+def blocks(samples: int, rate_hz: float) -> Iterator[slice]:
+    """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
+    length = max(8, round(BLOCK_S * rate_hz))
+    count = max(1, round(samples / length))
+    edges = np.linspace(0, samples, count + 1).astype(int)
+    for a, b in pairwise(edges):
+        yield slice(int(a), int(b))

@@ -1,0 +1,378 @@
+"""Least squares that never stacks a regressor.
+
+The rows of one joint's equation, [H y] of a block of samples, are reduced to the triangular factor
+of their QR decomposition. Factors of blocks merge by another QR, in any order and in constant
+memory:
+
+    [H y] = Q [R z; 0 e],    min ||H theta - y||^2  =  min ||R theta - z||^2 + e^2.
+
+Each joint has its own factor, so joints are weighted by their noise without another pass, and the
+columns of links that it does not carry, being zero, cost nothing. What comes out depends on the
+rows of a log and on how they are cut into blocks, not on where the log was reduced: signs are fixed
+and blocks merge in their order. Most blocks are reduced in the coordinates of earlier ones of the
+same log (see `factors`). The factors of blocks (about a second of motion each) are kept
+as well, merged pairwise when they become many: what one block says against all others gives
+standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
+small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from seqid_cli.identify.regression.qr_factors import (
+    ENOUGH,
+    Coordinates,
+    Spans,
+    by_reflections,
+    merged,
+    merged_pairs,
+    not_zero,
+    spans_of,
+    triangular,
+)
+from seqid_cli.typing import Array, Mask
+
+MOST_BLOCKS = 256
+LEAST_SPAN = 64  # rows: shorter stretches of them are cheaper picked one by one
+WHITE_FLOOR = 0.05
+RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, that counts as excited
+
+
+@dataclass
+class Accumulator:
+    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y].
+
+    Each block takes `span` additions; the last one has `filled` of them.
+    """
+
+    size: int
+    blocks: list[Array] = field(default_factory=list)
+    rows: list[int] = field(default_factory=list)
+    span: int = 1
+    filled: int = 1
+    _total: Array | None = field(default=None, repr=False, compare=False)
+    _seen: Coordinates | None = field(default=None, repr=False, compare=False)
+
+    def add(
+        self, H: Array, y: Array, where: Mask | None = None, *, loaded: Mask | None = None
+    ) -> None:
+        """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true.
+
+        An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
+        next to each other, and if `loaded` (p,) tells which columns can differ from zero.
+        """
+        self._total = None
+        spans = None
+        if where is not None and not where.all():
+            spans = spans_of(where) if H.strides[0] < H.strides[1] else []
+            y = y[where]
+            if len(spans) * LEAST_SPAN > len(y) or not spans:
+                H, spans = np.compress(where, H.T, axis=1).T, None
+        goes_on = bool(self.blocks) and self.filled < self.span
+        if len(y) or not goes_on:
+            factor = self._measured(H, y, not_zero(H, y, loaded, spans), spans)
+        if goes_on:
+            if len(y):
+                self.blocks[-1] = merged(self.blocks[-1], factor)
+            self.rows[-1] += len(y)
+            self.filled += 1
+            return
+        self.blocks.append(factor)
+        self.rows.append(len(y))
+        self.filled = 1
+        self._bound()
+
+    def _measured(self, H: Array, y: Array, alive: Mask, spans: Spans | None) -> Array:
+        """Factor of new rows; those that earlier ones are no measure for join the measure."""
+        factor = None if self._seen is None else self._seen.reduced(H, y, alive, spans=spans)
+        if factor is not None:
+            return factor
+        factor = by_reflections(H, y, alive, spans)
+        if len(y) >= ENOUGH * np.count_nonzero(alive):
+            seen = self._seen
+            self._seen = Coordinates.of(factor) if seen is None else seen.joined(factor)
+        return factor
+
+    def _reduced(self, H: Array, y: Array, alive: Mask) -> Array:
+        """Factor of rows among which are those of the measure."""
+        factor = None if self._seen is None else self._seen.reduced(H, y, alive, whole=True)
+        if factor is not None:
+            return factor
+        return by_reflections(H, y, alive)
+
+    def __add__(self, other: Accumulator) -> Accumulator:
+        """The rows of both, those of `other` behind."""
+        span = max(self.span, other.span)
+        both = Accumulator(
+            self.size, self.blocks + other.blocks, self.rows + other.rows, span, span
+        )
+        both._bound()
+        return both
+
+    def _bound(self) -> None:
+        """Merge neighbouring blocks where there are too many."""
+        while len(self.blocks) > MOST_BLOCKS:
+            if len(self.blocks) % 2 == 0:
+                self.filled += self.span
+            self.blocks = merged_pairs(self.blocks)
+            self.rows = [sum(self.rows[i : i + 2]) for i in range(0, len(self.rows), 2)]
+            self.span *= 2
+
+    @property
+    def total(self) -> Array:
+        """Factor of all rows, from the blocks in their order."""
+        if self._total is None:
+            size = self.size + 1
+            rows = np.vstack(self.blocks or [np.zeros((0, size))])
+            H, y = rows[:, :-1], rows[:, -1]
+            self._total = self._reduced(H, y, not_zero(H, y))
+        return self._total
+
+    @property
+    def samples(self) -> int:
+        """Number of rows added."""
+        return sum(self.rows)
+
+    def with_fixed(self, column: int, value: float) -> Accumulator:
+        """The same rows with one parameter held at a value and taken out."""
+        total = _without(self.total[None], column, value)[0]
+        blocks = list(_without(np.stack(self.blocks), column, value)) if self.blocks else []
+        rows = list(self.rows)
+        return Accumulator(self.size - 1, blocks, rows, self.span, self.filled, total)
+
+    def residual_rms(self, theta: Array) -> float:
+        """RMS of H theta - y over all rows."""
+        return _residual_rms(self.total, self.samples, theta)
+
+
+def _without(factors: Array, column: int, value: float) -> Array:
+    """Factors (G, p + 1, p + 1) with one column, times a value, taken to the right side."""
+    right = factors[:, :, -1] - value * factors[:, :, column]
+    fewer = np.delete(factors, column, axis=2)
+    fewer[:, :, -1] = right
+    # The rows above the column are as they should be.
+    below = np.asarray(np.linalg.qr(fewer[:, column:, column:], mode="r"), dtype=np.float64)
+    diagonal = np.diagonal(below, axis1=1, axis2=2)
+    fewer[:, column:-1, column:] = below * np.where(diagonal < 0, -1.0, 1.0)[:, :, None]
+    kept: Array = fewer[:, :-1].copy()
+    return kept
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,)."""
+
+    A: Array
+    b: Array
+
+    @property
+    def factor(self) -> Array:
+        """As a block [A b]."""
+        return np.column_stack([self.A, self.b])
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Weighted least squares over all joints.
+
+    `determined` (p,) is False for parameters that these data cannot tell from others; their values
+    are one choice among many (the smallest) and must not be reported. `left_open` (p, p - rank) are
+    the directions along which nothing is known.
+    """
+
+    theta: Array
+    covariance: Array
+    determined: Mask
+    rank: int
+    condition: float
+    sigma: Array  # residual RMS per joint
+    bread: Array  # inverse of the weighted normal matrix
+    left_open: Array
+    moves: Array  # (G, p) by which the estimate moves without one block of time
+    shares: Array  # (n, p) of the estimate that come from each joint's right side
+
+
+def solve(
+    joints: Sequence[Accumulator],
+    *,
+    prior: Prior | None = None,
+    iterations: int = 3,
+    independent: float = 1.0,
+) -> Solution:
+    """Solve for all joints together, each weighted by its own residual.
+
+    Parameters
+    ----------
+    joints : sequence of Accumulator
+        One per joint, all of the same parameters.
+    prior : Prior, optional
+        Knowledge from earlier stages.
+    iterations : int
+        Rounds of reweighting by residual RMS.
+    independent : float
+        Share of the samples that count as independent beside the prior: low-passed noise does not
+        say more where there are more samples of it.
+
+    Returns
+    -------
+    Solution
+        Estimate with block-jackknife covariance.
+    """
+    size = joints[0].size
+    totals = [joint.total for joint in joints]
+    used = [k for k, joint in enumerate(joints) if joint.samples > size // 4]
+    floors = [_floor(joint, R) for joint, R in zip(joints, totals, strict=True)]
+    sigma = np.maximum(floors, 1e-12)
+    theta = np.zeros(size)
+    for _ in range(iterations):
+        scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
+        stack = [totals[k] / scale[k] for k in used]
+        if prior is not None:
+            stack.append(prior.factor)
+        factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
+        theta, basis, left_open, condition = _solve_scaled(factor)
+        left = [
+            _residual_rms(R, joint.samples, theta) for joint, R in zip(joints, totals, strict=True)
+        ]
+        sigma = np.maximum(left, 1e-12)
+    rank = basis.shape[1]
+    bread = basis @ basis.T
+    moves = _jackknife(joints, used, scale, theta, factor, bread)
+    covariance = spread_of(moves)
+    covariance += _prior_part(factor, [totals[k] / scale[k] for k in used], bread)
+    # A direction in which the blocks happen to agree is not known better than white noise allows.
+    covariance += WHITE_FLOOR * bread
+    determined = _determined(factor, basis)
+    shares = np.zeros((len(joints), size))
+    for k in used:
+        shares[k] = bread @ (totals[k][:, :-1].T @ totals[k][:, -1]) / scale[k] ** 2
+    found = theta, covariance, determined, rank, condition
+    return Solution(*found, sigma, bread, left_open, moves, shares)
+
+
+def _residual_rms(R: Array, samples: int, theta: Array) -> float:
+    """RMS of the residual of rows with the factor R of [H y]."""
+    return float(np.linalg.norm(R @ np.append(theta, -1.0)) / np.sqrt(max(samples, 1)))
+
+
+def _floor(joint: Accumulator, R: Array) -> float:
+    """Residual RMS of this joint fitted by itself: the first weight."""
+    # Not from R's last entry: where columns depend on each other, rounding decides what is left.
+    theta, basis, *_ = _solve_scaled(R)
+    left = np.linalg.norm(R @ np.append(theta, -1.0))
+    return float(left / np.sqrt(max(joint.samples - basis.shape[1], 1)))
+
+
+def _solve_scaled(factor: Array) -> tuple[Array, Array, Array, float]:
+    """Smallest solution with scaled columns.
+
+    Also returns B with (H'H)^+ = B B' over what is excited, the directions that are not, and the
+    condition.
+    """
+    R, z = factor[:-1, :-1], factor[:-1, -1]
+    scale = np.linalg.norm(R, axis=0)
+    scale[scale < 1e-9 * scale.max(initial=1e-300)] = np.inf
+    U, s, Vt = np.linalg.svd(R / scale)
+    kept = s > RANK_TOLERANCE * s[0] if s[0] > 0 else np.zeros(len(s), dtype=bool)
+    basis = (Vt[kept].T / s[kept]) / scale[:, None]
+    theta = basis @ (U[:, kept].T @ z)
+    condition = float(s[kept][0] / s[kept][-1]) if kept.any() else 0.0
+    left_open = Vt[~kept].T / np.where(np.isfinite(scale), scale, 1.0)[:, None]
+    return theta, basis, left_open, condition
+
+
+def _determined(factor: Array, basis: Array) -> Mask:
+    """Parameters without a part in the directions that are not excited."""
+    R = factor[:-1, :-1]
+    scale = np.linalg.norm(R, axis=0)
+    alive = scale > 1e-9 * scale.max(initial=1e-300)
+    if basis.shape[1] == 0:
+        return np.zeros(len(scale), dtype=bool)
+    scaled = basis * np.where(alive, scale, 0.0)[:, None]
+    Q, _ = np.linalg.qr(scaled)
+    inside = np.sum(Q**2, axis=1)
+    determined: Mask = alive & (inside > 1 - 1e-4)
+    return determined
+
+
+def _jackknife(
+    joints: Sequence[Accumulator],
+    used: list[int],
+    sigma: Array,
+    theta: Array,
+    factor: Array,
+    bread: Array,
+) -> Array:
+    """Moves (G, p) of the estimate when one block of time is left out.
+
+    With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
+    (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the sandwich it
+    does not shrink when a block has leverage.
+    """
+    normal = factor[:-1, :-1].T @ factor[:-1, :-1]
+    count = max((len(joints[k].blocks) for k in used), default=0)
+    A, s = np.zeros((count, *bread.shape)), np.zeros((count, len(theta)))
+    for k in used:
+        _add_blocks(A, s, joints[k].blocks, np.append(-theta, 1.0), sigma[k])
+    return _downdated(normal, A, bread, s)
+
+
+def spread_of(moves: Array) -> Array:
+    """Covariance (p, p) by the jackknife's moves (G, p)."""
+    count = len(moves)
+    covariance: Array = moves.T @ moves * (max(count - 1, 1) / max(count, 1))
+    return covariance
+
+
+def _add_blocks(A: Array, s: Array, blocks: list[Array], extended: Array, sigma: float) -> None:
+    """Add to A (G, p, p) and s (G, p) the normal matrices and scores of one joint's blocks."""
+    factors = np.stack(blocks)
+    alive = np.flatnonzero(factors.any(axis=(0, 1)))
+    inner = alive[alive < len(extended) - 1]
+    R = factors[:, alive[:, None], alive] / sigma
+    left = R[:, :, : len(inner)].transpose(0, 2, 1)
+    count = np.arange(len(blocks))
+    A[np.ix_(count, inner, inner)] += left @ R[:, :, : len(inner)]
+    s[np.ix_(count, inner)] += (left @ (R @ extended[alive])[:, :, None])[:, :, 0]
+
+
+def _downdated(normal: Array, A: Array, bread: Array, s: Array) -> Array:
+    """(A - A_b)^+ s_b within the excited directions; the plain score where that is not regular."""
+    plain = s @ bread
+    try:
+        moves = np.linalg.solve(np.eye(len(bread)) - bread @ A, plain[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        moves = np.stack([_one_downdated(bread @ A[b], plain[b]) for b in range(len(A))])
+    before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
+    regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
+    return np.where(regular[:, None], moves, plain)
+
+
+def _one_downdated(share: Array, plain: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.solve(np.eye(len(plain)) - share, plain), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return plain
+
+
+def _prior_part(factor: Array, totals: Sequence[Array], bread: Array) -> Array:
+    """The prior's own part: its rows have unit variance and leave no residual to learn it from."""
+    R = factor[:-1, :-1]
+    prior = R.T @ R
+    for total in totals:
+        R = total[:-1, :-1]
+        prior -= R.T @ R
+    part: Array = bread @ prior @ bread
+    return (part + part.T) / 2
+
+
+def whitened(covariance: Array) -> Array:
+    """Rows L with L' L the (pseudo-)inverse of a covariance: a stage's result as a prior."""
+    value, vector = np.linalg.eigh((covariance + covariance.T) / 2)
+    kept = value > 1e-14 * max(value.max(initial=0.0), 1e-300)
+    rows: Array = (vector[:, kept] / np.sqrt(value[kept])).T
+    return rows

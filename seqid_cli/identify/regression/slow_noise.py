@@ -1,0 +1,167 @@
+"""Noise of averages over slices of slow trials: white, common to a trial, and 1/f over a log.
+
+Averages leave little of white noise, so that what is slow decides: drift and 1/f noise of the drive
+in what neighbouring trials share, and what friction's surface misses in a whole trial. With rows in
+time order the covariance of their errors is
+
+    V = s_w W + s_t T + s_f F,
+
+W diagonal (one over the samples of a row), T one within a trial and zero elsewhere, F that of 1/f
+noise between a quarter of one over the log's length and one over twice a row's,
+
+    F(tau) = Ci(2 pi f_2 tau) - Ci(2 pi f_1 tau).
+
+The three strengths maximise the restricted likelihood (H. D. Patterson and R. Thompson, "Recovery
+of inter-block information when block sizes are unequal", Biometrika 58(3), 1971): what the fitted
+parameters take away is allowed for. Rows divided by V's root are generalised least squares.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import minimize
+from scipy.special import sici
+
+from seqid_cli.typing import Array, Index
+
+LONGER = 4.0  # log lengths, whose inverse is the lowest frequency of slow noise
+STIFFNESS = (1e-9, 1e-7, 1e-5)  # of V's mean variance, added until it can be factored
+LEAST = 1e-6  # of a strength, against that of white noise: none
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows H theta + error = y of one joint, in any order.
+
+    `H` (N, p), `y` (N,) N m, `t` (N,) s within the log, `weight` (N,) samples, `seconds` (N,) the
+    length of a row, `trial` and `log` (N,) which it is of.
+    """
+
+    H: Array
+    y: Array
+    t: Array
+    weight: Array
+    seconds: Array
+    trial: Index
+    log: Index
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Roots of V, log by log: `rows` (M,) of each, and its lower factor (M, M)."""
+
+    parts: tuple[tuple[Index, Array], ...]
+
+    def __call__(self, values: Array) -> Array:
+        """Rows (N, ...) whose errors are independent and of unit variance."""
+        white = np.empty_like(values)
+        for rows, root in self.parts:
+            white[rows] = solve_triangular(root, values[rows], lower=True)
+        return white
+
+
+def whitener_of(rows: Rows) -> Whitener:
+    """Fit the strengths of the noise of one joint's rows.
+
+    Parameters
+    ----------
+    rows : Rows
+        The parameters' columns are taken out of the errors; more rows than columns.
+
+    Returns
+    -------
+    Whitener
+    """
+    shapes = [_shapes(rows, at) for at in _by_log(rows)]
+    # Independent of any strength: the scale of what is left.
+    root = np.sqrt(rows.weight)
+    A, y = rows.H * root[:, None], rows.y * root
+    left = y - A @ np.linalg.lstsq(A, y, rcond=1e-10)[0]
+    white = max(float(left @ left) / max(len(y) - A.shape[1], 1), 1e-300)
+    typical = white / float(np.median(rows.weight))
+
+    def cost(logs: Array) -> float:
+        return _restricted(rows, shapes, _strengths(logs, white, typical))
+
+    best = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02})
+    strengths = _strengths(best.x, white, typical)
+    return Whitener(tuple((at, _root(shape, strengths)) for at, *shape in shapes))
+
+
+_Shape = tuple[Index, Array, Array, Array]
+
+
+def _strengths(logs: Array, white: float, typical: float) -> Array:
+    """Strengths of white, common and slow noise from their logarithms against white noise."""
+    w, t, f = np.exp(np.clip(logs, np.log(LEAST), -np.log(LEAST)))
+    return np.array([w * white, t * typical, f * typical])
+
+
+def _by_log(rows: Rows) -> list[Index]:
+    """Rows of each log, in time order."""
+    order = np.lexsort((rows.t, rows.log))
+    return np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
+
+
+def _shapes(rows: Rows, at: Index) -> _Shape:
+    """W's diagonal, T and F of the rows of one log."""
+    t, trial = rows.t[at], rows.trial[at]
+    common = (trial[:, None] == trial[None, :]).astype(np.float64)
+    longest = max(float(np.ptp(t)), float(rows.seconds[at].max()))
+    low = 1.0 / (LONGER * longest)
+    high = np.maximum(1.0 / (2.0 * rows.seconds[at]), 2.0 * low)
+    return at, 1.0 / rows.weight[at], common, _flicker(t, low, high)
+
+
+def _flicker(t: Array, low: float, high: Array) -> Array:
+    """Covariance (N, N) of 1/f noise; each row passes what is below its own frequency (N,)."""
+    lag = 2.0 * np.pi * np.abs(t[:, None] - t[None, :])
+    upper = np.minimum(high[:, None], high[None, :])
+    at_once = lag * upper < 1e-6
+    safe = np.where(at_once, 1.0, lag)
+    covariance = sici(safe * upper)[1] - sici(safe * low)[1]
+    result: Array = np.where(at_once, np.log(upper / low), covariance)
+    return result
+
+
+def _root(shape: Sequence[Array], strengths: Array) -> Array:
+    white, common, slow = shape
+    V = strengths[1] * common + strengths[2] * slow
+    V[np.diag_indices_from(V)] += strengths[0] * white
+    mean = float(np.trace(V)) / len(V)
+    for share in STIFFNESS:  # rows at nearly the same time leave V as good as singular
+        with contextlib.suppress(np.linalg.LinAlgError):
+            own = V + share * mean * np.eye(len(V))
+            return np.asarray(cholesky(own, lower=True, check_finite=False))
+    return np.asarray(np.diag(np.sqrt(np.diag(V))))
+
+
+def _restricted(rows: Rows, shapes: Sequence[_Shape], strengths: Array) -> float:
+    """Twice the negative logarithm of the restricted likelihood, but for a constant."""
+    p = rows.H.shape[1]
+    normal, right, rest, size = np.zeros((p, p)), np.zeros(p), 0.0, 0.0
+    for at, *shape in shapes:
+        root = _root(shape, strengths)
+        white = solve_triangular(
+            root, np.column_stack([rows.H[at], rows.y[at]]), lower=True, check_finite=False
+        )
+        A, y = white[:, :-1], white[:, -1]
+        normal += A.T @ A
+        right += A.T @ y
+        rest += float(y @ y)
+        size += 2.0 * float(np.log(np.diag(root)).sum())
+    alive = np.diag(normal) > 0
+    if alive.any():
+        scale = np.sqrt(np.diag(normal)[alive])
+        inner = normal[np.ix_(alive, alive)] / np.outer(scale, scale)
+        value, vector = np.linalg.eigh(inner)
+        kept = value > 1e-10 * value.max()
+        fitted = (vector.T @ (right[alive] / scale))[kept]
+        rest -= float(np.sum(fitted**2 / value[kept]))
+        size += float(np.log(value[kept]).sum()) + 2.0 * float(np.log(scale).sum())
+    return size + rest

@@ -1,0 +1,118 @@
+"""Whether parameters depend on the cut-off of the low-pass, and what that adds to their errors.
+
+Parallel filtering makes the equation exact at every cut-off. Noise in the regressor (encoders
+differentiated twice), elasticity and friction that lags make it differ from one to the next. The
+estimates theta_1, theta_2 of the same logs at neighbouring cut-offs share most of their noise, so
+the covariance of their difference is that of the difference of their jackknife moves, block by
+block, and of their sensitivities to friction (J. A. Hausman, "Specification tests in econometrics",
+Econometrica 46(6), 1978, in the form that needs neither estimate to be efficient):
+
+    V = cov(m_1 - m_2) + sum_j (T_1j - T_2j) cov(c_j) (T_1j - T_2j)',
+    W = d' V^+ d,   d = theta_1 - theta_2.
+
+What of d is beyond its own noise, a share 1 - p / W of its square, counts as an error of theta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec.structs import replace
+
+from seqid_cli.identify.regression.least_squares import Solution, spread_of
+from seqid_cli.identify.rigid.posterior import Posterior, friction_covariance
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.schema import RigidStage, Verdict
+from seqid_cli.robot.base import Basis
+from seqid_cli.typing import Array
+
+CLEAR = 4.0  # standard errors of a difference between two cut-offs, from which it is said
+MATTERS = 3.0  # stated standard errors, by which a parameter must differ to make the verdict poor
+FLAT = 1e-9  # of a covariance's largest eigenvalue, below which a direction is not known
+
+Result = tuple[Solution, Posterior]
+
+
+@dataclass(frozen=True)
+class CutoffCheck:
+    """What neighbouring cut-offs show.
+
+    `doubt` (p, d) are directions of error, one standard deviation each; `said` names parameters by
+    their place with the multiple of the cut-off and the difference in stated standard errors.
+    """
+
+    doubt: Array
+    said: tuple[tuple[int, float, float], ...] = ()
+
+
+def cutoff_check(
+    own: Result, near: Mapping[float, Result], surfaces: Sequence[FrictionSurface | None]
+) -> CutoffCheck:
+    """Compare an estimate with those of the same logs at neighbouring cut-offs.
+
+    Parameters
+    ----------
+    own : tuple of Solution and Posterior
+        As it is used.
+    near : mapping of float to the same
+        By multiple of the cut-off.
+    surfaces : sequence of FrictionSurface or None
+        Friction with its covariance.
+    """
+    size = len(own[0].theta)
+    stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
+    doubts, said = [], []
+    for factor, other in near.items():
+        d, V = _difference(own, other, surfaces)
+        if V is None:
+            continue
+        known = own[0].determined & other[0].determined
+        doubts.append(np.where(known, d, 0.0) * _excess(d[known], V[np.ix_(known, known)]))
+        error = np.sqrt(np.maximum(np.diag(V), 0.0))
+        for k in np.flatnonzero(known & (np.abs(d) > CLEAR * error)):
+            said.append((int(k), factor, float(d[k] / max(stated[k], 1e-300))))
+    directions = np.array(doubts).T / np.sqrt(max(len(doubts), 1)) if doubts else None
+    return CutoffCheck(np.zeros((size, 0)) if directions is None else directions, tuple(said))
+
+
+def _difference(
+    own: Result, other: Result, surfaces: Sequence[FrictionSurface | None]
+) -> tuple[Array, Array | None]:
+    """Difference of two estimates (p,), its covariance; None where their blocks are not alike."""
+    d = other[0].theta - own[0].theta
+    if own[0].moves.shape != other[0].moves.shape:
+        return d, None
+    V = spread_of(other[0].moves - own[0].moves)
+    first, second = own[1].friction, other[1].friction
+    both = {j: second[j] - first[j] for j in first if j in second}
+    return d, V + friction_covariance(both, surfaces, len(d))
+
+
+def _excess(d: Array, V: Array) -> float:
+    """Square root of the share of a difference that its own noise does not explain."""
+    scale = np.sqrt(np.maximum(np.diag(V), 1e-300))
+    value, vector = np.linalg.eigh(V / np.outer(scale, scale))
+    kept = value > FLAT * max(float(value.max(initial=0.0)), 1e-300)
+    along = vector[:, kept].T @ (d / scale)
+    W = float(np.sum(along**2 / value[kept]))
+    return float(np.sqrt(max(0.0, 1.0 - float(kept.sum()) / W))) if W > 0 else 0.0
+
+
+def with_cutoff_check(stage: RigidStage, check: CutoffCheck, basis: Basis) -> RigidStage:
+    """A stage that says which of its parameters depend on the cut-off; poor where that matters."""
+    own = {p.name for p in stage.parameters}
+    told = [(basis.names[k], at, by) for k, at, by in check.said if basis.names[k] in own]
+    if not told:
+        return stage
+    text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in told)
+    note = f"parameters that depend on the cut-off, in stated standard errors: {text}"
+    stage = replace(stage, notes=[*stage.notes, note])
+    if all(abs(by) < MATTERS for *_, by in told):
+        return stage
+    reason = (
+        f"{note}. Noise of the encoders' acceleration or something that the model lacks; use "
+        "accelerometers, a finer encoder or slower moves, or look for effects (seqid diagnose)"
+    )
+    return replace(stage, verdicts=[*stage.verdicts, Verdict(good=False, reason=reason)])

@@ -1,0 +1,86 @@
+"""From a least-squares solution to a stage of the parameter file; shared by gravity and inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.params.schema import Parameter, RigidStage
+from seqid_cli.robot.base import Basis, standard_names
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index
+
+
+def parameters_of(
+    robot: Robot, basis: Basis, chosen: Index, theta: Array, covariance: Array
+) -> list[Parameter]:
+    """Parameters `chosen` (indices) with standard errors, units and expressions."""
+    return [
+        Parameter(
+            name=basis.names[k],
+            value=float(theta[k]),
+            std_error=float(np.sqrt(max(covariance[k, k], 0.0))),
+            unit=basis.unit(k),
+            joint=robot.joint_names[basis.joint_index(k)],
+            expression=basis.expression_text(k),
+            terms=basis.terms(k),
+        )
+        for k in (int(k) for k in chosen)
+    ]
+
+
+def representative_of(basis: Basis, theta: Array, rotors: Array) -> dict[str, float]:
+    """Standard parameters, zeros left out, that give the model's torque; known rotors included."""
+    phi = basis.representative @ theta
+    phi[len(phi) - len(rotors) :] += rotors
+    names = standard_names(len(rotors))
+    return {name: float(x) for name, x in zip(names, phi, strict=True) if x != 0.0}
+
+
+def not_excited(basis: Basis, solution: Solution, candidates: Index) -> list[str]:
+    """Names of parameters among `candidates` that these data do not determine, with expressions."""
+    return [basis.expression_text(int(k)) for k in candidates if not solution.determined[int(k)]]
+
+
+def empty_stage(note: str, method: str = "sequential") -> RigidStage:
+    """A stage with nothing to identify on this robot, which says so."""
+    return RigidStage(parameters=[], condition=0.0, rank=0, method=method, notes=[note])
+
+
+def imu_moves(
+    robot: Robot, basis: Basis, inertia: Array, reflected: Array, errors: Mapping[str, float]
+) -> Array:
+    """By what IMUs' errors move the parameters.
+
+    Accelerations that a calibration takes for too large by a share leave inertias too small by as
+    much: those of the links between the IMU before and its own. A known rotor's share of it comes
+    upon the inertia about the joint that it turns.
+
+    Parameters
+    ----------
+    robot : Robot
+    basis : Basis
+    inertia : (b,) array
+        Base parameters, zero where accelerations do not show them.
+    reflected : (n,) array
+        Known rotor inertias at the joints, kg m^2.
+    errors : mapping
+        Relative standard errors of the accelerations by the IMUs that took part.
+
+    Returns
+    -------
+    (b, d) array
+        One standard deviation per column.
+    """
+    links = np.array([basis.joint_index(k) for k in range(basis.size)], dtype=int)
+    about = np.array([name.startswith("Izz_") for name in basis.names])
+    whole = inertia + np.where(about, reflected[links], 0.0)
+    moves, first = [], 0
+    for imu in sorted(robot.imus, key=lambda imu: imu.after_joint):
+        if imu.name in errors:
+            own = (links >= first) & (links <= imu.after_joint)
+            moves.append(np.where(own, errors[imu.name] * whole, 0.0))
+            first = imu.after_joint + 1
+    return np.column_stack(moves) if moves else np.zeros((basis.size, 0))

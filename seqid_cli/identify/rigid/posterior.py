@@ -1,0 +1,191 @@
+"""The joint posterior of all stages: what an error of an earlier stage does to a later one.
+
+Every stage is a linear function of its own torque and of what earlier stages say,
+
+    theta = theta_0(tau) + S_c c + S_g g,
+
+c the coefficients of the friction surfaces, joint by joint, g the gravity parameters, S the
+sensitivities. The noise in theta_0 is the stage's own. Gravity depends on friction (S_c alone), and
+inertia on friction both directly and through gravity, so that
+
+    T = S_c + S_g S_gc,    cov(theta) = own + S_g own_g S_g' + sum_j T_j cov(c_j) T_j'.
+
+Friction is counted once, whatever way its errors take. A stage hands on its covariance and its
+total sensitivity to friction, T; with the covariances of the surfaces that is the covariance of
+everything with everything: cov(theta, c_j) = T_j cov(c_j).
+
+The error e_k of a joint's torque constant, s_k its standard deviation, scales the right side y_k of
+that joint's rows in every stage, friction c_k included. What it moves theta by is linear as well,
+
+    M_k = s_k dtheta_0/de_k + S_g M_gk,    stated cov(theta) = cov(theta) + sum_k M_k M_k',
+
+one common error for all stages. It cancels in the torque of the same drive, so what is held against
+that torque uses cov(theta), and what is stated of physical values adds M.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.schema import Matrix, RigidStage
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index
+
+Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
+
+Moves = dict[int, Array]  # by joint: (p,), change of parameters per error of its torque constant
+
+
+def friction_covariance(
+    sensitivity: Mapping[int, Array], surfaces: Sequence[FrictionSurface | None], size: int
+) -> Array:
+    """Covariance (p, p) that the errors of the friction surfaces make: sum_j T_j cov(c_j) T_j'."""
+    total = np.zeros((size, size))
+    for j, T in sensitivity.items():
+        surface = surfaces[j]
+        assert surface is not None
+        total += T @ surface.covariance @ T.T
+    return total
+
+
+def sensitivity_of(stage: RigidStage | None, names: Sequence[str]) -> Sensitivity:
+    """Sensitivity (p, K_j) of a stage's parameters to friction, by joint, as its file says it."""
+    told = stage.friction_sensitivity if stage is not None else {}
+    return {j: np.array(told[name]) for j, name in enumerate(names) if told.get(name)}
+
+
+def moves_of(stage: RigidStage | None, names: Sequence[str]) -> Moves:
+    """Moves (p,) of a stage's parameters per error of a torque constant, as its file says."""
+    told = stage.torque_constant_moves if stage is not None else {}
+    return {j: np.array(told[name]) for j, name in enumerate(names) if told.get(name)}
+
+
+def constant_moves(
+    solution: Solution,
+    errors: Array,
+    known: Mapping[int, Array],
+    through: Mapping[int, Array] | None = None,
+) -> Moves:
+    """What one standard error of each joint's torque constant moves a solution by.
+
+    Parameters
+    ----------
+    solution : Solution
+        With the share of each joint's right side, the weights held.
+    errors : (n,) array
+        Relative standard errors of the torque constants.
+    known : mapping of (p,) arrays
+        By joint: the move by torque on the right side that was computed, not measured, such as that
+        of known rotors. It does not scale.
+    through : mapping of (p,) arrays, optional
+        By joint: the move by way of an earlier stage.
+    """
+    inherited = through or {}
+    return {
+        j: e * (solution.shares[j] - known.get(j, 0.0)) + inherited.get(j, 0.0)
+        for j, e in enumerate(errors)
+        if e > 0.0 or j in inherited
+    }
+
+
+def moves_covariance(moves: Mapping[int, Array], size: int) -> Array:
+    """Covariance (p, p) that the errors of the torque constants make: sum_k M_k M_k'."""
+    return sum((np.outer(M, M) for M in moves.values()), np.zeros((size, size)))
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Covariance (p, p) of a stage's parameters, and what it inherits.
+
+    `friction` is their total sensitivity to friction, `constants` their moves per error of the
+    torque constants, which `covariance` is without.
+    """
+
+    covariance: Array
+    friction: Sensitivity
+    constants: Moves = field(default_factory=dict)
+
+    @property
+    def stated(self) -> Array:
+        """Covariance (p, p) of the physical values, with the errors of the torque constants."""
+        return self.covariance + moves_covariance(self.constants, len(self.covariance))
+
+    @classmethod
+    def of(
+        cls,
+        solution: Solution,
+        surfaces: Sequence[FrictionSurface | None],
+        direct: Sensitivity,
+        gain: Array,
+        through: Sensitivity,
+    ) -> Posterior:
+        """Join a solution's own errors with those that it inherits.
+
+        Parameters
+        ----------
+        solution : Solution
+            Its covariance counts the prior's rows as independent of friction.
+        surfaces : sequence of FrictionSurface or None
+            With their covariances.
+        direct : Sensitivity
+            Of the solution to friction, the prior held.
+        gain : (p, k) array
+            Of the solution on the prior's right side.
+        through : Sensitivity
+            Of the prior's right side (k, K_j) to friction.
+        """
+        inherited = friction_covariance(through, surfaces, gain.shape[1])
+        total = combined(direct, gain, through)
+        covariance = solution.covariance - gain @ inherited @ gain.T
+        covariance += friction_covariance(total, surfaces, len(covariance))
+        return cls((covariance + covariance.T) / 2, total)
+
+    def with_doubt(self, directions: Array) -> Posterior:
+        """Add an error along directions (p, d), one standard deviation each."""
+        return replace(self, covariance=self.covariance + directions @ directions.T)
+
+
+def combined(direct: Sensitivity, gain: Array, through: Sensitivity) -> Sensitivity:
+    """Total sensitivity to friction: direct, and through what has a gain (p, k) on the result."""
+    total = dict(direct)
+    for j, inner in through.items():
+        moved = gain @ inner
+        total[j] = total[j] + moved if j in total else moved
+    return total
+
+
+def as_matrices(
+    sensitivity: Mapping[int, Array], chosen: Index, names: Sequence[str]
+) -> dict[str, Matrix]:
+    """Sensitivities of the parameters `chosen` for the parameter file, every joint named."""
+    return {
+        name: sensitivity[j][chosen].tolist() if j in sensitivity else []
+        for j, name in enumerate(names)
+    }
+
+
+def as_lists(
+    moves: Mapping[int, Array], chosen: Index, names: Sequence[str]
+) -> dict[str, list[float]]:
+    """Moves of the parameters `chosen` for the parameter file."""
+    return {names[j]: move[chosen].tolist() for j, move in moves.items()}
+
+
+def constants_note(robot: Robot) -> list[str]:
+    """Say which joints' torque constants are taken as exact, if any."""
+    exact = [
+        joint.name
+        for joint in robot.joints
+        if joint.torque_constant is not None and joint.torque_constant_error == 0.0
+    ]
+    if not exact:
+        return []
+    return [
+        f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
+        "file adds their error to the standard errors"
+    ]

@@ -1,0 +1,143 @@
+"""Whether rotors react on the links that carry them: the logs decide, or it is left open.
+
+The torque of rotor i on its own joint is N_i^2 I_mi ddq_i (Eq. 43). A rotor that rides on a link
+feels that link's motion as well, and the link feels the rotor's: N_i I_mi times accelerations of
+other joints. `share` kappa of that coupling is 0 or 1. Both hypotheses are fitted, the errors of
+friction and gravity included; with k and its standard error s of the fit that leaves kappa free,
+
+    log odds = (k^2 - (k - 1)^2) / (2 s^2).
+
+It must decide alike at neighbouring cut-offs. A k that is neither near 0 nor near 1 is a sign of
+something else. Where the logs do not decide, the data sheet's model stays (rotors act on their own
+joints alone), and what the other one would change counts as an error of the parameters: it is as
+likely as not, or more where the logs say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from seqid_cli.identify.regression.least_squares import Accumulator, Solution
+from seqid_cli.identify.rigid.posterior import Posterior
+from seqid_cli.robot.base import Basis
+from seqid_cli.typing import Array
+
+CONSISTENT = 3.0  # standard errors within which the free share agrees with 0 or 1
+LOG_ODDS = 5.0  # that decide: 150 to 1
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """The decision: whether the coupling is `used`, and how it came about.
+
+    `share` and `std_error` are those of the fit that leaves it free; `doubt` (p, d) are directions
+    along which the other hypothesis would move the parameters, in standard deviations.
+    """
+
+    used: bool
+    decided: bool
+    share: float
+    std_error: float
+    doubt: Array
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def none(cls, size: int) -> Coupling:
+        """Nothing to decide for `size` parameters: no known rotor, or both models are the same."""
+        return cls(False, True, 0.0, np.inf, np.zeros((size, 0)))
+
+
+class Equations(Protocol):
+    """Rows of an identification whose last column is the share of the coupling."""
+
+    basis: Basis
+    joints: list[Accumulator]
+
+    def with_coupling(self, share: float) -> list[Accumulator]:
+        """The rows with the share held at a value."""
+        ...
+
+    def solved(self, joints: list[Accumulator]) -> tuple[Solution, Posterior]:
+        """Solve rows, with the share free or held."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Share:
+    """The share of the coupling when it is left free, and its standard error."""
+
+    value: float
+    error: float
+
+    @property
+    def odds(self) -> float:
+        """Logarithm of the odds of 1 against 0."""
+        return (self.value**2 - (self.value - 1.0) ** 2) / (2.0 * self.error**2)
+
+    @property
+    def near(self) -> bool:
+        """Whether it agrees with 0 or with 1."""
+        return min(abs(self.value), abs(self.value - 1.0)) < CONSISTENT * self.error
+
+
+def decide(equations: Sequence[Equations]) -> Coupling:
+    """Compare the two hypotheses by what the logs say.
+
+    Parameters
+    ----------
+    equations : sequence of Equations
+        With the rows of all logs; the first as they are used, the others at other cut-offs.
+
+    Returns
+    -------
+    Coupling
+        Not used where the logs do not decide, or not alike at all cut-offs.
+    """
+    own = equations[0]
+    kappa = own.basis.size
+    found = [_free(each) for each in equations]
+    first = found[0]
+    if first is None:
+        return Coupling.none(kappa)
+    sure = [share is not None and share.near and abs(share.odds) > LOG_ODDS for share in found]
+    sides = {share.odds > 0 for share in found if share is not None}
+    value, error = first.value, first.error
+    if all(sure) and len(sides) == 1:
+        used = sides.pop()
+        return Coupling(used, True, value, error, np.zeros((kappa, 0)), _decided(used))
+    # What does not decide does not count against the other hypothesis either.
+    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -LOG_ODDS, LOG_ODDS))))
+    without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
+    doubt = np.sqrt(likely) * (coupled - without)[:, None]
+    return Coupling(False, False, value, error, doubt, _open(value, error, near=first.near))
+
+
+def _free(equations: Equations) -> _Share | None:
+    """The share that rows of one cut-off show; None where both models are the same."""
+    kappa = equations.basis.size
+    free, posterior = equations.solved(equations.joints)
+    if not free.determined[kappa]:
+        return None
+    return _Share(float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa])))
+
+
+def _decided(used: bool) -> tuple[str, ...]:
+    said = "the data show rotors coupled to the links that carry them; used as such"
+    return (said,) if used else ()
+
+
+def _open(share: float, error: float, *, near: bool) -> tuple[str, ...]:
+    free = f"{share:.2f} +- {error:.2f} of it when left free"
+    if not near:
+        return (
+            f"coupling of rotors to the links that carry them: {free}, neither 0 nor 1; something "
+            "else is missing in the model, and the rotors act on their own joints alone",
+        )
+    return (
+        f"these logs do not tell whether rotors are coupled to the links that carry them ({free}); "
+        "they act on their own joints alone, and the standard errors allow for it",
+    )

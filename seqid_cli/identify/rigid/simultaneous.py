@@ -1,0 +1,306 @@
+"""The classical way (Eq. 5-6): rigid body, Coulomb and viscous friction in one least squares.
+
+    tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq (+ F_o)
+
+for comparison with the sequential way, and for logs that hold no single-joint trials. The result is
+written as a friction stage of orders (0, 1) and an inertia stage with all base parameters, so that
+every later command reads it like any other file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.errors import QualityError
+from seqid_cli.identify.motion_use import motion_use, source_text
+from seqid_cli.identify.regression.equations import (
+    blocks,
+    cutoff_note,
+    filtered_regressor,
+    torque_motion,
+)
+from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
+from seqid_cli.identify.rigid.parameters import not_excited, parameters_of, representative_of
+from seqid_cli.identify.rigid.posterior import Posterior, as_lists, constant_moves, constants_note
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import SLIDES
+from seqid_cli.model.torque import known_rotors, sliding
+from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import (
+    FrictionJoint,
+    FrictionStage,
+    ImuStage,
+    MotionUse,
+    Parameter,
+    RigidStage,
+    SpeedLevel,
+    Verdict,
+)
+from seqid_cli.robot.base import Basis, free_basis, gear_ratios
+from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
+from seqid_cli.typing import Array
+
+TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
+SIGN_SHARE = 0.004  # width of the smoothed sign over the joint's fastest speed
+LEAST_WIDTH = 1e-6  # rad/s, of a joint that never moved
+POOR_SHARE = 0.25
+CLEARLY = 3.0  # standard errors, by which Coulomb friction is below zero
+
+
+def identify_simultaneous(
+    recordings: Iterable[Recording],
+    robot: Robot,
+    *,
+    options: MotionOptions,
+    offset: bool = False,
+    imu: ImuStage | None = None,
+    source: str = "auto",
+) -> tuple[FrictionStage, RigidStage]:
+    """Identify rigid body and Coulomb-viscous friction together.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Any logs with torque.
+    robot : Robot
+        Chain, gravity, known rotor inertias.
+    options : MotionOptions
+        Cut-off.
+    offset : bool
+        Whether each joint has a constant torque F_o besides.
+    imu : ImuStage, optional
+        Calibrations, to use accelerometers.
+    source : {"auto", "encoder", "imu", "fused"}
+        Where motion comes from.
+
+    Returns
+    -------
+    tuple of FrictionStage and RigidStage
+        Friction as surfaces of orders (0, 1); all base parameters.
+
+    Raises
+    ------
+    QualityError
+        If no joint moves.
+    """
+    paths, motions = [], []
+    for recording in recordings:
+        paths.append(recording.path)
+        motion = torque_motion(recording, robot, options, imu=imu, source=source)
+        motions.append(deepcopy(motion))  # without the samples that it was thinned from
+    width = sign_width(motions, robot.n)
+    equations = SimultaneousEquations(robot, free_basis(robot), width, offset=offset)
+    for path, motion in zip(paths, motions, strict=True):
+        equations.add(path, motion)
+    if not any(joint.samples for joint in equations.joints):
+        raise QualityError("no joint moves in these logs", hint="record moves of every joint")
+    return equations.stages(options)
+
+
+def sign_width(motions: Iterable[Motion], n: int) -> Array:
+    """Speeds (n,) over which friction changes its sign, by the log in which each joint is fastest.
+
+    A log that moves a joint hardly, as others shake it, does not say how fast it slides.
+    """
+    fastest = np.zeros(n)
+    for motion in motions:
+        speed = _speed(motion)
+        usual = np.quantile(speed, 0.99, axis=0)
+        usual = np.where(usual > 0, usual, speed.max(axis=0))  # it moved for a moment only
+        fastest = np.maximum(fastest, usual)
+    return SIGN_SHARE * fastest
+
+
+def _speed(motion: Motion) -> Array:
+    """Speed (N, n) of each joint, zero where it rests."""
+    return np.where(motion.moving, np.abs(motion.dq), 0.0)
+
+
+class SimultaneousEquations:
+    """Accumulates [H, friction columns | tau] of every joint; `width` (n,) is the sign's."""
+
+    def __init__(self, robot: Robot, basis: Basis, width: Array, *, offset: bool = False) -> None:
+        self.robot, self.basis = robot, basis
+        self.terms = TERMS if offset else TERMS[:2]
+        size = basis.size + len(self.terms) * robot.n
+        self.joints = [Accumulator(size) for _ in range(robot.n)]
+        self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
+        self.width = width
+        self.fastest = np.zeros(robot.n)
+        self.position = np.array([[np.inf, -np.inf]] * robot.n)
+        self.torque_squares = np.zeros(robot.n)
+        self.cutoffs: list[float] = []
+        self.uses: list[MotionUse] = []
+
+    def add(self, path: Path, motion: Motion) -> None:
+        """Add the rows of one log."""
+        assert motion.tau is not None
+        self.uses.append(motion_use(path, self.robot, motion))
+        self._remember(motion)
+        self.cutoffs.append(motion.cutoff.hz)
+        usable = sliding(motion, SLIDES * self.width)
+        rotors = motion.filtered(
+            gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * motion.ddq
+        )
+        y = motion.tau - rotors
+        friction = self._friction(motion)
+        for rows in filtered_regressor(motion, self.robot, self.basis):
+            part = rows.where
+            for block in blocks(rows.motion.samples, rows.motion.rate_hz):
+                for j, joint in enumerate(self.joints):
+                    kept = usable[part][block, j]
+                    wide = np.zeros((int(kept.sum()), joint.size))
+                    wide[:, : self.basis.size] = rows.H[block, j][kept]
+                    wide[:, self._own(j)] = friction[part][block, j][kept]
+                    joint.add(wide, y[part][block, j][kept])
+                    self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
+        self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
+
+    def _own(self, j: int) -> slice:
+        start = self.basis.size + len(self.terms) * j
+        return slice(start, start + len(self.terms))
+
+    def _remember(self, motion: Motion) -> None:
+        """Ranges of motion."""
+        self.fastest = np.maximum(self.fastest, _speed(motion).max(axis=0))
+        low, high = motion.q.min(axis=0), motion.q.max(axis=0)
+        self.position[:, 0] = np.minimum(self.position[:, 0], low)
+        self.position[:, 1] = np.maximum(self.position[:, 1], high)
+
+    def _friction(self, motion: Motion) -> Array:
+        """Columns (N, n, 2 or 3) of sign, velocity, offset, filtered like predicted friction."""
+        safe = np.where(self.width > 0, self.width, 1.0)
+        sign = np.tanh(motion.dq / safe)
+        columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
+        return motion.filtered(columns[:, :, : len(self.terms)], times=2)
+
+    def stages(self, options: MotionOptions) -> tuple[FrictionStage, RigidStage]:
+        """Solve and describe the result."""
+        solution = solve(self.joints)
+        posterior = self._posterior(solution)
+        moved = [j for j in range(self.robot.n) if self.joints[j].samples]
+        friction = {self.robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved}
+        named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
+        note = f"{named} friction from one least squares with the rigid body (Eq. 5-6)"
+        cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
+        filtering = cutoff_note(self.cutoffs, options)
+        stage = FrictionStage(
+            joints=friction,
+            method="simultaneous",
+            cutoff_hz=cutoff,
+            notes=[note, filtering, *constants_note(self.robot)],
+        )
+        return stage, self._rigid(solution, posterior, cutoff)
+
+    def _posterior(self, solution: Solution) -> Posterior:
+        known = {
+            j: -solution.bread @ sums / solution.sigma[j] ** 2
+            for j, sums in enumerate(self._rotor_sums)
+        }
+        moves = constant_moves(solution, self.robot.torque_constant_errors, known)
+        return Posterior(solution.covariance, {}, moves)
+
+    def _joint(self, j: int, solution: Solution, posterior: Posterior) -> FrictionJoint:
+        """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
+        own = self._own(j)
+        values = solution.theta[own]
+        fast = float(self.fastest[j])
+        ahead, back = surface_entries(fast, len(self.terms))
+        directional = len(self.terms) == len(TERMS)
+        both = np.vstack([ahead, back]) if directional else ahead
+        covariance = both @ solution.covariance[own, own] @ both.T
+        sigma = float(solution.sigma[j])
+        errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
+        return FrictionJoint(
+            position_order=0,
+            velocity_order=1,
+            max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
+            rmse=sigma,
+            position_range=[float(x) for x in self.position[j]],
+            speed_range=[0.0, fast],
+            sign_width=max(float(self.width[j]), LEAST_WIDTH),
+            directional=directional,
+            positive=[(ahead @ values).tolist()],
+            negative=[(back @ values).tolist()],
+            covariance=covariance.tolist(),
+            torque_constant_error=self.robot.joints[j].torque_constant_error,
+            speeds=[SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
+            parameters=[
+                Parameter(name=n, value=float(v), std_error=float(e), unit=u)
+                for (n, u), v, e in zip(self.terms, values, errors, strict=True)
+            ],
+        )
+
+    def _rigid(self, solution: Solution, posterior: Posterior, cutoff: float | None) -> RigidStage:
+        basis, robot = self.basis, self.robot
+        indices = np.arange(basis.size)
+        own = indices[solution.determined[: basis.size]]
+        missing = not_excited(basis, solution, indices)
+        rank = solution.rank - len(self.terms) * sum(joint.samples > 0 for joint in self.joints)
+        return RigidStage(
+            parameters=parameters_of(robot, basis, own, solution.theta, posterior.stated),
+            condition=solution.condition,
+            rank=rank,
+            structural_rank=basis.size,
+            representative=representative_of(
+                basis, solution.theta[: basis.size], known_rotors(robot)
+            ),
+            covariance=solution.covariance[np.ix_(own, own)].tolist(),
+            torque_constant_moves=as_lists(posterior.constants, own, robot.joint_names),
+            not_excited=missing,
+            rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
+            method="simultaneous",
+            motion={use.log: source_text(use) for use in self.uses},
+            motion_use=self.uses,
+            cutoff_hz=cutoff,
+            verdicts=self._verdicts(solution, missing),
+            notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
+        )
+
+    def _verdicts(self, solution: Solution, missing: list[str]) -> list[Verdict]:
+        verdicts = []
+        for j, name in enumerate(self.robot.joint_names):
+            samples = self.joints[j].samples
+            if not samples:
+                verdicts.append(Verdict(joint=name, good=False, reason="does not move"))
+                continue
+            rms = float(np.sqrt(self.torque_squares[j] / samples))
+            share = float(solution.sigma[j]) / max(rms, 1e-300)
+            reason = f"leaves {percent(share)} of the torque ({solution.sigma[j]:.3g} N m)"
+            at = self._own(j).start
+            dry, error = float(solution.theta[at]), float(np.sqrt(solution.covariance[at, at]))
+            drives = dry < -CLEARLY * error
+            if drives:
+                reason += f"; Coulomb friction of {dry:.3g} N m cannot be: record moves both ways"
+            good = share < POOR_SHARE and not drives
+            verdicts.append(Verdict(joint=name, good=good, reason=reason))
+        reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
+        verdicts.append(Verdict(good=not missing, reason=reason))
+        return verdicts
+
+
+def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
+    """Entries of a friction surface, forward and backward, per Coulomb, viscous and offset.
+
+    Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
+    taken off.
+
+    Parameters
+    ----------
+    fastest : float
+        Upper end of the surface's speed range [rad/s; m/s where prismatic].
+    terms : int
+        How many of the three there are.
+
+    Returns
+    -------
+    tuple of two (2, terms) arrays
+    """
+    ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
+    return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

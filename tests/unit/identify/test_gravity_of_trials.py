@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
-from seqid_cli.identify.friction_surface.trials import Ramps, Trial, gravity_columns
+from seqid_cli.identify.friction_surface.gravity_separation import (
+    GravityFit,
+    fit_gravity,
+    gravity_columns,
+)
+from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.robot.types import Robot
 from tests.unit.robot.robots import arm_6r
 

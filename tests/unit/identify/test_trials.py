@@ -10,6 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
+from seqid_cli.identify.friction_surface.gravity_separation import (
+    gravity_columns,
+    half_sums,
+    plane_across,
+)
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.friction_surface.trials import (
     Ramps,
@@ -18,9 +23,6 @@ from seqid_cli.identify.friction_surface.trials import (
     by_joint,
     collect_trials,
     configurations,
-    gravity_columns,
-    half_sums,
-    plane_across,
     speed_levels,
 )
 from seqid_cli.identify.options import FrictionOptions

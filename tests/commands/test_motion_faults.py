@@ -25,9 +25,9 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Rig
 from tests.plants.robotfile import robot_toml
+from tests.plants.robots.lab import true_standard, true_value
 from tests.studies.fused_cases import Case, Fault, case
 from tests.studies.fused_cases import Rig as Arm
-from tests.studies.lab import true_standard, true_value
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from seqid_cli.logs.read import read_recordings
 from seqid_cli.robot.types import Robot
 from tests.plants.experiments import friction_trials, imu_trials, inertia_trials
 from tests.plants.rigs import two_joint
+from tests.plants.robots.identified import sequential
+from tests.plants.robots.lab import Experiment, run
 from tests.plants.samples import T0_NS
 from tests.plants.simulate import Log, Plant
-from tests.studies.identified import sequential
-from tests.studies.lab import Experiment, run
 from tests.studies.tables import table
 from tests.studies.two_joint import POSTURES
 from tests.unit.logs.writers import write_mcap, write_parquet

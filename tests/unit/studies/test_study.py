@@ -15,6 +15,8 @@ from seqid_cli.params.schema import Parameter
 from tests.plants.experiments import friction_trials
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
+from tests.plants.robots.identified import noise_floor, summed
+from tests.plants.robots.lab import recording_of, robot_of, run, true_standard, true_value
 from tests.plants.simulate import simulate
 from tests.plants.trajectories import single, sweeps, trapezoid
 from tests.studies import formats, recorded
@@ -29,8 +31,6 @@ from tests.studies.bound import (
     surface_of,
     whittle,
 )
-from tests.studies.identified import noise_floor, summed
-from tests.studies.lab import recording_of, robot_of, run, true_standard, true_value
 from tests.studies.noise_floor import Case, outcome
 from tests.studies.tables import number, placed, rms, share_within, spread, table
 from tests.studies.variants import another

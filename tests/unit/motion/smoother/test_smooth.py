@@ -38,9 +38,9 @@ from seqid_cli.typing import Array
 from tests.plants.experiments import inertia_trials, validation_trials
 from tests.plants.rigid import link_motion as true_link
 from tests.plants.rigs import one_joint, six_joint, two_joint
+from tests.plants.robots.lab import recording_of, robot_of
+from tests.plants.robots.small import random_model
 from tests.plants.simulate import Log, Plant, simulate
-from tests.studies.lab import recording_of, robot_of
-from tests.unit.robot.robots import random_model
 
 SETTLED = slice(200, -200)
 RIGS = ("one", "one_400", "two", "six")

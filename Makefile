@@ -103,10 +103,14 @@ RUN_LOGS := friction gravity imu inertia validation
 # $(call logs,FOLDERS): the logs of a rig's folders, so that a new log makes its results again
 logs = $$(foreach folder,$(1),$$(wildcard sample_logs/$$*/$$(folder)/*))
 
-.PHONY: demo demo-refine
-demo: $(RIGS:%=$(OUT)/%/report.html) $(filter $(OUT)/two_joint/%,$(RIGS:%=$(OUT)/%/refined.html)) ## identify the sample robots, refine one
+REPORTS := $(RIGS:%=$(OUT)/%/report.html)
+REFINED := $(RIGS:%=$(OUT)/%/refined.html)
 
-demo-refine: $(RIGS:%=$(OUT)/%/refined.html) ## refine all sample robots
+.PHONY: demo demo-refine
+demo: $(REPORTS) $(filter $(OUT)/two_joint/%,$(REFINED)) ## identify the sample robots, refine one that has changed
+	@echo 'reports: $^ (refine the other robots as well: make demo-refine)'
+
+demo-refine: $(REFINED) ## refine all sample robots, each of which has changed (minutes)
 
 $(OUT)/%/report.html: sample_logs/%/robot.toml $(call logs,$(RUN_LOGS)) | $(RUN)
 	$(SEQID) run sample_logs/$* -r $< -o $(@D)
@@ -117,8 +121,10 @@ $(OUT)/%/inertia.json: $(OUT)/%/report.html ;
 $(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs,changed) | $(RUN)
 	$(SEQID) diagnose sample_logs/$*/changed -r $< -p $(@D)/inertia.json -o $(@D)/changed_diagnosis.json
 	$(SEQID) refine sample_logs/$*/changed/fourier.parquet sample_logs/$*/changed/trapezoids.parquet \
-		--holdout sample_logs/$*/changed/held_out.parquet -r $< -p $(@D)/inertia.json -o $(@D)/refined.json
-	$(SEQID) report $(@D)/inertia.json $(@D)/changed_diagnosis.json $(@D)/refined.json -o $@
+		--holdout sample_logs/$*/changed/held_out.parquet -r $< -p $(@D)/inertia.json -o $(@D)/refined.json --strict
+	$(SEQID) report $(@D)/inertia.json $(@D)/prediction.json $(@D)/changed_diagnosis.json $(@D)/refined.json \
+		--torques $(@D)/torques.parquet -o $@
+	@echo 'loop closed on $*: diagnose named what changed, refine added it, the held-out log confirms it: $@'
 
 # ---- regression: the demo's models against those that are kept in sample_logs/
 

@@ -143,7 +143,7 @@ def test_parts_of_the_study_can_be_chosen() -> None:
 def test_parts_leave_the_page_alone() -> None:
     assert not program.written("undeclared", parsed("--rig", "two"))
     assert program.written("undeclared", parsed())
-    assert program.written("formats", parsed("--rig", "two"))
+    assert program.written("one_joint", parsed("--rig", "two"))
     assert "<!-- study:undeclared -->" in undeclared.DOCUMENT.read_text(encoding="utf-8")
 
 

@@ -21,7 +21,6 @@ BIN := $(VENV)/bin
 RUN := $(VENV)/.installed
 DEV := $(VENV)/.installed-dev
 SEQID := $(BIN)/seqid
-STAGES := friction gravity imu inertia prediction diagnosis changed_diagnosis refined
 
 .PHONY: help
 help: ## list the targets
@@ -43,8 +42,11 @@ $(DEV): pyproject.toml | $(BIN)/python
 
 # ---- checks
 
-.PHONY: test docs-test lint types
-test: $(DEV) ## run the tests
+.PHONY: test test-all docs-test lint types
+test: $(DEV) ## run the tests, apart from those that take long
+	$(BIN)/python -m pytest -n $(WORKERS) -m 'not slow'
+
+test-all: $(DEV) ## run every test
 	$(BIN)/python -m pytest -n $(WORKERS)
 
 docs-test: $(DEV) ## run every command of the documents, also those that take minutes
@@ -95,46 +97,34 @@ fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minute
 samples: $(DEV) ## make sample_logs/ anew (simulated, seeded)
 	$(BIN)/python -m tests.plants.samples sample_logs
 
-# ---- demo: every stage of every rig in sample_logs/, each made from one before
+# ---- demo: sample_logs/ from logs to reports
 
-.PHONY: demo
-demo: $(foreach rig,$(RIGS),$(STAGES:%=$(OUT)/$(rig)/%.json) $(OUT)/$(rig)/report.html) ## identify the sample robots
+RUN_LOGS := friction gravity imu inertia validation
+# $(call logs,FOLDERS): the logs of a rig's folders, so that a new log makes its results again
+logs = $$(foreach folder,$(1),$$(wildcard sample_logs/$$*/$$(folder)/*))
 
-# $(call logs,FOLDER): the logs of a rig's folder, so that a new log makes its stage again
-logs = $$(wildcard sample_logs/$$*/$(1)/*)
+REPORTS := $(RIGS:%=$(OUT)/%/report.html)
+REFINED := $(RIGS:%=$(OUT)/%/refined.html)
 
-$(OUT)/%/friction.json: sample_logs/%/robot.toml $(call logs,friction) | $(RUN)
-	@mkdir -p $(@D)
-	$(SEQID) friction sample_logs/$*/friction -r $< -o $@
+.PHONY: demo demo-refine
+demo: $(REPORTS) $(filter $(OUT)/two_joint/%,$(REFINED)) ## identify the sample robots, refine one that has changed
+	@echo 'reports: $^ (refine the other robots as well: make demo-refine)'
 
-$(OUT)/%/gravity.json: sample_logs/%/robot.toml $(OUT)/%/friction.json $(call logs,gravity) | $(RUN)
-	$(SEQID) gravity $(wildcard sample_logs/$*/gravity) sample_logs/$*/friction -r $< -p $(word 2,$^) -o $@
+demo-refine: $(REFINED) ## refine all sample robots, each of which has changed (minutes)
 
-$(OUT)/%/imu.json: sample_logs/%/robot.toml $(OUT)/%/gravity.json $(call logs,imu) | $(RUN)
-	$(SEQID) imu-calib sample_logs/$*/imu -r $< -p $(word 2,$^) -o $@
+$(OUT)/%/report.html: sample_logs/%/robot.toml $(call logs,$(RUN_LOGS)) | $(RUN)
+	$(SEQID) run sample_logs/$* -r $< -o $(@D)
 
-$(OUT)/%/inertia.json: sample_logs/%/robot.toml $(OUT)/%/imu.json $(call logs,inertia) | $(RUN)
-	$(SEQID) inertia sample_logs/$*/inertia -r $< -p $(word 2,$^) -o $@
-
-$(OUT)/%/prediction.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,validation) | $(RUN)
-	$(SEQID) predict sample_logs/$*/validation -r $< -p $(word 2,$^) -o $@ --torques $(@D)/torques.parquet
-
-$(OUT)/%/diagnosis.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,validation) | $(RUN)
-	$(SEQID) diagnose sample_logs/$*/validation -r $< -p $(word 2,$^) -o $@
+$(OUT)/%/inertia.json: $(OUT)/%/report.html ;
 
 # After that something on the arm changed, and nobody told: what, and the model that knows it.
-$(OUT)/%/changed_diagnosis.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,changed) | $(RUN)
-	$(SEQID) diagnose sample_logs/$*/changed -r $< -p $(word 2,$^) -o $@
-
-$(OUT)/%/refined.json: sample_logs/%/robot.toml $(OUT)/%/inertia.json $(call logs,changed) | $(RUN)
+$(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs,changed) | $(RUN)
+	$(SEQID) diagnose sample_logs/$*/changed -r $< -p $(@D)/inertia.json -o $(@D)/changed_diagnosis.json
 	$(SEQID) refine sample_logs/$*/changed/fourier.parquet sample_logs/$*/changed/trapezoids.parquet \
-		--holdout sample_logs/$*/changed/held_out.parquet -r $< -p $(word 2,$^) -o $@
-
-$(OUT)/%/report.html: $(foreach stage,$(STAGES),$(OUT)/%/$(stage).json) | $(RUN)
-	$(SEQID) report $^ --torques $(@D)/torques.parquet -o $@
-
-# Made on the way, kept all the same: the next stage starts from them.
-.SECONDARY:
+		--holdout sample_logs/$*/changed/held_out.parquet -r $< -p $(@D)/inertia.json -o $(@D)/refined.json --strict
+	$(SEQID) report $(@D)/inertia.json $(@D)/prediction.json $(@D)/changed_diagnosis.json $(@D)/refined.json \
+		--torques $(@D)/torques.parquet -o $@
+	@echo 'loop closed on $*: diagnose named what changed, refine added it, the held-out log confirms it: $@'
 
 # ---- regression: the demo's models against those that are kept in sample_logs/
 

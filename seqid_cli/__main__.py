@@ -24,9 +24,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        from seqid_cli.commands.streams import prepare_process
-
-        prepare_process()
+        _prepare_process()
     if arguments == ["--version"]:  # before Typer is imported: three times as fast
         return _version()
     # Small matrices: a second BLAS thread costs many times what it gains, and changes last digits.
@@ -34,6 +32,15 @@ def _run(argv: Sequence[str] | None) -> int:
     from seqid_cli.commands.app import run
 
     return run(arguments)
+
+
+def _prepare_process() -> None:
+    from seqid_cli.commands.signals import answer_signals
+
+    answer_signals()  # first: from here on an interrupt is answered
+    from seqid_cli.commands.streams import prepare_streams
+
+    prepare_streams()
 
 
 def _version() -> int:

@@ -22,7 +22,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.robot.base import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import torque_regressor
-from tests.benchmarks.arm import write_arm
+from tests.plants.robots.seven_joint import write_arm
 from tests.studies.tables import table
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 from seqid_cli.robot.file import load_robot
 from tests.benchmarks import whole_run_figaroh
-from tests.benchmarks.arm import write_arm, write_log
+from tests.plants.robots.seven_joint import write_arm, write_log
 from tests.studies.tables import table
 
 COMPARED, LONGER, LONGEST, VERY_LONG = 200_000, 1_000_000, 2_000_000, 10_000_000

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.benchmarks.arm import JOINTS, RATE_HZ, SIGN_WIDTH, known_friction
 from tests.benchmarks.ingestion_cases import cpu_s, peak_mib
+from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, SIGN_WIDTH, known_friction
 
 Array = NDArray[np.float64]
 # Central differences; with those of second order (np.gradient) inertias are 1e-5 off.

@@ -23,7 +23,7 @@ import numpy as np
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests.benchmarks import figaroh_case
-from tests.benchmarks.arm import RATE_HZ, motion
+from tests.plants.robots.seven_joint import RATE_HZ, motion
 from tests.studies.tables import table
 
 INTERPRETER = "SEQID_FIGAROH"

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -18,6 +20,7 @@ from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Robot
+from tests import ROOT
 from tests.unit.params.documents import JOINTS
 
 ROBOT_TOML = (
@@ -55,6 +58,26 @@ class Rig:
         file.robot.sha256 = load_robot(self.folder / "robot.toml").sha256
         write_json_atomic(self.folder / name, file)
         return name
+
+
+ONE_JOINT = ROOT / "sample_logs" / "one_joint"
+
+
+def run(folder: Path, *more: str, robot: str = "logs/robot.toml", out: str = "out") -> int:
+    """Run all stages on `logs` in a folder."""
+    logs, file = str(folder / "logs"), str(folder / robot)
+    return main(["run", logs, "-r", file, "-o", str(folder / out), *more])
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the logs of a sample robot, old ones, and what `seqid run` makes of them."""
+    folder = tmp_path_factory.mktemp("lab")
+    shutil.copytree(ONE_JOINT, folder / "logs")
+    for path in (folder / "logs").rglob("*"):
+        os.utime(path, (1e9, 1e9))
+    assert run(folder) == 0
+    return folder
 
 
 @pytest.fixture

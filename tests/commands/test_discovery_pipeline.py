@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA
@@ -23,34 +22,17 @@ HELD_OUT = RIG / "changed" / "held_out.parquet"
 TRUTH = json.loads((RIG / "truth.json").read_text())["changed"]
 
 
-@pytest.fixture(scope="module")
-def parameters(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("stages")
-    friction, inertia = folder / "friction.json", folder / "inertia.json"
-    logs = str(RIG / "friction")
-    gravity, imu = folder / "gravity.json", folder / "imu.json"
-    assert main(["friction", logs, *ROBOT, "-o", str(friction), "-q"]) == 0
-    assert main(["gravity", logs, *ROBOT, "-p", str(friction), "-o", str(gravity), "-q"]) == 0
-    stage = ["imu-calib", str(RIG / "imu"), *ROBOT, "-p", str(gravity), "-o", str(imu)]
-    assert main([*stage, "-q"]) == 0
-    stage = ["inertia", str(RIG / "inertia"), *ROBOT, "-p", str(imu), "-o", str(inertia)]
-    assert main([*stage, "-q"]) == 0
-    return inertia
+@pytest.fixture(scope="session")
+def parameters(lab: Path) -> Path:
+    return lab / "out" / "inertia.json"
 
 
-def test_a_diagnosis_of_real_logs(
-    tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
+def test_a_diagnosis_that_finds_nothing_is_strictly_fine(
+    parameters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    output = tmp_path / "diagnosis.json"
-    command = ["diagnose", str(RIG / "validation"), *ROBOT, "-p", str(parameters)]
-    assert main([*command, "-o", str(output), "--json"]) == 0, capsys.readouterr().err
-    assert capsys.readouterr().out == output.read_text()
-    document = json.loads(output.read_text())
-    jsonschema.validate(document, json_schema(DIAGNOSIS_SCHEMA))
-    joint = document["joints"]["joint_1"]
-    assert 0.0 < joint["noise_floor"] <= 1.2 * joint["rmse"]
-    assert document["verdict"] == "nothing_missing"
-    assert main([*command, "--strict", "-q"]) == 0
+    command = ["diagnose", str(RIG / "validation"), *ROBOT, "-p", str(parameters), "--strict"]
+    assert main([*command, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "nothing_missing"
 
 
 def test_a_diagnosis_of_logs_after_a_change(tmp_path: Path, parameters: Path) -> None:

@@ -11,11 +11,12 @@ from seqid_cli.params.document import now, tool
 from seqid_cli.params.schema import SCHEMA, ParameterFile, RobotId, Stages
 from seqid_cli.robot.file import load_robot
 from tests.commands.conftest import Rig
-from tests.unit.export.arms import SAMPLES, random_bodies, stages_of
+from tests.plants.robots.sample import sample_robot
+from tests.plants.robots.stages import SAMPLES, random_bodies, stages_of
 
 
 def file_of(stages: Stages, robot: str = "two_joint") -> ParameterFile:
-    loaded = load_robot(SAMPLES / robot / "robot.toml")
+    loaded = sample_robot(robot)
     identity = RobotId(name=loaded.name, joints=list(loaded.joint_names), sha256=loaded.sha256)
     return ParameterFile(
         schema=SCHEMA, created=now(), tool=tool(), robot=identity, inputs=[], stages=stages

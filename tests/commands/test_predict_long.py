@@ -25,8 +25,15 @@ from seqid_cli.robot.base import standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
-from tests.benchmarks.arm import COULOMB, JOINTS, RATE_HZ, known_friction, motion, write_arm
 from tests.commands.conftest import Rig
+from tests.plants.robots.seven_joint import (
+    COULOMB,
+    JOINTS,
+    RATE_HZ,
+    known_friction,
+    motion,
+    write_arm,
+)
 from tests.unit.logs.writers import joint_messages, write_messages
 
 LOGS = {"a.mcap": 12_000, "b.mcap": 3_000}  # samples; the first is long

@@ -7,29 +7,19 @@ import os
 import shutil
 from pathlib import Path
 
+import jsonschema
+import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
-from tests import ROOT
+from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
+from seqid_cli.params.generate import json_schema
+from seqid_cli.params.io import read_parameters
+from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
+from seqid_cli.params.schema import SCHEMA
+from tests.commands.conftest import ONE_JOINT, run
 
-SAMPLES = ROOT / "sample_logs" / "one_joint"
 NAMES = ("friction", "gravity", "imu", "inertia", "prediction", "diagnosis")
-
-
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of logs, old ones, and the results of a run of them."""
-    folder = tmp_path_factory.mktemp("lab")
-    shutil.copytree(SAMPLES, folder / "logs")
-    for path in (folder / "logs").rglob("*"):
-        os.utime(path, (1e9, 1e9))
-    assert run(folder) == 0
-    return folder
-
-
-def run(folder: Path, *more: str, robot: str = "logs/robot.toml", out: str = "out") -> int:
-    logs, file = str(folder / "logs"), str(folder / robot)
-    return main(["run", logs, "-r", file, "-o", str(folder / out), *more])
 
 
 def copied(lab: Path, folder: Path) -> Path:
@@ -52,6 +42,30 @@ def test_the_files_are_those_of_the_single_commands(lab: Path) -> None:
     assert main([*command, "-o", str(alone)]) == 0
     one, other = (json.loads(p.read_text())["stages"] for p in (alone, out / "friction.json"))
     assert one == other
+
+
+def test_every_file_keeps_to_its_schema_and_says_all_stages(lab: Path) -> None:
+    out = lab / "out"
+    schemas = {"prediction": PREDICTION_SCHEMA, "diagnosis": DIAGNOSIS_SCHEMA}
+    for name in NAMES:
+        document = json.loads((out / f"{name}.json").read_text())
+        jsonschema.validate(document, json_schema(schemas.get(name, SCHEMA)))
+    inputs = read_parameters(out / "inertia.json").inputs
+    assert {log.stage for log in inputs} == {"friction", "gravity", "imu", "inertia"}
+
+
+def test_the_model_predicts_logs_that_it_has_not_seen(lab: Path) -> None:
+    prediction = json.loads((lab / "out" / "prediction.json").read_text())
+    assert prediction["joints"]["joint_1"]["relative_rmse"] < 0.1
+    rows = sum(log["samples"] for log in prediction["logs"])
+    assert pq.read_metadata(lab / "out" / "torques.parquet").num_rows == rows
+
+
+def test_nothing_is_missing_where_nothing_is(lab: Path) -> None:
+    diagnosis = json.loads((lab / "out" / "diagnosis.json").read_text())
+    joint = diagnosis["joints"]["joint_1"]
+    assert 0.0 < joint["noise_floor"] <= 1.2 * joint["rmse"]
+    assert diagnosis["verdict"] == "nothing_missing"
 
 
 def test_what_is_newer_than_its_logs_is_kept(
@@ -92,7 +106,7 @@ def test_it_stops_at_the_first_poor_stage_also_when_resumed(
 
 def test_it_needs_friction_trials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "logs").mkdir()
-    shutil.copy(SAMPLES / "robot.toml", tmp_path / "logs")
+    shutil.copy(ONE_JOINT / "robot.toml", tmp_path / "logs")
     assert run(tmp_path) == 2
     said = capsys.readouterr().err
     assert "friction/" in said

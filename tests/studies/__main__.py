@@ -12,7 +12,6 @@ from tests import ROOT
 from tests.studies import (
     closed_loop,
     coverage,
-    formats,
     fused_motion,
     imu_mounting,
     motion_sources,
@@ -38,7 +37,6 @@ STUDIES: Mapping[str, Study] = {
     "recorded": lambda chosen: recorded.study(),
     "table_two": table_two.study,
     "motion_sources": motion_sources.study,
-    "formats": lambda chosen: formats.study(6 if chosen.quick else 12),
     "imu_mounting": lambda chosen: imu_mounting.study(
         2 if chosen.quick else 100, folder=None if chosen.quick else chosen.cache / "imu_mounting"
     ),

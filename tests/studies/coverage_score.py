@@ -20,9 +20,9 @@ from seqid_cli import identify
 from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, ImuStage, RigidStage, Stages
+from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import Plant
 from tests.studies.coverage_cases import STREAM, Case, draw, record
-from tests.studies.lab import true_standard, true_value
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]

@@ -16,10 +16,10 @@ from seqid_cli.robot.types import Imu, Robot
 from tests.plants.experiments import inertia_trials, validation_trials
 from tests.plants.rigid import LinkMotion, link_motion
 from tests.plants.rigs import mounting, one_joint, six_joint, two_joint
+from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, quantise, tetrahedral_array
 from tests.plants.simulate import Log, Plant, simulate
 from tests.plants.trajectories import Reference, hold, join
-from tests.studies.lab import recording_of, robot_of
 
 Array = NDArray[np.float64]
 

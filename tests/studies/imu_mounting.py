@@ -29,9 +29,9 @@ from tests.plants.experiments import swing
 from tests.plants.injections_drive import backlash, elastic
 from tests.plants.rigid import link_motion
 from tests.plants.rigs import one_joint, six_joint, two_joint
+from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, Faults, quantise
 from tests.plants.simulate import Log, Plant, simulate
-from tests.studies.lab import recording_of, robot_of
 from tests.studies.tables import table
 
 Array = NDArray[np.float64]

@@ -18,9 +18,9 @@ from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
 from tests import ROOT
-from tests.studies.identified import HeldOut, summed
+from tests.plants.robots.identified import HeldOut, summed
+from tests.plants.robots.sample import Rig
 from tests.studies.tables import number, table
-from tests.unit.identify.rigs import Rig
 
 Array = NDArray[np.float64]
 

@@ -28,11 +28,11 @@ from seqid_cli.model.effects.scene import Scene
 from tests import ROOT
 from tests.plants.experiments import Trial, span_of, validation_trials
 from tests.plants.rigs import one_joint, two_joint
+from tests.plants.robots.identified import simultaneous
+from tests.plants.robots.lab import run
 from tests.plants.simulate import Log, Plant
 from tests.plants.trajectories import point_to_point
 from tests.plants.twin import inverse
-from tests.studies.identified import simultaneous
-from tests.studies.lab import run
 from tests.studies.tables import number, table
 from tests.studies.variants import another
 

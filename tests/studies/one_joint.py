@@ -20,16 +20,16 @@ from tests.plants.experiments import (
     validation_trials,
 )
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint
-from tests.plants.simulate import Plant
-from tests.studies.bound import Knowledge, bounds
-from tests.studies.identified import (
+from tests.plants.robots.identified import (
     before_inertia,
     held_out,
     noise_floor,
     simultaneous,
     with_inertia,
 )
-from tests.studies.lab import Experiment, run
+from tests.plants.robots.lab import Experiment, run
+from tests.plants.simulate import Plant
+from tests.studies.bound import Knowledge, bounds
 from tests.studies.tables import number, rms, spread, table
 from tests.studies.variants import another
 

@@ -10,7 +10,7 @@ from seqid_cli.logs.read import read_recordings
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
-from tests.studies.identified import HeldOut, held_out, simultaneous
+from tests.plants.robots.identified import HeldOut, held_out, simultaneous
 from tests.studies.tables import number, table
 
 DATA = ROOT / ".." / "shared" / "data"

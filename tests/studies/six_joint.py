@@ -20,10 +20,10 @@ from tests.plants.experiments import (
     validation_trials,
 )
 from tests.plants.rigs import six_joint
+from tests.plants.robots.identified import HeldOut, held_out, noise_floor, sequential, simultaneous
+from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant
-from tests.studies.identified import HeldOut, held_out, noise_floor, sequential, simultaneous
-from tests.studies.lab import run, true_standard, true_value
 from tests.studies.tables import number, rms, share_within, table
 from tests.studies.variants import another
 

@@ -27,10 +27,10 @@ from tests.plants.experiments import (
     inertia_trials,
 )
 from tests.plants.rigs import LINK_INERTIA, one_joint
+from tests.plants.robots.identified import before_inertia, with_inertia
+from tests.plants.robots.lab import Experiment, run
 from tests.plants.sensors import Faults
 from tests.plants.simulate import Plant
-from tests.studies.identified import before_inertia, with_inertia
-from tests.studies.lab import Experiment, run
 from tests.studies.tables import number, table
 from tests.studies.variants import another
 

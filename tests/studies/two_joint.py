@@ -20,9 +20,9 @@ from tests.plants.experiments import (
     validation_trials,
 )
 from tests.plants.rigs import two_joint
+from tests.plants.robots.identified import held_out, noise_floor, sequential, simultaneous
+from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.simulate import Plant
-from tests.studies.identified import held_out, noise_floor, sequential, simultaneous
-from tests.studies.lab import run, true_standard, true_value
 from tests.studies.tables import number, rms, spread, table
 from tests.studies.variants import another
 

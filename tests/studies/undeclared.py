@@ -10,10 +10,9 @@ from typing import get_args
 from tests import ROOT
 from tests.studies.coverage_cases import RIGS
 from tests.studies.undeclared_cases import ARM, RIG_NAMES, Condition, Group, matrix, quick
-from tests.studies.undeclared_evidence import write_evidence
 from tests.studies.undeclared_refine import refined_table, refinements
 from tests.studies.undeclared_run import Choice, package_sources, run
-from tests.studies.undeclared_tables import judged, tables
+from tests.studies.undeclared_tables import tables
 
 DOCUMENT = ROOT / "docs" / "effects_study.md"
 
@@ -22,7 +21,6 @@ def study(arguments: Namespace) -> str:
     """Run what is not there yet; return the tables."""
     choice = choice_of(arguments)
     records = run(choice)
-    write_evidence(choice.cache / "findings.jsonl", judged(records))
     parts = [tables(records, len(choice.cases))]
     if arguments.refine:
         content = refined_table(refinements(choice))

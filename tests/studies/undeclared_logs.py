@@ -21,12 +21,12 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.plants import cases
 from tests.plants.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.robots.identified import simultaneous
+from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant, simulate
 from tests.plants.trajectories import Reference
 from tests.plants.trials import SEED_STRIDE, Drill, drills
-from tests.studies.identified import simultaneous
-from tests.studies.lab import recording_of, robot_of
 from tests.studies.undeclared_cases import (
     SENSORS,
     Condition,

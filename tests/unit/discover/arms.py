@@ -16,7 +16,8 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
 from seqid_cli.robot.base import free_basis
-from tests.unit.model.effects.scenes import scene_of, torque_model, two_joint_robot, wander
+from tests.plants.robots.two_joint import torque_model, two_joint_robot
+from tests.unit.model.effects.scenes import scene_of, wander
 
 Array = NDArray[np.float64]
 Extra = Callable[[Scene], Array]  # (N, n) N m, not filtered

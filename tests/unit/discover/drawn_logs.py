@@ -16,7 +16,7 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
-from tests.unit.model.effects.scenes import two_joint_robot
+from tests.plants.robots.two_joint import two_joint_robot
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.model.effects.scene import Scene
-from tests.unit.model.effects.scenes import scene_of, torque_model, two_joint_robot, wander
+from tests.plants.robots.two_joint import torque_model, two_joint_robot
+from tests.unit.model.effects.scenes import scene_of, wander
 
 Array = NDArray[np.float64]
 

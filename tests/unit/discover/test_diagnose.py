@@ -30,10 +30,10 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.laws import Extra, Stribeck
+from tests.plants.robots.identified import simultaneous
+from tests.plants.robots.lab import recording_of, robot_of
+from tests.plants.robots.two_joint import friction_surface
 from tests.plants.trials import run_drill
-from tests.studies.identified import simultaneous
-from tests.studies.lab import recording_of, robot_of
-from tests.unit.model.effects.scenes import friction_surface
 
 Array = NDArray[np.float64]
 

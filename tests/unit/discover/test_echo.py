@@ -18,14 +18,13 @@ from seqid_cli.model.torque import sliding
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.file import load_robot
 from tests.plants.experiments import span_of
 from tests.plants.friction import SurfaceFriction
 from tests.plants.rigs import plain, two_joint
+from tests.plants.robots.sample import sample_robot
 from tests.plants.simulate import simulate
 from tests.plants.trajectories import fourier
 from tests.unit.discover.drawn_logs import recording
-from tests.unit.identify.rigs import SAMPLE_LOGS
 
 Array = NDArray[np.float64]
 
@@ -66,7 +65,7 @@ class Fit:
 
     @cached_property
     def scenes(self) -> list[Scene]:
-        robot = load_robot(SAMPLE_LOGS / "two_joint" / "robot.toml")
+        robot = sample_robot("two_joint")
         return scenes_of(self.logs, robot, self.stages, options=InertiaOptions())
 
     @cached_property
@@ -81,7 +80,7 @@ class Fit:
 @pytest.fixture(scope="module")
 def fit() -> Fit:
     logs = simulated()
-    robot = load_robot(SAMPLE_LOGS / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     friction, inertia = identify_simultaneous(logs, robot, options=MotionOptions())
     return Fit(logs, Stages(friction=friction, inertia=inertia))
 

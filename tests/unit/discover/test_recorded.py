@@ -21,6 +21,7 @@ from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
+from tests.plants.robots.sample import sample_robot
 
 DATA = ROOT / ".." / "shared" / "data"
 SAMPLES = ROOT / "sample_logs"
@@ -133,6 +134,6 @@ def test_torque_of_other_robots_is_no_echo(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["one_joint", "two_joint", "six_joint"])
 def test_torque_of_the_sample_logs_is_no_echo(name: str) -> None:
-    robot = load_robot(SAMPLES / name / "robot.toml")
+    robot = sample_robot(name)
     for recording in read_recordings(expand([str(SAMPLES / name)]), robot):
         assert not [w for w in recording.health.warnings if WARNING in w], recording.path.name

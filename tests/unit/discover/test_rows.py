@@ -20,8 +20,9 @@ from seqid_cli.discover.rows import (
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import sliding
+from tests.plants.robots.two_joint import friction_surface
 from tests.unit.discover.arms import arm_scenes
-from tests.unit.model.effects.scenes import RATE_HZ, friction_surface, scene_of, wander
+from tests.unit.model.effects.scenes import RATE_HZ, scene_of, wander
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.turning import turns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
+from tests.plants.robots.two_joint import COULOMB
 from tests.unit.discover.arms import NOISE, arm_scenes, at_joint
-from tests.unit.model.effects.scenes import COULOMB
 
 Array = NDArray[np.float64]
 

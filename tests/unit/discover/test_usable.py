@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording, Whole
+from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import recording, wander
-from tests.unit.model.effects.scenes import two_joint_robot
 
 Array = NDArray[np.float64]
 

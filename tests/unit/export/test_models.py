@@ -21,10 +21,11 @@ from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
-from tests.unit.export.arms import (
+from tests.plants.robots.sample import sample_robot
+from tests.plants.robots.small import NAMES_6R, NAMES_GANTRY, urdf_6r, urdf_gantry
+from tests.plants.robots.stages import (
     SAMPLES,
     friction_stage,
     inertia_stage,
@@ -33,7 +34,6 @@ from tests.unit.export.arms import (
     seven_joints,
     stages_of,
 )
-from tests.unit.robot.robots import NAMES_6R, NAMES_GANTRY, urdf_6r, urdf_gantry
 
 Arm = tuple[Robot, Stages, bytes | None]
 
@@ -50,7 +50,7 @@ def made(folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: b
 def sample(rig: str) -> Arm:
     """A sample robot with bodies that exist; the real files are tested with the commands."""
     rng = np.random.default_rng(len(rig))
-    robot = load_robot(SAMPLES / rig / "robot.toml")
+    robot = sample_robot(rig)
     urdf = SAMPLES / rig / f"{rig}.urdf"
     phi = random_bodies(rng, robot.n) if robot.nominal is None else 0.9 * robot.nominal
     return robot, stages_of(robot, phi), urdf.read_bytes() if urdf.exists() else None
@@ -134,7 +134,7 @@ def test_mujoco_finds_the_identified_torque_in_the_mjcf(arm: Arm) -> None:
 
 @pytest.mark.parametrize("rig", ["one_joint", "two_joint"])
 def test_models_identified_from_the_sample_logs_keep_their_torque(rig: str) -> None:
-    robot = load_robot(SAMPLES / rig / "robot.toml")
+    robot = sample_robot(rig)
     arm = (robot, read_parameters(SAMPLES / rig / "golden.json").stages, None)
     expected = rigid(arm)
     done = written(arm, "URDF")

@@ -21,10 +21,10 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, Stages
-from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
-from tests.unit.export.arms import SAMPLES, random_bodies, save_robot, stages_of
-from tests.unit.robot.robots import NAMES_6R, joint, link, urdf, urdf_6r
+from tests.plants.robots.sample import sample_robot
+from tests.plants.robots.small import NAMES_6R, joint, link, urdf, urdf_6r
+from tests.plants.robots.stages import random_bodies, save_robot, stages_of
 
 
 def test_pseudo_inertia_and_back() -> None:
@@ -231,7 +231,7 @@ def test_rotor_inertia_goes_into_the_transmission_that_is_there(tmp_path: Path) 
 
 
 def payload(robot_last: list[float]) -> EffectOfJoint:
-    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     effect = FittedEffect(
         CATALOGUE["payload"], None, {"from_log": 0.0}, np.array(robot_last), np.eye(10)
     )
@@ -239,7 +239,7 @@ def payload(robot_last: list[float]) -> EffectOfJoint:
 
 
 def test_a_payload_is_part_of_the_last_link() -> None:
-    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     rng = np.random.default_rng(6)
     phi, load = random_bodies(rng, 2), random_bodies(rng, 1)[0]
     stages = stages_of(robot, phi)
@@ -255,7 +255,7 @@ def test_a_payload_is_part_of_the_last_link() -> None:
 
 
 def test_a_rotor_inertia_that_was_wrong_is_corrected() -> None:
-    robot = load_robot(SAMPLES / "six_joint" / "robot.toml")
+    robot = sample_robot("six_joint")
     assert robot.nominal is not None
     stages = stages_of(robot, robot.nominal)
     effect = CATALOGUE["rotor_inertia"]
@@ -268,7 +268,7 @@ def test_a_rotor_inertia_that_was_wrong_is_corrected() -> None:
 
 
 def test_effects_without_a_place_are_named() -> None:
-    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     stages = stages_of(robot, random_bodies(np.random.default_rng(7), 2))
     effect = EffectOfJoint(
         effect="stribeck",
@@ -284,14 +284,14 @@ def test_effects_without_a_place_are_named() -> None:
 
 
 def test_without_inertia_and_cad_there_is_nothing_to_write() -> None:
-    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     stages = stages_of(robot, random_bodies(np.random.default_rng(8), 2))
     with pytest.raises(ConfigError, match="no inertia stage"):
         export(robot, Stages(friction=stages.friction), kind="URDF")
 
 
 def test_parameters_of_another_robot_are_refused(tmp_path: Path) -> None:
-    robot = load_robot(SAMPLES / "six_joint" / "robot.toml")
+    robot = sample_robot("six_joint")
     other = save_robot(tmp_path, urdf_6r(), NAMES_6R)  # rotors free, other geometry
     stages = stages_of(robot, random_bodies(np.random.default_rng(9), 6))
     assert stages.inertia is not None
@@ -301,7 +301,7 @@ def test_parameters_of_another_robot_are_refused(tmp_path: Path) -> None:
 
 
 def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
-    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
     assert stages.inertia is not None
     gone = stages.inertia.parameters.pop()
@@ -313,7 +313,7 @@ def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
 
 
 def test_numbers_of_no_arm_are_refused(tmp_path: Path) -> None:
-    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
     assert stages.inertia is not None
     stages.inertia.representative["Izz_2"] = 1e200
@@ -338,7 +338,7 @@ def test_noise_of_any_size_gives_bodies_that_exist(tmp_path: Path, error: float)
 
 def test_torque_scale_of_any_size_is_solved() -> None:
     """Arms of grams and of tons are the same problem."""
-    robot = load_robot(SAMPLES / "two_joint" / "robot.toml")
+    robot = sample_robot("two_joint")
     phi = random_bodies(np.random.default_rng(11), 2)
     for scale in (1e-6, 1e6):
         stages = stages_of(robot, scale * phi)

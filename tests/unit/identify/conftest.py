@@ -2,25 +2,25 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.identify.rigs import Rig
+from tests.plants.robots.sample import Rig, sample_rig
 
 
 @pytest.fixture(scope="session")
 def one_joint() -> Rig:
     """The paper's one-joint rig."""
-    return Rig("one_joint")
+    return sample_rig("one_joint")
 
 
 @pytest.fixture(scope="session")
 def two_joint() -> Rig:
     """The paper's planar two-joint rig."""
-    return Rig("two_joint")
+    return sample_rig("two_joint")
 
 
 @pytest.fixture(scope="session")
 def six_joint() -> Rig:
     """An arm of a UR5e's size."""
-    return Rig("six_joint")
+    return sample_rig("six_joint")
 
 
 @pytest.fixture(params=["one_joint", "two_joint", "six_joint"])

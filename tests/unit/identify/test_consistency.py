@@ -16,8 +16,8 @@ from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base import free_basis, standard_names
 from seqid_cli.robot.types import Robot
 from tests.plants.rigs import six_joint, two_joint
+from tests.plants.robots.lab import robot_of, true_standard
 from tests.plants.simulate import Plant
-from tests.studies.lab import robot_of, true_standard
 
 
 def stage_of(robot: Robot, plant: Plant, *, off: float, seed: int = 0) -> RigidStage:

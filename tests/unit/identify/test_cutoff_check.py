@@ -16,7 +16,7 @@ from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base import base_parameters
 from tests.plants.rigs import one_joint
-from tests.studies.lab import robot_of
+from tests.plants.robots.lab import robot_of
 
 Array = NDArray[np.float64]
 

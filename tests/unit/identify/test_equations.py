@@ -19,7 +19,7 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.base import base_parameters, base_regressor
-from tests.unit.robot.robots import planar_2r
+from tests.plants.robots.small import planar_2r
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base import Basis, base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.benchmarks.arm import RATE_HZ, motion, write_arm
+from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm
 
 Array = NDArray[np.float64]
 LOWPASS = Lowpass(25.0, RATE_HZ)

@@ -13,7 +13,7 @@ from seqid_cli.identify.friction_surface.gravity_separation import (
 )
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.robot.types import Robot
-from tests.unit.robot.robots import arm_6r
+from tests.plants.robots.small import arm_6r
 
 Array = NDArray[np.float64]
 

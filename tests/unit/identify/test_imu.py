@@ -20,9 +20,9 @@ from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.motion.options import MotionOptions
 from tests.plants.experiments import Trial, swing
 from tests.plants.rigs import one_joint
+from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.simulate import Plant, simulate
 from tests.plants.trajectories import hold, join
-from tests.studies.lab import recording_of, robot_of
 
 Array = NDArray[np.float64]
 

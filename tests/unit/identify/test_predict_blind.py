@@ -22,7 +22,7 @@ from seqid_cli.params.schema import EffectOfJoint, RigidStage, Stages
 from seqid_cli.robot.base import standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.benchmarks.arm import known_friction, write_arm, write_log
+from tests.plants.robots.seven_joint import known_friction, write_arm, write_log
 
 ROWS, MOVING = 24_000, 18_000
 SAID = ("predicted", "low", "high", "sliding", "used", "q", "dq", "ddq")

@@ -15,15 +15,8 @@ from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, FrictionStage, Stages
-from tests.unit.model.effects.scenes import (
-    COULOMB,
-    CUTOFF_HZ,
-    RATE_HZ,
-    SIGN_WIDTH,
-    VISCOUS,
-    two_joint_robot,
-    wander,
-)
+from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
+from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, wander
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from seqid_cli.params.schema import EffectSession, RigidStage, Stages
 from seqid_cli.robot.base import standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.benchmarks.arm import known_friction, write_arm, write_log
+from tests.plants.robots.seven_joint import known_friction, write_arm, write_log
 from tests.unit.model.effects.scenes import settings_of
 
 ROWS = 40_000

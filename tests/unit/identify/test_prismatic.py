@@ -19,9 +19,9 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Chain, Joint, Robot
+from tests.plants.robots.sample import rmse
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import Reference, hold, join, sweeps, together, zigzag
-from tests.unit.identify.rigs import rmse
 
 Array = NDArray[np.float64]
 

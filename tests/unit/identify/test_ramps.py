@@ -15,9 +15,9 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.small import planar_2r
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import sweeps
-from tests.unit.robot.robots import planar_2r
 
 Array = NDArray[np.float64]
 

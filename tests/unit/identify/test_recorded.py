@@ -13,7 +13,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
-from tests.unit.identify.rigs import rmse
+from tests.plants.robots.sample import rmse
 
 DATA = ROOT / ".." / "shared" / "data"
 

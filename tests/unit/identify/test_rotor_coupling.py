@@ -17,8 +17,8 @@ from tests.plants.experiments import inertia_trials
 from tests.plants.friction import Frictionless
 from tests.plants.rigid import Arm
 from tests.plants.rigs import standard_parameters
+from tests.plants.robots.lab import recording_of, robot_of, true_standard, true_value
 from tests.plants.simulate import Plant, simulate
-from tests.studies.lab import recording_of, robot_of, true_standard, true_value
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base import base_parameters, base_regressor
 from tests.plants import rigs as plants
-from tests.unit.identify.rigs import Rig, rmse
+from tests.plants.robots.sample import Rig, rmse
 
 Array = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import PHI_NAMES
 from tests.plants.rigs import six_joint
+from tests.plants.robots.sample import rmse
+from tests.plants.robots.small import arm_6r
 from tests.plants.trajectories import fourier
-from tests.unit.identify.rigs import rmse
-from tests.unit.robot.robots import arm_6r
 
 Array = NDArray[np.float64]
 

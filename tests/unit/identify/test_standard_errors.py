@@ -14,7 +14,7 @@ from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.parameters import imu_moves
 from seqid_cli.robot.base import free_basis
 from tests.plants.rigs import two_joint
-from tests.studies.lab import robot_of
+from tests.plants.robots.lab import robot_of
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.benchmarks.arm import known_friction, write_arm, write_log
+from tests.plants.robots.seven_joint import known_friction, write_arm, write_log
 
 SAMPLES = 12_000
 OPTIONS = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=())

@@ -24,8 +24,8 @@ from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base import base_parameters
 from seqid_cli.robot.types import Robot
 from tests.plants.rigs import MOMENT, one_joint
-from tests.studies.lab import robot_of
-from tests.unit.identify.rigs import Rig
+from tests.plants.robots.lab import robot_of
+from tests.plants.robots.sample import Rig
 from tests.unit.identify.test_gravity import NEGATIVE, POSITIVE, surface_of, trials
 
 Array = NDArray[np.float64]

@@ -31,9 +31,9 @@ from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.small import arm_6r, planar_2r, random_model, robot_from_chain
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import sweeps
-from tests.unit.robot.robots import arm_6r, planar_2r, random_model, robot_from_chain
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.benchmarks.arm import JOINTS, RESOLUTION, write_arm
+from tests.plants.robots.seven_joint import JOINTS, RESOLUTION, write_arm
 
 RATE = 1000
 PAUSE_S, REACH, ACCELERATION = 0.4, 0.5, 4.0

@@ -9,6 +9,7 @@ import pytest
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.file import load_robot
+from tests.plants.robots.sample import sample_robot
 from tests.unit.inspect.faults import SAMPLES
 
 DATA = SAMPLES.parent / ".." / "shared" / "data"
@@ -56,7 +57,7 @@ def name_of(path: Path) -> str:
     [(rig, stage) for rig in RIGS for stage in STAGES if (SAMPLES / rig / stage).is_dir()],
 )
 def test_sample_logs_are_good(rig: str, stage: str) -> None:
-    robot = load_robot(SAMPLES / rig / "robot.toml")
+    robot = sample_robot(rig)
     report = inspect_logs(logs_of(SAMPLES / rig / stage), robot)
     assert report.findings == []
     served = {"friction": "friction", "gravity": "gravity", "imu": "imu-calib"}.get(

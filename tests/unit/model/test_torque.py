@@ -27,7 +27,7 @@ from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import six_joint
-from tests.unit.robot.robots import arm_6r
+from tests.plants.robots.small import arm_6r
 
 Array = NDArray[np.float64]
 

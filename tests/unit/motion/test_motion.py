@@ -14,8 +14,8 @@ from seqid_cli.motion.motion import decimated, encoder_resolution, estimate_moti
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+from tests.plants.robots.small import arm_6r, planar_2r
 from tests.plants.sensors import quantise
-from tests.unit.robot.robots import arm_6r, planar_2r
 
 RATE = 500.0
 STEP = 2 * np.pi / 2**14

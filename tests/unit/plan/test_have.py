@@ -11,7 +11,7 @@ from seqid_cli.plan.have import information_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
-from tests.unit.plan.arms import SAMPLES, sample_robot
+from tests.plants.robots.sample import SAMPLES, sample_robot
 
 OPTIONS = PlanOptions(duration_s=12.0, move_s=4.0, pool=30, sweeps=1)
 

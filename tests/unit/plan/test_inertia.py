@@ -17,7 +17,7 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.refine import refine
 from seqid_cli.plan.shapes import COARSE_HZ, Shapes
 from seqid_cli.robot.base import base_regressor
-from tests.unit.plan.arms import sample_robot
+from tests.plants.robots.sample import sample_robot
 
 SECONDS = 6.0
 COUNT = 8

@@ -20,7 +20,8 @@ from seqid_cli.plan.shapes import COEFFICIENTS, Drawn, Shapes
 from seqid_cli.plan.trajectories import sampled
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.unit.plan.arms import drawn_robot, sample_robot
+from tests.plants.robots.lab import drawn_robot
+from tests.plants.robots.sample import sample_robot
 
 DENSE_HZ = 1000.0
 ROUNDING = 1e-3  # between the samples on which the amplitude was found, of which 5 % are spare

@@ -24,7 +24,8 @@ from seqid_cli.plan.strokes import profile, seconds_of
 from seqid_cli.plan.trajectories import sampled
 from seqid_cli.plan.validation import plan_validation
 from seqid_cli.robot.base import base_regressor
-from tests.unit.plan.arms import drawn_robot, sample_robot
+from tests.plants.robots.lab import drawn_robot
+from tests.plants.robots.sample import sample_robot
 
 OPTIONS = PlanOptions(duration_s=24.0, move_s=6.0, pool=60, sweeps=1)
 RATE_HZ = 500.0

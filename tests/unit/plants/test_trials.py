@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.plants.cases import RIGS, Case, injections, motions, recorded
+from tests.plants.robots.lab import recording_of
 from tests.plants.simulate import Log, Truth
 from tests.plants.trials import EVERY, FADE, PERIODS, RATE_HZ, load_log, record, save_log
-from tests.studies.lab import recording_of
 
 
 @pytest.mark.parametrize("rig", sorted(RIGS))

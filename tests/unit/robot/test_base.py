@@ -18,8 +18,7 @@ from seqid_cli.robot.base import (
 from seqid_cli.robot.dh import DhRow, chain_from_dh
 from seqid_cli.robot.regressor import gravity_regressor, rotor_regressor, torque_regressor
 from seqid_cli.robot.types import Array, Robot
-
-from .robots import (
+from tests.plants.robots.small import (
     GRAVITY,
     HALF,
     arm_6r,

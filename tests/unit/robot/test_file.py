@@ -16,8 +16,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
-
-from .robots import NAMES_6R, urdf_6r
+from tests.plants.robots.small import NAMES_6R, urdf_6r
 
 DATA = ROOT / ".." / "shared" / "data"
 

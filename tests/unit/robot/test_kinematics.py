@@ -15,8 +15,7 @@ from seqid_cli.robot.kinematics import (
 )
 from seqid_cli.robot.placement import rotation_about, tidy_position, tidy_rotation
 from seqid_cli.robot.types import Array
-
-from .robots import arm_6r, random_model, states
+from tests.plants.robots.small import arm_6r, random_model, states
 
 MIXED = [False, True, False, False]
 

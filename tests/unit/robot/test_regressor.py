@@ -16,8 +16,7 @@ from seqid_cli.robot.regressor import (
     torque_regressor,
 )
 from seqid_cli.robot.types import Array, Chain
-
-from .robots import ARM_6R, arm_6r, oracle_regressor, random_model, states
+from tests.plants.robots.small import ARM_6R, arm_6r, oracle_regressor, random_model, states
 
 MIXED = [False, False, True, False, False, True, False]
 

@@ -14,8 +14,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics, torque_regressor
 from seqid_cli.robot.types import Array, Robot
-
-from .robots import (
+from tests.plants.robots.small import (
     ARM_6R,
     GRAVITY,
     NAMES_6R,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from seqid_cli.params.schema import Parameter, RigidStage
+from tests.plants.robots.identified import HeldOut
 from tests.studies import motion_sources
-from tests.studies.identified import HeldOut
 from tests.studies.motion_sources import Found, cells, largest, rows_of, table_of
 
 

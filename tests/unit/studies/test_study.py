@@ -15,10 +15,12 @@ from seqid_cli.params.schema import Parameter
 from tests.plants.experiments import friction_trials
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
+from tests.plants.robots.identified import noise_floor, summed
+from tests.plants.robots.lab import recording_of, robot_of, run, true_standard, true_value
 from tests.plants.simulate import simulate
 from tests.plants.trajectories import single, sweeps, trapezoid
-from tests.studies import formats, recorded
 from tests.studies import one_joint as one_joint_study
+from tests.studies import recorded
 from tests.studies.bound import (
     Knowledge,
     bounds,
@@ -29,8 +31,6 @@ from tests.studies.bound import (
     surface_of,
     whittle,
 )
-from tests.studies.identified import noise_floor, summed
-from tests.studies.lab import recording_of, robot_of, run, true_standard, true_value
 from tests.studies.noise_floor import Case, outcome
 from tests.studies.tables import number, placed, rms, share_within, spread, table
 from tests.studies.variants import another
@@ -213,23 +213,9 @@ def test_true_value_follows_the_expression() -> None:
     assert len(true_standard(six_joint())) == 66
 
 
-def test_largest_difference() -> None:
-    assert formats.largest_difference([1.0, -2.0, 0.0], [1.0, -2.0, 0.0]) == 0.0
-    assert formats.largest_difference([1.0, -2.0], [1.0, -2.5]) == pytest.approx(0.2)
-    assert formats.largest_difference([1.0], [1.0, 2.0]) == float("inf")
-
-
 def test_recorded_robots_are_left_out_where_they_are_missing(tmp_path: Path) -> None:
     text = recorded.study(tmp_path)
     assert text.count("left out") == len(recorded.CASES)
-
-
-def test_formats_agree_and_the_table_says_so() -> None:
-    rows = formats.study(speeds=5).splitlines()
-    assert len(rows) == 4
-    for row in rows[2:]:
-        cells = [float(cell) for cell in row.split("|")[2:-1]]
-        assert max(cells) < 1e-6
 
 
 def test_one_joint_tables_are_complete(monkeypatch: pytest.MonkeyPatch) -> None:

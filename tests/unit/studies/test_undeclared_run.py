@@ -25,7 +25,6 @@ from tests.studies.undeclared_cases import (
     matrix,
     quick,
 )
-from tests.studies.undeclared_evidence import evidence, write_evidence
 from tests.studies.undeclared_logs import errors, excess, logs_of, stages_of
 from tests.studies.undeclared_run import Choice, Record, key_of, latest, read, run, run_case
 from tests.studies.undeclared_score import score
@@ -143,7 +142,7 @@ def test_parts_of_the_study_can_be_chosen() -> None:
 def test_parts_leave_the_page_alone() -> None:
     assert not program.written("undeclared", parsed("--rig", "two"))
     assert program.written("undeclared", parsed())
-    assert program.written("formats", parsed("--rig", "two"))
+    assert program.written("one_joint", parsed("--rig", "two"))
     assert "<!-- study:undeclared -->" in undeclared.DOCUMENT.read_text(encoding="utf-8")
 
 
@@ -182,18 +181,6 @@ def test_backlash_is_counted_apart() -> None:
     assert "| backlash, RMSE half above | - | - | 100 % of 1 |" in text
     assert "| backlash, less than that | - | - | 0 % of 1 |" in text
     assert "all of these" not in text
-
-
-def test_evidence_has_a_line_per_finding(tmp_path: Path) -> None:
-    spring = Condition("catalogue", "two", 0, (("spring", 1, 1.0),))
-    found = diagnosis(finding("spring", "elbow"), finding("payload", None, 0.3))
-    cases = judged([record(spring, found)])
-    first, second = evidence(cases)
-    assert (first.right, second.right) == (True, False)
-    assert first.rivals == ("payload@None",)
-    assert first.excess == (0.5,)
-    write_evidence(tmp_path / "findings.jsonl", cases)
-    assert len((tmp_path / "findings.jsonl").read_bytes().splitlines()) == 2
 
 
 # ---- real cases, short

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from seqid_cli.logs.checks.echo import REMEDY, WARNING, _law, echoes
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.file import load_robot
+from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import wander
 from tests.unit.logs.writers import write_parquet
-from tests.unit.model.effects.scenes import two_joint_robot
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,8 @@ from scipy.optimize import minimize
 from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.motion import decimated
-from tests.unit.model.effects.scenes import SIGN_WIDTH, motion_of, scene_of, wander
+from tests.plants.robots.two_joint import SIGN_WIDTH
+from tests.unit.model.effects.scenes import motion_of, scene_of, wander
 
 Array = NDArray[np.float64]
 Law = Callable[[Array, Array, Array], Array]  # t (N,), q (N, n), dq (N, n) -> torque (N, n)

@@ -15,14 +15,8 @@ from numpy.typing import NDArray
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
-from tests.unit.model.effects.scenes import (
-    RATE_HZ,
-    motion_of,
-    scene_of,
-    torque_model,
-    two_joint_robot,
-    wander,
-)
+from tests.plants.robots.two_joint import torque_model, two_joint_robot
+from tests.unit.model.effects.scenes import RATE_HZ, motion_of, scene_of, wander
 
 Array = NDArray[np.float64]
 Distortion = Callable[[Array, Array], Array]  # t (M,), torque (M, n) at the fine rate -> torque

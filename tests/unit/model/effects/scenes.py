@@ -10,83 +10,18 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
-from seqid_cli.params.schema import FrictionJoint
-from seqid_cli.robot.dh import DhRow, chain_from_dh
 from seqid_cli.robot.types import Robot
-from tests.unit.robot.robots import random_inertia, robot_from_chain
+from tests.plants.robots.two_joint import SIGN_WIDTH, torque_model, two_joint_robot
 
 Array = NDArray[np.float64]
 
 RATE_HZ = 240.0
 CUTOFF_HZ = 10.0
-SIGN_WIDTH = 0.006  # rad/s
-GEAR = (50.0, 30.0)
-ROTOR = (1e-4, 5e-5)  # kg m^2, motor side
-COULOMB, VISCOUS = (4.0, 1.5), (2.0, 0.8)  # N m, N m s/rad
-
-
-def two_joint_robot(*, prismatic: bool = False, drives: bool = True) -> Robot:
-    """Return a vertical arm, its second joint skew; a slide instead of the second on request.
-
-    Without `drives` the robot file says nothing of gears, motors, encoders and limits.
-    """
-    rows = [DhRow(0.0, 0.0, 0.0, 0.0), DhRow(0.4, 0.3, 0.1, 0.0)]
-    chain = chain_from_dh(rows)
-    chain = replace(chain, prismatic=np.array([False, prismatic]))
-    robot = robot_from_chain(chain, gravity=np.array([0.0, -9.81, 0.0]))
-    if not drives:
-        return robot
-    joints = tuple(
-        replace(
-            joint,
-            torque_constant=0.1,
-            gear_ratio=gear,
-            rotor_inertia=rotor,
-            encoder_resolution=1e-5,
-            position_limits=(-3.0, 3.0),
-            velocity_limit=3.0,
-        )
-        for joint, gear, rotor in zip(robot.joints, GEAR, ROTOR, strict=True)
-    )
-    return replace(robot, joints=joints)
-
-
-def friction_surface(
-    coulomb: float, viscous: float, top: float = 4.0, *, order: int = 1, variance: float = 1.0
-) -> FrictionSurface:
-    """Coulomb [N m] and viscous [N m s/rad] friction up to `top` rad/s, of some order in speed."""
-    half = 0.5 * viscous * top
-    entries = [coulomb + half, half, *np.zeros(order - 1)]
-    entry = FrictionJoint(
-        position_order=0,
-        velocity_order=order,
-        max_error=0.0,
-        rmse=0.0,
-        position_range=[-3.0, 3.0],
-        speed_range=[0.0, top],
-        sign_width=SIGN_WIDTH,
-        directional=False,
-        positive=[entries],
-        negative=[entries],
-        covariance=(variance * np.eye(len(entries))).tolist(),
-    )
-    return FrictionSurface.from_stage(entry)
-
-
-def torque_model(robot: Robot, seed: int = 5) -> TorqueModel:
-    """Return rigid body with physical links, rotors, Coulomb and viscous friction."""
-    rng = np.random.default_rng(seed)
-    phi = np.array([random_inertia(rng).toDynamicParameters() for _ in range(robot.n)])
-    surfaces: list[FrictionSurface | None] = [
-        friction_surface(c, v) for c, v in zip(COULOMB, VISCOUS, strict=True)
-    ]
-    return TorqueModel(robot, surfaces, phi, np.array(ROTOR), "diagonal")
 
 
 def wander(

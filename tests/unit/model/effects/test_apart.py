@@ -10,7 +10,7 @@ import pytest
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.robot.types import Robot
-from tests.unit.model.effects.scenes import two_joint_robot
+from tests.plants.robots.two_joint import two_joint_robot
 
 SETTINGS = {
     "joint_elasticity": {"trial_stiffness": 900.0, "encoder_side": 0.0, "damping_ratio": 0.15},

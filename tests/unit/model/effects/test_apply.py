@@ -41,14 +41,13 @@ from seqid_cli.params.schema import (
     Parameter,
     Stages,
 )
+from tests.plants.robots.two_joint import SIGN_WIDTH, two_joint_robot
 from tests.unit.model.effects.scenes import (
     CUTOFF_HZ,
     RATE_HZ,
-    SIGN_WIDTH,
     scene_of,
     scenes_of_logs,
     settings_of,
-    two_joint_robot,
     wander,
 )
 

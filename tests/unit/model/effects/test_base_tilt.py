@@ -16,8 +16,9 @@ from seqid_cli.model.effects.base_tilt import (
 )
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.model.effects.measured import fitted
-from tests.unit.model.effects.scenes import scene_of, two_joint_robot, wander
+from tests.unit.model.effects.scenes import scene_of, wander
 
 
 def upright_robot() -> Robot:

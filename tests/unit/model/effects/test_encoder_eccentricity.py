@@ -10,8 +10,9 @@ import pytest
 from seqid_cli.model.effects.encoder_eccentricity import EncoderEccentricity
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
+from tests.plants.robots.two_joint import GEAR
 from tests.unit.model.effects.measured import best_fitted, fitted, left_over
-from tests.unit.model.effects.scenes import GEAR, RATE_HZ, motion_of, scene_of, wander
+from tests.unit.model.effects.scenes import RATE_HZ, motion_of, scene_of, wander
 
 SIN, COS = 1.2e-4, -0.9e-4  # rad at the joint: 6 and 4.5 mrad at the motor
 AMPLITUDE = 0.3  # rad: slow enough for a ripple per motor turn to pass the low-pass

@@ -7,8 +7,9 @@ import pytest
 
 from seqid_cli.model.effects.friction_change import FrictionChange
 from seqid_cli.model.torque import TorqueModel
+from tests.plants.robots.two_joint import COULOMB, VISCOUS, torque_model
 from tests.unit.model.effects.fitting import Array, direction, trial
-from tests.unit.model.effects.scenes import COULOMB, VISCOUS, scene_of, torque_model, wander
+from tests.unit.model.effects.scenes import scene_of, wander
 
 WORN = np.array([0.8, -0.3])  # Coulomb N m, viscous N m s/rad, both joints
 

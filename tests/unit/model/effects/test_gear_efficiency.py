@@ -7,15 +7,9 @@ import pytest
 
 from seqid_cli.model.effects.gear_efficiency import GearEfficiency
 from seqid_cli.model.effects.load_dependent_friction import LoadDependentFriction
+from tests.plants.robots.two_joint import GEAR, ROTOR, torque_model, two_joint_robot
 from tests.unit.model.effects.fitting import FINE_HZ, Array, direction, fit, trial
-from tests.unit.model.effects.scenes import (
-    GEAR,
-    ROTOR,
-    scene_of,
-    torque_model,
-    two_joint_robot,
-    wander,
-)
+from tests.unit.model.effects.scenes import scene_of, wander
 
 FORWARD, BACKWARD = 0.82, 0.91
 

@@ -7,8 +7,9 @@ import pytest
 
 from seqid_cli.model.effects.load_dependent_friction import LoadDependentFriction
 from seqid_cli.model.torque import TorqueModel
+from tests.plants.robots.two_joint import torque_model, two_joint_robot
 from tests.unit.model.effects.fitting import Array, direction, fit, trial
-from tests.unit.model.effects.scenes import scene_of, torque_model, two_joint_robot, wander
+from tests.unit.model.effects.scenes import scene_of, wander
 from tests.unit.model.effects.test_gear_efficiency import link_torque
 
 SHARE = 0.08

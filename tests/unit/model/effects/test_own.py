@@ -19,7 +19,8 @@ from seqid_cli.model.effects.stribeck import Stribeck
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect, Robot
-from tests.unit.model.effects.scenes import scene_of, torque_model, two_joint_robot, wander
+from tests.plants.robots.two_joint import torque_model, two_joint_robot
+from tests.unit.model.effects.scenes import scene_of, wander
 
 
 class Mine(Stribeck):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.quadratic_drag import QuadraticDrag
+from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.model.effects.fitting import Array, direction, fit, trial
-from tests.unit.model.effects.scenes import scene_of, two_joint_robot, wander
+from tests.unit.model.effects.scenes import scene_of, wander
 
 DRAG = 0.25  # N m s^2/rad^2
 

@@ -16,14 +16,8 @@ import pytest
 from seqid_cli.model.effects.effect import Columns, Effect, Family, Settings
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from tests.unit.model.effects.scenes import (
-    RATE_HZ,
-    scene_of,
-    scenes_of_logs,
-    settings_of,
-    two_joint_robot,
-    wander,
-)
+from tests.plants.robots.two_joint import two_joint_robot
+from tests.unit.model.effects.scenes import RATE_HZ, scene_of, scenes_of_logs, settings_of, wander
 
 CONTRACT = {
     *("stribeck", "asymmetric_friction", "load_dependent_friction", "gear_efficiency"),

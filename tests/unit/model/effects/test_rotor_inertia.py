@@ -10,8 +10,9 @@ import pytest
 from seqid_cli.model.effects.rotor_inertia import RotorInertia
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
+from tests.plants.robots.two_joint import GEAR, ROTOR
 from tests.unit.model.effects.measured import fitted
-from tests.unit.model.effects.scenes import GEAR, ROTOR, scene_of, settings_of, wander
+from tests.unit.model.effects.scenes import scene_of, settings_of, wander
 
 ERROR = 3e-5  # kg m^2
 

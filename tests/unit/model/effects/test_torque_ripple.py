@@ -9,8 +9,9 @@ import pytest
 
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.torque_ripple import LAWS, TorqueRipple, highest_order
+from tests.plants.robots.two_joint import GEAR, two_joint_robot
 from tests.unit.model.effects.fitting import Array
-from tests.unit.model.effects.scenes import GEAR, scene_of, two_joint_robot, wander
+from tests.unit.model.effects.scenes import scene_of, wander
 
 SIN, COS = 0.6, 0.8
 

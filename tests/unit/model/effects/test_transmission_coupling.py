@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.transmission_coupling import TransmissionCoupling
+from tests.plants.robots.two_joint import SIGN_WIDTH, two_joint_robot
 from tests.unit.model.effects.added import scenes_with
 from tests.unit.model.effects.fitting import FINE_HZ, Array, Law
 from tests.unit.model.effects.measured import fitted
-from tests.unit.model.effects.scenes import SIGN_WIDTH, scene_of, two_joint_robot, wander
+from tests.unit.model.effects.scenes import scene_of, wander
 
 COULOMB, VISCOUS, INERTIA = 2.1, 0.6, 0.05
 RATIOS = (1.0, -1.0, 0.3, -0.3)

@@ -8,7 +8,8 @@ import pytest
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.smooth import Axis, greville, splines
 from seqid_cli.model.effects.unexplained import SmoothTerm
-from tests.unit.model.effects.scenes import scene_of, two_joint_robot, wander
+from tests.plants.robots.two_joint import two_joint_robot
+from tests.unit.model.effects.scenes import scene_of, wander
 
 KNOTS = (-1.0, -0.3, 0.1, 0.4, 1.2)
 

@@ -20,9 +20,9 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 from tests.plants.experiments import inertia_trials
 from tests.plants.rigs import two_joint
+from tests.plants.robots.lab import recording_of, robot_of
+from tests.plants.robots.small import random_model
 from tests.plants.simulate import simulate
-from tests.studies.lab import recording_of, robot_of
-from tests.unit.robot.robots import random_model
 
 DENSITY = 0.05  # rad/s^2/sqrt(Hz), of accelerometers with 0.03 m/s^2 of noise 0.05 m apart
 

@@ -15,6 +15,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.kinematics import AngularMotion, link_angular_motion, rotation_between
 from seqid_cli.robot.types import Chain, Imu, Joint, Robot
 from seqid_cli.typing import Array
+from tests.plants.robots.small import random_model
 from tests.unit.motion.imu.two_joints import (
     axis_direction,
     joint_acceleration,
@@ -22,7 +23,6 @@ from tests.unit.motion.imu.two_joints import (
     second_joint_acceleration,
     second_joint_velocity,
 )
-from tests.unit.robot.robots import random_model
 
 M, L, SAMPLES = 1, 4, 80
 

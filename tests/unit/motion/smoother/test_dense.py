@@ -30,8 +30,8 @@ from seqid_cli.motion.smoother.terms import Jerk
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.typing import Array
 from tests.plants.rigs import two_joint
+from tests.plants.robots.lab import robot_of
 from tests.plants.sensors import quantise
-from tests.studies.lab import robot_of
 
 DT = 0.02  # s, between samples and between knots
 SAMPLES = 60

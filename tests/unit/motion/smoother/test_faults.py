@@ -16,6 +16,7 @@ from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array
 from tests.studies.fused_cases import Case, Fault, Rig, case
 
+pytestmark = pytest.mark.slow
 COARSE = 600  # counts per turn
 SETTLED = slice(200, -200)
 EVERYTHING = Fault(bias=0.2, drift=0.05, gain=0.01, tilt_deg=0.5, delay_s=0.0203)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +22,23 @@ from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, ImuStage, Parameter, RigidStage, Stages
-from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
 
 Array = NDArray[np.float64]
 
-SAMPLE_LOGS = ROOT / "sample_logs"
+SAMPLES = ROOT / "sample_logs"
+
+
+def sample_robot(name: str) -> Robot:
+    """One of the sample robots."""
+    return sample_robot(name)
+
+
+@cache
+def sample_rig(name: str) -> Rig:
+    """A sample robot whose stages are identified once in a process."""
+    return Rig(name)
 
 
 @dataclass(frozen=True)
@@ -39,11 +49,11 @@ class Rig:
 
     @property
     def folder(self) -> Path:
-        return SAMPLE_LOGS / self.name
+        return SAMPLES / self.name
 
     @cached_property
     def robot(self) -> Robot:
-        return load_robot(self.folder / "robot.toml")
+        return sample_robot(self.name)
 
     @cached_property
     def truth(self) -> dict[str, dict[str, dict[str, list[list[float]]]]]:

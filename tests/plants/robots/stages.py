@@ -12,7 +12,7 @@ from seqid_cli.robot.base import free_basis, standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Array, Robot
 from tests import ROOT
-from tests.unit.robot.robots import joint, link, urdf
+from tests.plants.robots.small import joint, link, urdf
 
 SAMPLES = ROOT / "sample_logs"
 

@@ -21,7 +21,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
-from tests.studies.lab import Experiment
+from tests.plants.robots.lab import Experiment
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from seqid_cli.logs.given import PathLike
 from seqid_cli.params.comparison_schema import COMPARISON_SCHEMA, ComparisonFile
 from seqid_cli.params.document import now, tool
-from seqid_cli.params.read_any import read_any
+from seqid_cli.params.io import read_any
 
 
 def compare(

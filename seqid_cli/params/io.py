@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +12,9 @@ import msgspec
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.check import check_consistency
-from seqid_cli.params.document import join
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import write_text_atomic
-from seqid_cli.params.migrate import (
+from seqid_cli.params.io import (
     PARAMS_MIGRATIONS,
     PARAMS_VERSION,
     Document,
@@ -59,17 +58,6 @@ def read_parameters(
         raise _schema_error(error, where) from error
     check_consistency(file, where)
     return file
-
-
-def read_joined(paths: Sequence[Path]) -> ParameterFile:
-    """Read several parameter files of one robot and join their stages.
-
-    Raises
-    ------
-    ConfigError
-        One cannot be read, they are about different robots, or they disagree on a stage.
-    """
-    return join([(str(path), read_parameters(path)) for path in paths])
 
 
 def check_robot(file: ParameterFile, robot: Robot, *, where: str = "") -> tuple[str, ...]:

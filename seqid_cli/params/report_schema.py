@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from seqid_cli.params.base import Struct
-from seqid_cli.params.html import Document
+from seqid_cli.params.base import Document
 
 TITLES = {  # of verdicts
     "good": "Good",

@@ -10,7 +10,7 @@ from typing import Literal
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
-from seqid_cli.params.html import Document
+from seqid_cli.params.base import Document
 
 SCHEMA = "seqid/params@1"
 

@@ -69,7 +69,7 @@ def plot_evidence(file: DiagnosisFile) -> Drawing:
 
 
 def _collection(file: ParameterFile | DiagnosisFile) -> Collection:
-    from seqid_cli.params.read_any import Source
+    from seqid_cli.params.io import Source
     from seqid_cli.report.collection import collect
 
     return collect([Source("", "", file)])

@@ -12,7 +12,14 @@ from string import Formatter
 from typing import NoReturn
 
 from ..errors import ConfigError
-from .formula import SYMBOLS, FormulaError, is_coefficient, parse_formula, symbol_of
+from .formula import (
+    SYMBOLS,
+    Formula,
+    FormulaError,
+    is_coefficient,
+    parse_formula,
+    symbol_of,
+)
 from .toml_schema import EffectEntry, ImuEntry, JointEntry, RobotFile
 
 PATTERN_FIELDS = frozenset({"name", "index", "index0"})
@@ -38,12 +45,20 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"Did you mean '{found[0]}'? " if found else ""
 
 
-def check_content(path: Path, robot: RobotFile) -> None:
-    """Raise ConfigError, naming `path` and the key, where a value makes no sense.
+def check_content(path: Path, robot: RobotFile) -> tuple[Formula | None, ...]:
+    """Check the values of a robot file, apart from checks that need its URDF.
 
-    Checks that need the URDF are in `urdf`.
+    Returns
+    -------
+    tuple of Formula or None
+        That of each effect; None where an installed package offers the effect.
+
+    Raises
+    ------
+    ConfigError
+        A value makes no sense; the message names `path` and the key.
     """
-    _Checks(path).document(robot)
+    return _Checks(path).document(robot)
 
 
 @dataclass(frozen=True)
@@ -55,7 +70,7 @@ class _Checks:
     def fail(self, message: str, hint: str) -> NoReturn:
         raise ConfigError(message, where=str(self.path), hint=hint)
 
-    def document(self, robot: RobotFile) -> None:
+    def document(self, robot: RobotFile) -> tuple[Formula | None, ...]:
         self.text("name", robot.name)
         for k, value in enumerate(robot.gravity):
             self.finite(f"gravity[{k}]", value)
@@ -69,11 +84,12 @@ class _Checks:
         for k, imu in enumerate(robot.imu):
             self.imu(f"imu[{k}]", imu, [joint.name for joint in robot.joint])
         self.unique("effect", [effect.name for effect in robot.effect])
-        for k, effect in enumerate(robot.effect):
-            self.effect(f"effect[{k}]", effect, [joint.name for joint in robot.joint])
+        names = [joint.name for joint in robot.joint]
+        formulas = [self.effect(f"effect[{k}]", e, names) for k, e in enumerate(robot.effect)]
         self.channels(robot)
+        return tuple(formulas)
 
-    def effect(self, key: str, effect: EffectEntry, joints: list[str]) -> None:
+    def effect(self, key: str, effect: EffectEntry, joints: list[str]) -> Formula | None:
         named = f" (effect {effect.name!r})"
         if _WORD.fullmatch(effect.name) is None:
             self.fail(f"{key}.name is {effect.name!r}", "Use small letters, digits and _.")
@@ -86,9 +102,9 @@ class _Checks:
                 hint = "Write width = [lowest, highest], under a name that no symbol has."
                 self.fail(f"{key}.settings.{name} is [{low}, {high}]{named}", hint)
         if effect.torque is None:
-            return
+            return None
         try:
-            parse_formula(effect.torque, len(joints), effect.settings)
+            return parse_formula(effect.torque, len(joints), effect.settings)
         except FormulaError as problem:
             hint = (
                 f"Write a sum of terms as in 'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}."

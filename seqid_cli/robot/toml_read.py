@@ -14,12 +14,13 @@ from typing import cast
 import msgspec
 
 from ..errors import ConfigError
+from .formula import Formula
 from .toml_checks import check_content, nearest
 from .toml_schema import (
     SCHEMA,
     SCHEMA_VERSION,
     AccelerometerEntry,
-    ChannelsEntry,
+    Channels,
     DhEntry,
     EffectEntry,
     ImuEntry,
@@ -36,11 +37,15 @@ _DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST
 
 @dataclass(frozen=True)
 class ReadRobotFile:
-    """A robot file that passed its checks: `content` typed, `raw` as it lies on the disk."""
+    """A robot file that passed its checks: `content` typed, `raw` as it lies on the disk.
+
+    `formulas` are those of its effects.
+    """
 
     path: Path
     raw: bytes
     content: RobotFile
+    formulas: tuple[Formula | None, ...]
 
 
 def read_robot_file(path: Path) -> ReadRobotFile:
@@ -66,8 +71,8 @@ def read_robot_file(path: Path) -> ReadRobotFile:
     except (OverflowError, RecursionError):
         message = "a number is too large or the nesting too deep"
         raise ConfigError(message, where=str(path)) from None
-    check_content(path, content)
-    return ReadRobotFile(path=path, raw=raw, content=content)
+    formulas = check_content(path, content)
+    return ReadRobotFile(path=path, raw=raw, content=content, formulas=formulas)
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:
@@ -174,7 +179,7 @@ def _keys_at(at: str) -> tuple[str, ...]:
         "joint.dh": DhEntry,
         "imu": ImuEntry,
         "imu.accelerometers": AccelerometerEntry,
-        "channels": ChannelsEntry,
+        "channels": Channels,
         "effect": EffectEntry,
     }
     table = tables.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile)

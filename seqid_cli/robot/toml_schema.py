@@ -56,8 +56,11 @@ class ImuEntry(Table, frozen=True):
     gyro: bool = False
 
 
-class ChannelsEntry(Table, frozen=True):
-    """`[channels]`."""
+class Channels(Table, frozen=True):
+    """`[channels]`: names that a log uses instead of the default ones; None means the default.
+
+    `effort` says what it is; torque where it is not said.
+    """
 
     time: str | None = None
     position: str | None = None
@@ -87,4 +90,4 @@ class RobotFile(Table, frozen=True):
     urdf: str | None = None
     imu: tuple[ImuEntry, ...] = ()
     effect: tuple[EffectEntry, ...] = ()
-    channels: ChannelsEntry = ChannelsEntry()
+    channels: Channels = Channels()

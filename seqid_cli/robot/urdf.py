@@ -60,7 +60,7 @@ def chain_from_urdf(urdf: UrdfText, names: tuple[str, ...], source: Path) -> Urd
 
 def _parsed(urdf: UrdfText) -> pin.Model:
     try:
-        return pin.buildModelFromXML(readable(urdf.raw).decode("utf-8"))
+        return pin.buildModelFromXML(readable(urdf).decode("utf-8"))
     except (ValueError, RuntimeError, UnicodeDecodeError) as problem:
         reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
         raise ConfigError(

@@ -7,6 +7,7 @@ the dynamics and which hand-made files lack, and links with the name of a joint,
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -41,8 +42,7 @@ def chains(urdf: UrdfText) -> list[tuple[UrdfJoint, ...]]:
     Joints that follow another one (mimic) are left out. The order is that of the file; a URDF with
     a loop, or without a root, has no chain that counts the loop's joints.
     """
-    root = ElementTree.fromstring(urdf.raw)
-    elements = {joint.get("name", ""): joint for joint in root.findall("joint")}
+    elements = {joint.get("name", ""): joint for joint in urdf.root.findall("joint")}
     children: dict[str, list[str]] = {}
     below = set()
     for name, joint in elements.items():
@@ -65,17 +65,17 @@ def best_chain(
     return max(chains(urdf), key=lambda chain: sum(map(worth, chain)), default=())
 
 
-def readable(raw: bytes) -> bytes:
+def readable(urdf: UrdfText) -> bytes:
     """Repair parts that readers of URDFs refuse and that play no part in the dynamics.
 
     Every revolute and prismatic joint that lacks part of its <limit> gets a wide one; a link that
     shares its name with a joint is renamed. The text is returned as it is where nothing is to do.
     """
-    root = ElementTree.fromstring(raw)
+    root = copy.deepcopy(urdf.root)
     joints = root.findall("joint")
     changed = [_limited(joint) for joint in joints]
     changed.append(_links_renamed(root, {joint.get("name", "") for joint in joints}))
-    return ElementTree.tostring(root) if any(changed) else raw
+    return ElementTree.tostring(root) if any(changed) else urdf.raw
 
 
 def _limited(joint: ElementTree.Element) -> bool:
@@ -115,7 +115,7 @@ def check_urdf(urdf: UrdfText) -> None:
         Links named twice, joints between links that are not there, links with two parents, loops,
         no or several roots, numbers that are none; naming the file, the joint or link.
     """
-    root = ElementTree.fromstring(urdf.raw)
+    root = urdf.root
     links = [link.get("name", "") for link in root.findall("link")]
     parents: dict[str, str] = {}
     for joint in root.findall("joint"):

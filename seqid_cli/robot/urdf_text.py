@@ -25,6 +25,7 @@ class UrdfText:
 
     path: Path
     raw: bytes
+    root: ElementTree.Element
     types: dict[str, str]
     mimics: dict[str, str]
     has_inertia: bool
@@ -84,6 +85,7 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
     return UrdfText(
         path=path,
         raw=raw,
+        root=root,
         types=types,
         mimics=mimics,
         has_inertia=root.find("link/inertial") is not None,

@@ -21,7 +21,7 @@ from seqid_cli.params import (
     schema,
 )
 from seqid_cli.params.base import FrozenStruct, Struct
-from seqid_cli.params.html import Document
+from seqid_cli.params.base import Document
 from tests.unit.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"

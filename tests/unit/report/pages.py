@@ -22,7 +22,7 @@ from seqid_cli.params.prediction_schema import (
     LogPredictionError,
     PredictionFile,
 )
-from seqid_cli.params.read_any import Document, Source
+from seqid_cli.params.io import Document, Source
 from seqid_cli.params.schema import ParameterFile, Verdict
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
 

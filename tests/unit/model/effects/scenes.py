@@ -17,7 +17,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint
-from seqid_cli.robot.dh import DhRow, chain_from_dh
+from seqid_cli.robot.placement import DhRow, chain_from_dh
 from seqid_cli.robot.types import Robot
 from tests.unit.robot.robots import random_inertia, robot_from_chain
 

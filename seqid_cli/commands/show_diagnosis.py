@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.render import Screen, limits, number, percent
 from seqid_cli.commands.show import show_poor
+from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EventEntry,
@@ -102,15 +103,6 @@ def parameters_text(item: FindingEntry) -> str:
         if name not in named
     ]
     return ", ".join(values)
-
-
-def setting_units(effect: str) -> Mapping[str, str]:
-    """Return the units of what an effect's torque is not linear in."""
-    from seqid_cli.model.effects.registry import CATALOGUE
-
-    if effect not in CATALOGUE:
-        return {}
-    return {setting.name: setting.unit for setting in CATALOGUE[effect].settings}
 
 
 def _unit(unit: str) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.base import FrozenStruct
-from seqid_cli.params.base import Document
+from seqid_cli.params.base import Document, FrozenStruct
 from seqid_cli.params.schema import Tool
 
 COMPARISON_SCHEMA = "seqid/comparison@1"

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from seqid_cli.params.base import FrozenStruct, Struct
-from seqid_cli.params.base import Document
+from seqid_cli.params.base import Document, FrozenStruct, Struct
 from seqid_cli.params.schema import Tool
 
 INSPECTION_SCHEMA = "seqid/inspection@1"

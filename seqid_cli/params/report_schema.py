@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.base import Struct
-from seqid_cli.params.base import Document
+from seqid_cli.params.base import Document, Struct
 
 TITLES = {  # of verdicts
     "good": "Good",

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.types import Joint, Robot
 from seqid_cli.robot.urdf_joints import UrdfJoint
 
 Array = NDArray[np.float64]
-
-SHARE = 0.95  # of every limit that a plan uses; the rest is for the controller's overshoot
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Limits:
 
 
 def limits_of(
-    robot: Robot, *, ramp_s: float, share: float = SHARE, locked: Sequence[str] = ()
+    robot: Robot, *, ramp_s: float, share: float = PlanOptions.share, locked: Sequence[str] = ()
 ) -> Limits:
     """Take the tighter of the robot file's limits and the URDF's, and `share` of that.
 

@@ -19,10 +19,9 @@ from seqid_cli.params.plan_schema import (
 )
 from seqid_cli.params.prediction_schema import FileId
 from seqid_cli.params.schema import Stages, Verdict
-from seqid_cli.plan.belief import Belief, belief_of
+from seqid_cli.plan.belief import Belief, belief_of, information_of
 from seqid_cli.plan.friction import plan_friction
 from seqid_cli.plan.gravity import plan_gravity
-from seqid_cli.plan.belief import information_of
 from seqid_cli.plan.imu import plan_imu
 from seqid_cli.plan.inertia import Planned, plan_inertia
 from seqid_cli.plan.limits import Limits

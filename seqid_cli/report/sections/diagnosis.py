@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.diagnosis_schema import (
     DiagnosisFile,
     EventEntry,
@@ -16,7 +17,6 @@ from seqid_cli.report.collection import Collection, Diagnosed
 from seqid_cli.report.diagnosis_figures import against_floor, timeline
 from seqid_cli.report.evidence_views import evidence_figure, rivals_table
 from seqid_cli.report.judgement import known_effects
-from seqid_cli.report.sections.parameters import setting_units
 from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
 from seqid_cli.report.words import (
     command,

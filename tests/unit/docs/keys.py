@@ -20,8 +20,7 @@ from seqid_cli.params import (
     prediction_schema,
     schema,
 )
-from seqid_cli.params.base import FrozenStruct, Struct
-from seqid_cli.params.base import Document
+from seqid_cli.params.base import Document, FrozenStruct, Struct
 from tests.unit.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"

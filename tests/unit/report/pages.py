@@ -15,6 +15,7 @@ from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
 from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
+from seqid_cli.params.io import Document, Source
 from seqid_cli.params.prediction_schema import (
     PREDICTION_SCHEMA,
     FileId,
@@ -22,7 +23,6 @@ from seqid_cli.params.prediction_schema import (
     LogPredictionError,
     PredictionFile,
 )
-from seqid_cli.params.io import Document, Source
 from seqid_cli.params.schema import ParameterFile, Verdict
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
 

@@ -8,7 +8,8 @@ from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.render import Screen, limits, number, percent
 from seqid_cli.commands.show import show_poor
 from seqid_cli.model.effects.units import setting_units
-from seqid_cli.params.diagnosis_schema import (
+from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
     EventEntry,
     FindingEntry,
@@ -16,8 +17,7 @@ from seqid_cli.params.diagnosis_schema import (
     ResidualEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.diagnosis_words import nothing_found, over_words
-from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.results.diagnosis_words import nothing_found, over_words
 
 _EVENTS_SHOWN = 10
 

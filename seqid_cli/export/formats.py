@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
-from seqid_cli.robot.urdf_text import UrdfText, read_urdf_text
+from seqid_cli.robot.urdf.text import UrdfText, read_urdf_text
 
 if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from seqid_cli.logs.contents import Survey
 from seqid_cli.robot.placement import DhRow, chain_from_dh
-from seqid_cli.robot.toml_schema import Channels
+from seqid_cli.robot.toml.schema import Channels
 from seqid_cli.robot.types import Imu, Joint, Robot
 
 # Words for each quantity, joined and in lower case; those of one letter count only beside a number.

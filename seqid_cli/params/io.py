@@ -13,10 +13,10 @@ import msgspec
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.check import check_consistency
-from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import write_text_atomic
-from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA, PredictionFile
+from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
+from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 if TYPE_CHECKING:

@@ -21,8 +21,14 @@ from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.plan.limits import Limits
-from seqid_cli.plan.shapes import COARSE_HZ, COEFFICIENTS, SPARSE, Drawn, Moves, Shapes
-from seqid_cli.robot.base import Basis, base_regressor, free_basis, gear_ratios, standard_names
+from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, SPARSE, Drawn, Moves, Shapes
+from seqid_cli.robot.base_parameters import (
+    Basis,
+    base_regressor,
+    free_basis,
+    gear_ratios,
+    standard_names,
+)
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

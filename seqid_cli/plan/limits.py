@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.types import Joint, Robot
-from seqid_cli.robot.urdf_joints import UrdfJoint
+from seqid_cli.robot.urdf.joints import UrdfJoint
 
 Array = NDArray[np.float64]
 

@@ -6,14 +6,14 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import ConfigError
-from .toml_read import ReadRobotFile, read_robot_file
-from .urdf_joints import chains
-from .urdf_text import UrdfText, check_names, read_urdf_text
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.toml.read import ReadRobotFile, read_robot_file
+from seqid_cli.robot.urdf.joints import chains
+from seqid_cli.robot.urdf.text import UrdfText, check_names, read_urdf_text
 
 if TYPE_CHECKING:
-    from .toml_schema import ImuEntry
-    from .types import Array, Chain, Imu, Robot
+    from seqid_cli.robot.toml.schema import ImuEntry
+    from seqid_cli.robot.types import Array, Chain, Imu, Robot
 
 
 def load_robot(path: Path) -> Robot:
@@ -50,7 +50,7 @@ def _urdf_of(read: ReadRobotFile) -> UrdfText | None:
 def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> Robot:
     import numpy as np
 
-    from .types import Joint, OwnEffect, Robot
+    from seqid_cli.robot.types import Joint, OwnEffect, Robot
 
     content = read.content
     chain, nominal = _chain_of(read, urdf)
@@ -86,12 +86,12 @@ def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> Robot:
 
 def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> tuple[Chain, Array | None]:
     if urdf is None:
-        from .placement import DhRow, chain_from_dh
+        from seqid_cli.robot.placement import DhRow, chain_from_dh
 
         entries = [(joint.dh, joint.prismatic) for joint in read.content.joint]
         rows = [DhRow(dh.alpha, dh.a, dh.d, dh.theta0, slides) for dh, slides in entries if dh]
         return chain_from_dh(rows), None
-    from .urdf import chain_from_urdf
+    from seqid_cli.robot.urdf.model import chain_from_urdf
 
     names = tuple(joint.name for joint in read.content.joint)
     found = chain_from_urdf(urdf, names, read.path)
@@ -109,7 +109,7 @@ def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> tuple[Chain, Array 
 def _imu(entry: ImuEntry, joints: list[str]) -> Imu:
     import numpy as np
 
-    from .types import Imu
+    from seqid_cli.robot.types import Imu
 
     if entry.accelerometers:
         positions = np.array([sensor.position for sensor in entry.accelerometers], dtype=float)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .placement import skew
-from .types import Array, Chain
+from seqid_cli.robot.placement import skew
+from seqid_cli.robot.types import Array, Chain
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .types import Array, Chain
+from seqid_cli.robot.types import Array, Chain
 
 ANGLE_NOISE = 1e-5  # rad; "1.5708" in a file means a quarter turn (it is 3.7e-6 off)
 LENGTH_NOISE = 1e-6  # m; below what any arm is built to

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.robot.formula import Formula
-from seqid_cli.robot.toml_schema import Channels
-from seqid_cli.robot.urdf_joints import UrdfJoint
+from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.robot.urdf.joints import UrdfJoint
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from seqid_cli.params.diagnosis_schema import FindingEntry
+from seqid_cli.params.results.diagnosis import FindingEntry
 from tests.studies.undeclared_score import named, right
 from tests.studies.undeclared_tables import Judged
 

@@ -8,9 +8,9 @@ from markupsafe import Markup
 
 from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
-from seqid_cli.report.chart import drawing
 from seqid_cli.report.collection import Collection, Model
-from seqid_cli.report.svg import Scale, circle, line
+from seqid_cli.report.figures.chart import drawing
+from seqid_cli.report.figures.svg import Scale, circle, line
 from seqid_cli.report.views import Absent, Cell, Column, Group, Section, Table
 from seqid_cli.report.words import (
     Z95,

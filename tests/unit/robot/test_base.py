@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from seqid_cli.robot.base import (
+from seqid_cli.robot.base_parameters import (
     base_parameters,
     base_regressor,
     loaded_columns,

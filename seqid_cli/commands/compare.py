@@ -11,7 +11,7 @@ import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
 from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.params.comparison_schema import ComparisonFile, Difference
+from seqid_cli.params.results.comparison import ComparisonFile, Difference
 
 EXAMPLES = (
     "seqid compare sample_logs/two_joint/golden.json inertia.json",

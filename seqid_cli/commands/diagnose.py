@@ -23,7 +23,7 @@ from seqid_cli.commands.show_diagnosis import show_diagnosis
 from seqid_cli.commands.show_explained import show_explained
 from seqid_cli.commands.show_motion import show_motion
 from seqid_cli.errors import UsageError
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 
 Explain = Annotated[
     str | None,

@@ -11,7 +11,7 @@ from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import RobotPath, Strict
 from seqid_cli.commands.render import Screen, number, percent, screen_of
 from seqid_cli.export.formats import FORMATS
-from seqid_cli.params.export_schema import ExportFile
+from seqid_cli.params.results.export import ExportFile
 
 EXAMPLES = (
     "seqid export inertia.json -r sample_logs/six_joint/robot.toml -o six_joint.urdf",

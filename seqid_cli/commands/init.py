@@ -14,7 +14,7 @@ from seqid_cli.commands.render import screen_of
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
-from seqid_cli.robot.urdf_text import read_urdf_text
+from seqid_cli.robot.urdf.text import read_urdf_text
 
 EXAMPLES = (
     "seqid init sample_logs/six_joint/friction --urdf sample_logs/six_joint/six_joint.urdf"
@@ -61,7 +61,7 @@ def run(
             )
 
     from seqid_cli.inspect.propose import propose
-    from seqid_cli.robot.template import robot_toml
+    from seqid_cli.robot.toml.template import robot_toml
 
     proposal = propose(
         files,

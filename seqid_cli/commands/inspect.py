@@ -13,7 +13,7 @@ from seqid_cli.commands.options import Clock, Logs, Output
 from seqid_cli.commands.render import Screen, screen_of
 from seqid_cli.commands.show_inspection import show_inspection
 from seqid_cli.commands.visible import visible
-from seqid_cli.params.inspection_schema import InspectionFile
+from seqid_cli.params.results.inspection import InspectionFile
 
 EXAMPLES = (
     "seqid inspect sample_logs/six_joint/friction -r sample_logs/six_joint/robot.toml",

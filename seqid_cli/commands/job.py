@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from seqid_cli.inspect.progress import LogNote, Progress
-    from seqid_cli.params.inspection_schema import InspectionFinding
+    from seqid_cli.params.results.inspection import InspectionFinding
 
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
 # Below this many bytes of logs one process is done before others have imported what they need.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,11 +13,16 @@ from typer.core import TyperOption
 TimeSource = Literal["header", "log"]
 
 
-def _positive(value: float | None) -> float | None:
-    if value is not None and not (math.isfinite(value) and value > 0.0):
-        message = f"{value} is not a positive number"
-        raise typer.BadParameter(message)
-    return value
+def positive(noun: str) -> Callable[[float | None], float | None]:
+    """Return a callback that refuses what is not a positive `noun`."""
+
+    def check(value: float | None) -> float | None:
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            message = f"{value} is not a positive {noun}"
+            raise typer.BadParameter(message)
+        return value
+
+    return check
 
 
 Logs = Annotated[
@@ -54,7 +60,7 @@ Cutoff = Annotated[
     typer.Option(
         "--cutoff",
         metavar="HZ",
-        callback=_positive,
+        callback=positive("number"),
         help="Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
     ),
 ]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from seqid_cli.commands.job import any_poor, exit_code, listening
-from seqid_cli.commands.options import Output, RobotPath, Strict
+from seqid_cli.commands.options import Output, RobotPath, Strict, positive
 from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.params.plan_schema import PlanFile
+from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.plan.options import PlanOptions
 
 EXAMPLES = (
@@ -29,12 +28,7 @@ def _share(value: float) -> float:
     return value
 
 
-def _seconds(value: float | None) -> float | None:
-    if value is not None and not (math.isfinite(value) and value > 0.0):
-        message = f"{value} is not a positive time"
-        raise typer.BadParameter(message)
-    return value
-
+_seconds = positive("time")
 
 What = Annotated[
     Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"],
@@ -110,11 +104,11 @@ def run(
     duration: Duration = PlanOptions.duration_s,
     move_duration: MoveDuration = None,
     together: Together = False,
-    ramp: Ramp = 0.5,
-    share: LimitShare = 0.95,
+    ramp: Ramp = PlanOptions.ramp_s,
+    share: LimitShare = PlanOptions.share,
     lock: Lock = None,
-    speed_scale: SpeedScale = 1.0,
-    seed: Seed = 0,
+    speed_scale: SpeedScale = PlanOptions.speed_scale,
+    seed: Seed = PlanOptions.seed,
     strict: Strict = False,
 ) -> int:
     """Plan the moves to record next, within the limits, and the standard errors they will give.

@@ -25,7 +25,7 @@ from seqid_cli.commands.options import (
 from seqid_cli.commands.render import Screen, number, percent, screen_of
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.commands.show_motion import show_motion
-from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.params.results.prediction import PredictionFile
 
 EXAMPLES = (
     "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"

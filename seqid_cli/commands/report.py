@@ -10,7 +10,7 @@ import typer
 from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import Strict
 from seqid_cli.commands.render import Screen, screen_of
-from seqid_cli.params.report_schema import TITLES, ReportFile
+from seqid_cli.params.results.report import TITLES, ReportFile
 
 EXAMPLES = (
     "seqid report inertia.json prediction.json diagnosis.json -o report.html",

@@ -224,7 +224,7 @@ def trusted(path: Path) -> bool:
     """Whether the newest part of a result has no poor verdict."""
     if path.suffix != ".json":
         return True
-    from seqid_cli.params.read_any import read_any
+    from seqid_cli.params.io import read_any
     from seqid_cli.params.schema import ParameterFile
 
     (source,) = read_any([path])

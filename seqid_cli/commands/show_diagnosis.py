@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.render import Screen, limits, number, percent
 from seqid_cli.commands.show import show_poor
-from seqid_cli.params.diagnosis_schema import (
+from seqid_cli.model.effects.units import setting_units
+from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
     EventEntry,
     FindingEntry,
@@ -15,8 +17,7 @@ from seqid_cli.params.diagnosis_schema import (
     ResidualEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.diagnosis_words import nothing_found, over_words
-from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.results.diagnosis_words import nothing_found, over_words
 
 _EVENTS_SHOWN = 10
 
@@ -102,15 +103,6 @@ def parameters_text(item: FindingEntry) -> str:
         if name not in named
     ]
     return ", ".join(values)
-
-
-def setting_units(effect: str) -> Mapping[str, str]:
-    """Return the units of what an effect's torque is not linear in."""
-    from seqid_cli.model.effects.registry import CATALOGUE
-
-    if effect not in CATALOGUE:
-        return {}
-    return {setting.name: setting.unit for setting in CATALOGUE[effect].settings}
 
 
 def _unit(unit: str) -> str:

@@ -12,14 +12,14 @@ from seqid_cli.commands.show_diagnosis import (
     quantities_text,
     show_evidence,
 )
-from seqid_cli.params.diagnosis_schema import (
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
     FindingEntry,
     ResidualEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.diagnosis_words import flatness
-from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.results.diagnosis_words import flatness
 
 
 def show_explained(screen: Screen, file: DiagnosisFile, joint: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from seqid_cli.commands.render import Screen, number, percent
-from seqid_cli.params.inspection_schema import InspectedLog, InspectionFile, InspectionFinding
+from seqid_cli.params.results.inspection import InspectedLog, InspectionFile, InspectionFinding
 
 _WORDS = {
     "good": "nothing wrong was found",

@@ -24,11 +24,11 @@ from seqid_cli.compare.rule import (
 )
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.params.comparison_schema import Difference
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import present
-from seqid_cli.params.prediction_schema import PredictionFile
-from seqid_cli.params.read_any import Document, Source
+from seqid_cli.params.io import Document, Source
+from seqid_cli.params.results.comparison import Difference
+from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import (
     EffectOfJoint,
     FrictionJoint,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from seqid_cli.logs.given import PathLike
-from seqid_cli.params.comparison_schema import COMPARISON_SCHEMA, ComparisonFile
 from seqid_cli.params.document import now, tool
-from seqid_cli.params.read_any import read_any
+from seqid_cli.params.io import read_any
+from seqid_cli.params.results.comparison import COMPARISON_SCHEMA, ComparisonFile
 
 
 def compare(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from seqid_cli.params.comparison_schema import Difference, RuleEntry
+from seqid_cli.params.results.comparison import Difference, RuleEntry
 
 DEFAULT_SIGMA = 4.0  # one false alarm in 160 comparisons of 100 parameters each
 DEFAULT_RTOL = 0.01

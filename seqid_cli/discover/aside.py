@@ -31,7 +31,7 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.params.diagnosis_schema import EventEntry
+from seqid_cli.params.results.diagnosis import EventEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 

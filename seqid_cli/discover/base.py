@@ -26,7 +26,7 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base import Basis, base_regressor, free_basis, loaded_columns
+from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

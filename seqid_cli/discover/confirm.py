@@ -17,7 +17,7 @@ from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.usable import usable_logs
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.diagnosis_schema import MORE_THAN_NOISE
+from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import ClosedLoop, JointRmse, RefinementRound, Stages
 from seqid_cli.shares import percent
 

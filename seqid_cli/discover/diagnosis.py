@@ -39,7 +39,9 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.params.diagnosis_schema import (
+from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.evidence_schema import RivalEntry
+from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     ClosestEffect,
     DiagnosisFile,
@@ -51,8 +53,6 @@ from seqid_cli.params.diagnosis_schema import (
     ResidualEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.document import now, robot_id, tool
-from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 

@@ -15,10 +15,10 @@ from seqid_cli.identify.functions import announcement
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.keywords import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import present, refined, robot_id
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, known_rotors
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

@@ -37,7 +37,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base import standard_names
+from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

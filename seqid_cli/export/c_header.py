@@ -14,7 +14,7 @@ import numpy as np
 
 from seqid_cli.export.text import real, remarks
 from seqid_cli.model.friction_basis import FADE
-from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Array
 
 if TYPE_CHECKING:

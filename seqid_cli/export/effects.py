@@ -13,7 +13,7 @@ from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.base import standard_regressor
+from seqid_cli.robot.base_parameters import standard_regressor
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Robot
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
+from seqid_cli.robot.urdf.text import UrdfText, read_urdf_text
 
 if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel
@@ -52,7 +53,7 @@ def format_of(path: Path) -> str:
     return kind
 
 
-def export(robot: Robot, stages: Stages, *, kind: str, urdf: bytes | None = None) -> Exported:
+def export(robot: Robot, stages: Stages, *, kind: str) -> Exported:
     """Write an identified arm in one of the forms of `FORMATS`.
 
     Parameters
@@ -62,8 +63,6 @@ def export(robot: Robot, stages: Stages, *, kind: str, urdf: bytes | None = None
         Whatever was identified.
     kind : str
         A value of `FORMATS`.
-    urdf : bytes, optional
-        The URDF that the robot file names.
 
     Returns
     -------
@@ -79,13 +78,14 @@ def export(robot: Robot, stages: Stages, *, kind: str, urdf: bytes | None = None
     from seqid_cli.export.model import export_model
     from seqid_cli.export.urdf_tree import bodies_of_urdf
 
-    bodies = None if urdf is None else bodies_of_urdf(urdf, robot.joint_names)
+    urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
+    bodies = None if urdf is None else bodies_of_urdf(urdf.root, robot.joint_names)
     model = export_model(robot, stages, bodies)
     return Exported(model, _text(kind, model, urdf, bodies))
 
 
 def _text(
-    kind: str, model: ExportModel, urdf: bytes | None, bodies: tuple[UrdfBody, ...] | None
+    kind: str, model: ExportModel, urdf: UrdfText | None, bodies: tuple[UrdfBody, ...] | None
 ) -> str:
     if kind == "MJCF":
         from seqid_cli.export.mjcf import mjcf_of_chain
@@ -103,4 +103,4 @@ def _text(
 
     if urdf is None or bodies is None:
         return urdf_of_chain(model)
-    return edited_urdf(urdf, bodies, model)
+    return edited_urdf(urdf.raw, bodies, model)

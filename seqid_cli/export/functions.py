@@ -10,17 +10,15 @@ from seqid_cli.export.formats import format_of
 from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
 from seqid_cli.logs.given import PathLike, listed
 from seqid_cli.params.document import join, now, present, robot_id, tool
-from seqid_cli.params.export_schema import (
+from seqid_cli.params.files import check_output, write_text_atomic
+from seqid_cli.params.results.export import (
     EXPORT_SCHEMA,
     ExportedFriction,
     ExportedLink,
     ExportedParameter,
     ExportFile,
 )
-from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.schema import ParameterFile
-from seqid_cli.robot.toml_read import read_robot_file
-from seqid_cli.robot.urdf_text import read_urdf_text
 
 if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel
@@ -45,14 +43,13 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
     kind = format_of(target)
     models = read_models(given)
     previous = join(models)
-    content = read_robot_file(place).content
-    source = None if content.urdf is None else place.parent / content.urdf
     files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
-    check_output(target, [*files, place, *([source] if source else [])])
+    check_output(target, [*files, place])
     arm = robot_of(place, models)
-    raw = None if source is None else read_urdf_text(source).raw
+    if arm.urdf is not None:
+        check_output(target, [arm.urdf])
 
-    done = written(arm, previous.stages, kind=kind, urdf=raw)
+    done = written(arm, previous.stages, kind=kind)
     write_text_atomic(target, done.text)
     model = done.model
     return ExportFile(

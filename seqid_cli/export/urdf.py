@@ -14,7 +14,7 @@ from seqid_cli.export.model import ExportModel
 from seqid_cli.export.text import plain, real, reals, remarks
 from seqid_cli.export.urdf_tree import UrdfBody, rpy_of_rotation
 from seqid_cli.model.bodies.pseudo_inertia import Body
-from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Array, Joint
 
 _NO_LIMIT = 1.0e3  # N m, rad/s, m: URDF wants a number where the robot file has none

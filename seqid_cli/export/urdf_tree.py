@@ -32,13 +32,13 @@ class UrdfBody:
     kept: Array
 
 
-def bodies_of_urdf(raw: bytes, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
+def bodies_of_urdf(root: ElementTree.Element, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
     """Find the body of each of the identified `joints`.
 
     Parameters
     ----------
-    raw : bytes
-        The URDF, already known to be well-formed and usable.
+    root : Element
+        The URDF, already known to be usable.
     joints : sequence of str
         Names of identified joints, in chain order.
 
@@ -48,15 +48,14 @@ def bodies_of_urdf(raw: bytes, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
         If a number in it cannot be read.
     """
     try:
-        return _bodies(raw, joints)
+        return _bodies(root, joints)
     except ValueError as problem:
         raise ConfigError(
             f"a number in the URDF cannot be read: {problem}", hint="Correct it in the URDF."
         ) from None
 
 
-def _bodies(raw: bytes, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
-    root = ElementTree.fromstring(raw)
+def _bodies(root: ElementTree.Element, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
     children: dict[str, list[ElementTree.Element]] = {}
     by_name = {}
     for joint in root.findall("joint"):

@@ -25,7 +25,7 @@ from seqid_cli.identify.options import (
 from seqid_cli.logs.given import Logs, PathLike, optional, warn
 from seqid_cli.params.document import present, robot_id, stale_stages, with_stage
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import ImuStage, ParameterFile, Stages
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from seqid_cli.params.document import join, present
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import check_robot, file_sha256, read_parameters
-from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.file import load_robot
 

@@ -17,7 +17,7 @@ from seqid_cli.identify.friction_surface.gravity_separation import gravity_colum
 from seqid_cli.identify.log_verdicts import verdicts_of_logs
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
-from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import (
     FrictionJoint,
     FrictionStage,
@@ -27,7 +27,7 @@ from seqid_cli.params.schema import (
     Stages,
     Verdict,
 )
-from seqid_cli.robot.base import free_basis, standard_regressor
+from seqid_cli.robot.base_parameters import free_basis, standard_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent

@@ -18,7 +18,7 @@ from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_verdicts import notes_of_logs, said, verdicts_of_logs
 from seqid_cli.identify.tree import Tree, or_none
-from seqid_cli.inspect.findings import located
+from seqid_cli.inspect.findings.finding import located
 from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
@@ -26,7 +26,7 @@ from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.blocks import SurveyedLog
-from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import InputLog, Verdict
 from seqid_cli.robot.types import Robot
 from seqid_cli.scale.executors import Reply, answer, ordered

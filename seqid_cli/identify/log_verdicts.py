@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import Verdict
 
 

@@ -12,27 +12,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 
-from seqid_cli.inspect.clock import clock_findings
-from seqid_cli.inspect.dynamics import friction_findings, sample_of
-from seqid_cli.inspect.findings import found
-from seqid_cli.inspect.geometry import geometry_findings
-from seqid_cli.inspect.holes import hole_findings
-from seqid_cli.inspect.imu_fit import FOLLOWS
-from seqid_cli.inspect.imu_motion import Following, follow, motion_findings
-from seqid_cli.inspect.imus import imu_findings
-from seqid_cli.inspect.material import LogData, log_data
-from seqid_cli.inspect.positions import (
+from seqid_cli.inspect.channels.clock import clock_findings
+from seqid_cli.inspect.channels.holes import hole_findings
+from seqid_cli.inspect.channels.positions import (
     Break,
     breaks_of,
     fast_in_degrees,
     position_findings,
     position_quality,
 )
-from seqid_cli.inspect.torques import temperature_findings, torque_findings, torque_quality
-from seqid_cli.inspect.velocities import velocity_findings
+from seqid_cli.inspect.channels.torques import temperature_findings, torque_findings, torque_quality
+from seqid_cli.inspect.channels.velocities import velocity_findings
+from seqid_cli.inspect.dynamics.equations import geometry_findings
+from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.imu.link_fit import FOLLOWS
+from seqid_cli.inspect.imu.motion import Following, follow, motion_findings
+from seqid_cli.inspect.imu.readings import imu_findings
+from seqid_cli.inspect.material import LogData, log_data
 from seqid_cli.logs.read import without_values
 from seqid_cli.logs.timebase import JITTER_LIMIT
-from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.results.inspection import InspectionFinding
 
 # Findings that make everything computed from the motion of a joint meaningless.
 SPOIL = frozenset(

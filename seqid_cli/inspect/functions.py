@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
 from seqid_cli.params.files import check_output
-from seqid_cli.params.inspection_schema import InspectionFile
 from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:

@@ -7,11 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from seqid_cli.logs.contents import Survey
-from seqid_cli.robot.dh import DhRow, chain_from_dh
-from seqid_cli.robot.types import Channels, Imu, Joint, Robot
+from seqid_cli.robot.placement import DhRow, chain_from_dh
+from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.robot.types import Imu, Joint, Robot
 
 # Words for each quantity, joined and in lower case; those of one letter count only beside a number.
 WORDS: Mapping[str, tuple[str, ...]] = {
@@ -213,5 +215,5 @@ def stand_in(guessed: Guess, *, source: Path) -> Robot:
         sha256="",
         source=source,
         imus=guessed.imus,
-        channels=Channels(**guessed.patterns),
+        channels=msgspec.convert(dict(guessed.patterns), Channels),
     )

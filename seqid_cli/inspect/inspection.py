@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 from msgspec import structs
 
 from seqid_cli.errors import InputError
-from seqid_cli.inspect.channels import missing_imus, missing_joints
 from seqid_cli.inspect.checks import check
-from seqid_cli.inspect.findings import found, located, verdict_of
+from seqid_cli.inspect.findings.finding import found, located, verdict_of
 from seqid_cli.inspect.guess import guess, stand_in
-from seqid_cli.inspect.imus import layout_findings
+from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData, read_log
 from seqid_cli.inspect.moves import (
     imu_summaries,
@@ -23,12 +22,13 @@ from seqid_cli.inspect.moves import (
     stretches_of,
     together,
 )
+from seqid_cli.inspect.names import missing_imus, missing_joints
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.params.document import now, tool
-from seqid_cli.params.inspection_schema import (
+from seqid_cli.params.results.inspection import (
     INSPECTION_SCHEMA,
     InspectedLog,
     InspectionFile,

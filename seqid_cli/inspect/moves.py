@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.imu_motion import Following
-from seqid_cli.inspect.imus import rest_rows
+from seqid_cli.inspect.channels.positions import top_speeds
+from seqid_cli.inspect.channels.values import lattice
+from seqid_cli.inspect.imu.motion import Following
+from seqid_cli.inspect.imu.readings import rest_rows
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.positions import top_speeds
-from seqid_cli.inspect.values import lattice
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
-from seqid_cli.params.inspection_schema import InspectedImu, InspectedJoint, InspectedMoves
+from seqid_cli.params.results.inspection import InspectedImu, InspectedJoint, InspectedMoves
 
 Array = NDArray[np.float64]
 

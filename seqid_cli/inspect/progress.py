@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.results.inspection import InspectionFinding
 
 
 @dataclass(frozen=True)

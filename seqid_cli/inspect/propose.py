@@ -13,10 +13,10 @@ from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
-from seqid_cli.params.inspection_schema import InspectedJoint
-from seqid_cli.robot.template import ImuTemplate, JointTemplate, RobotTemplate
-from seqid_cli.robot.urdf_joints import UrdfJoint, best_chain, check_urdf
-from seqid_cli.robot.urdf_text import UrdfText
+from seqid_cli.params.results.inspection import InspectedJoint
+from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTemplate
+from seqid_cli.robot.urdf.joints import UrdfJoint, best_chain, check_urdf
+from seqid_cli.robot.urdf.text import UrdfText
 
 NEAR = 0.6
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")

@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
-from seqid_cli.inspect.findings import located
+from seqid_cli.inspect.findings.finding import located
 from seqid_cli.inspect.material import log_data
-from seqid_cli.inspect.positions import Break, breaks_of
 from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.long import READERS, Block, Bridge
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.blocks import SurveyedLog
-from seqid_cli.params.inspection_schema import InspectionFinding
+from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.naming_schemes import survey_names
-from seqid_cli.robot.types import Channels
+from seqid_cli.robot.toml.schema import Channels
 
 
 @dataclass(frozen=True)

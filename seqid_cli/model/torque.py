@@ -13,7 +13,7 @@ from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
-from seqid_cli.robot.base import STANDARD, gear_ratios, standard_names
+from seqid_cli.robot.base_parameters import STANDARD, gear_ratios, standard_names
 from seqid_cli.robot.regressor import Coupling, inverse_dynamics, rotor_regressor
 from seqid_cli.robot.types import Robot
 

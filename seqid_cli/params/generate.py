@@ -8,11 +8,11 @@ from pathlib import Path
 
 import msgspec
 
-from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.files import write_text_atomic
-from seqid_cli.params.inspection_schema import INSPECTION_SCHEMA, InspectionFile
-from seqid_cli.params.plan_schema import PLAN_SCHEMA, PlanFile
-from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA, PredictionFile
+from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
+from seqid_cli.params.results.inspection import INSPECTION_SCHEMA, InspectionFile
+from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
+from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 SCHEMA_FOLDER = Path(__file__).parent / "schemas"

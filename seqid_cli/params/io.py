@@ -1,10 +1,11 @@
-"""Read and write parameter files. A fault is reported with its place in the file."""
+"""Read and write documents. A fault is reported with its place in the file."""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,21 +13,27 @@ import msgspec
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.check import check_consistency
-from seqid_cli.params.document import join
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import write_text_atomic
-from seqid_cli.params.migrate import (
-    PARAMS_MIGRATIONS,
-    PARAMS_VERSION,
-    Document,
-    Migration,
-    migrate,
-)
-from seqid_cli.params.schema import ParameterFile
+from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
+from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
+from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
+Json = dict[str, object]
+Migration = Callable[[Json], Json]
+Document = ParameterFile | PredictionFile | DiagnosisFile
+
+PARAMS_VERSION = 1
+# From each older version: the function that turns it into the next. Version 1 is the oldest.
+PARAMS_MIGRATIONS: Mapping[int, Migration] = {}
+_RESULTS: Mapping[str, type[PredictionFile] | type[DiagnosisFile]] = {
+    PREDICTION_SCHEMA: PredictionFile,
+    DIAGNOSIS_SCHEMA: DiagnosisFile,
+}
+_RESULT_HINT = "Name JSON files that seqid wrote with -o."
 _MAX_BYTES = 256 * 1024 * 1024
 _NAME = re.compile(r"seqid/(?P<kind>[a-z_]+)@(?P<version>[1-9][0-9]{0,5})")
 _BYTE = re.compile(r"\(byte (\d+)\)")
@@ -50,6 +57,12 @@ def read_parameters(
     where = str(path)
     data = read_bytes(path)
     document = parse_document(data, where)
+    return _parameters(data, document, where, version, migrations)
+
+
+def _parameters(
+    data: bytes, document: Json, where: str, version: int, migrations: Mapping[int, Migration]
+) -> ParameterFile:
     found = _version(document, where, version)
     try:
         if found < version:
@@ -59,17 +72,6 @@ def read_parameters(
         raise _schema_error(error, where) from error
     check_consistency(file, where)
     return file
-
-
-def read_joined(paths: Sequence[Path]) -> ParameterFile:
-    """Read several parameter files of one robot and join their stages.
-
-    Raises
-    ------
-    ConfigError
-        One cannot be read, they are about different robots, or they disagree on a stage.
-    """
-    return join([(str(path), read_parameters(path)) for path in paths])
 
 
 def check_robot(file: ParameterFile, robot: Robot, *, where: str = "") -> tuple[str, ...]:
@@ -134,7 +136,7 @@ def read_bytes(path: Path) -> bytes:
         raise ConfigError(message, where=where, hint="Check the path and the rights.") from error
 
 
-def parse_document(data: bytes, where: str) -> Document:
+def parse_document(data: bytes, where: str) -> Json:
     """Read the content of the file `where` as one JSON object.
 
     Raises
@@ -181,7 +183,7 @@ def _schema_error(error: Exception, where: str) -> ConfigError:
     return ConfigError(f"{match.group('key')}: {match.group('what')}", where=where, hint=hint)
 
 
-def _version(document: Document, where: str, newest: int) -> int:
+def _version(document: Json, where: str, newest: int) -> int:
     name = document.get("schema")
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     if match is None:
@@ -200,10 +202,71 @@ def _version(document: Document, where: str, newest: int) -> int:
 
 
 def _migrated(
-    document: Document, found: int, where: str, version: int, steps: Mapping[int, Migration]
+    document: Json, found: int, where: str, version: int, steps: Mapping[int, Migration]
 ) -> bytes:
+    """Bring a document of an older version up to date, one step at a time."""
     try:
-        return msgspec.json.encode(migrate(document, found, target=version, steps=steps))
+        for current in range(found, version):
+            document = steps[current](document)
+        return msgspec.json.encode(document)
     except (LookupError, TypeError, ValueError) as error:
         message = f"is of the old version seqid/params@{found} and cannot be brought up to date"
         raise ConfigError(message, where=where, hint="Identify again from the logs.") from error
+
+
+@dataclass(frozen=True)
+class Source:
+    """A document and the file that it came from: its path as given and its SHA-256."""
+
+    path: str
+    sha256: str
+    content: Document
+
+
+def read_any(paths: Sequence[Path]) -> list[Source]:
+    """Read parameter, prediction and diagnosis files, in the order given.
+
+    Raises
+    ------
+    ConfigError
+        One is missing, is no JSON, is no document of these kinds, is newer than this version
+        knows, or does not follow its schema. The message names the file and the key.
+    """
+    return [_read(path) for path in paths]
+
+
+def _read(path: Path) -> Source:
+    where = str(path)
+    try:
+        data = read_bytes(path)
+        document = parse_document(data, where)
+    except ConfigError as error:
+        raise ConfigError(error.message, where=where, hint=_RESULT_HINT) from error
+    sha256 = hashlib.sha256(data).hexdigest()
+    name = document.get("schema")
+    match = _NAME.fullmatch(name) if isinstance(name, str) else None
+    if match is None:
+        what = "missing" if name is None else repr(name)[:60]
+        raise ConfigError(f"is no result: `schema` is {what}", where=where, hint=_RESULT_HINT)
+    if match["kind"] == "params":
+        file = _parameters(data, document, where, PARAMS_VERSION, PARAMS_MIGRATIONS)
+        return Source(where, sha256, file)
+    return Source(where, sha256, _result(data, match, where))
+
+
+def _result(data: bytes, match: re.Match[str], where: str) -> PredictionFile | DiagnosisFile:
+    name, kind = match.group(), match["kind"]
+    if name in _RESULTS:
+        try:
+            return msgspec.json.decode(data, type=_RESULTS[name])
+        except (msgspec.ValidationError, RecursionError) as error:
+            hint = f"The file was edited or damaged: run the command that wrote the {kind} again."
+            raise ConfigError(str(error), where=where, hint=hint) from error
+    known = [known for known in _RESULTS if known.startswith(f"seqid/{kind}@")]
+    if not known:
+        kinds = ", ".join(schema.split("@")[0] for schema in (SCHEMA, *_RESULTS))
+        message = f"is a {kind} file ({name}); what can be read here: {kinds}"
+        raise ConfigError(message, where=where, hint="Leave it out.")
+    message = f"is of the version {name}; this seqid reads {known[0]}"
+    hint = "Upgrade seqid: pip install --upgrade seqid."
+    raise ConfigError(message, where=where, hint=hint)

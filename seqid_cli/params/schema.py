@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from seqid_cli.params.base import Struct
+from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
-from seqid_cli.params.html import Document
 
 SCHEMA = "seqid/params@1"
 

@@ -7,18 +7,28 @@ surface, of standard deviation r, changes slowly: it adds r^2 over `FRICTION_HZ`
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
 from seqid_cli.identify.rigid.inertia import gravity_prior, slowest_speeds
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.plan.limits import Limits
-from seqid_cli.plan.shapes import COARSE_HZ, COEFFICIENTS, SPARSE, Drawn, Moves, Shapes
-from seqid_cli.robot.base import Basis, base_regressor, free_basis, gear_ratios, standard_names
+from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, SPARSE, Drawn, Moves, Shapes
+from seqid_cli.robot.base_parameters import (
+    Basis,
+    base_regressor,
+    free_basis,
+    gear_ratios,
+    standard_names,
+)
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
@@ -110,6 +120,26 @@ def belief_of(robot: Robot, stages: Stages, limits: Limits) -> Belief:
     blank = Belief(robot, basis, limits, surfaces, theta, root, np.ones(robot.n), known, slow, "")
     density, origin = _density(blank, stages)
     return Belief(robot, basis, limits, surfaces, theta, root, density, known, slow, origin)
+
+
+def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
+    """Sum up H' D H (b, b) over the samples of logs in which joints slide.
+
+    Raises
+    ------
+    InputError
+        A log carries neither torque nor current.
+    """
+    total = np.zeros((belief.basis.size, belief.basis.size))
+    for recording in recordings:
+        motion = torque_motion(recording, belief.robot, MotionOptions())
+        for rows in filtered_regressor(motion, belief.robot, belief.basis):
+            speed = rows.motion.dq**2
+            slide = speed / (speed + belief.slow**2)
+            weight = np.sqrt(belief.density * slide / motion.rate_hz)
+            flat = (weight[..., None] * rows.H).reshape(-1, belief.basis.size)
+            total += flat.T @ flat
+    return total
 
 
 def typical(belief: Belief, seed: int) -> Moves:

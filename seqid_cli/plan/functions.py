@@ -14,7 +14,7 @@ from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, opt
 from seqid_cli.params.document import join
 from seqid_cli.params.files import check_output, writing
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.plan_schema import PlanFile
+from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.plan.options import PlanOptions
 
@@ -107,7 +107,7 @@ def _check(
 
 
 def _with_trajectories(plan: PlanFile, folder: Path, speed_scale: float) -> PlanFile:
-    from seqid_cli.plan.trajectories import write_csv
+    from seqid_cli.plan.moves.trajectories import write_csv
 
     with writing(folder):
         folder.mkdir(exist_ok=True)

@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.robot.toml_read import read_robot_file
+from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.types import Joint, Robot
-from seqid_cli.robot.urdf_joints import UrdfJoint, chains
-from seqid_cli.robot.urdf_text import read_urdf_text
+from seqid_cli.robot.urdf.joints import UrdfJoint
 
 Array = NDArray[np.float64]
-
-SHARE = 0.95  # of every limit that a plan uses; the rest is for the controller's overshoot
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class Limits:
 
 
 def limits_of(
-    robot: Robot, *, ramp_s: float, share: float = SHARE, locked: Sequence[str] = ()
+    robot: Robot, *, ramp_s: float, share: float = PlanOptions.share, locked: Sequence[str] = ()
 ) -> Limits:
     """Take the tighter of the robot file's limits and the URDF's, and `share` of that.
 
@@ -68,9 +65,7 @@ def limits_of(
         `locked` names no joint, or every joint.
     """
     moves = _moves(robot, locked)
-    urdf = _of_urdf(robot)
-    n = robot.n
-    found = [_Found.of(robot, j, urdf.get(robot.joints[j].name), needed=moves[j]) for j in range(n)]
+    found = [_Found.of(robot, j, needed=moves[j]) for j in range(robot.n)]
     lower, upper = (np.array([getattr(f, side) for f in found]) for side in ("lower", "upper"))
     middle, half = (lower + upper) / 2, share * (upper - lower) / 2
     speed = share * np.array([f.speed for f in found])
@@ -89,15 +84,6 @@ def _moves(robot: Robot, locked: Sequence[str]) -> NDArray[np.bool_]:
     return moves
 
 
-def _of_urdf(robot: Robot) -> dict[str, UrdfJoint]:
-    """Joints of the URDF that the robot file names, by name; none where it names none."""
-    read = read_robot_file(robot.source)
-    if read.content.urdf is None:
-        return {}
-    urdf = read_urdf_text(read.path.parent / read.content.urdf)
-    return {joint.name: joint for chain in chains(urdf) for joint in chain}
-
-
 @dataclass(frozen=True)
 class _Found:
     """Limits of one joint as they were found."""
@@ -108,9 +94,10 @@ class _Found:
     torque: float
 
     @classmethod
-    def of(cls, robot: Robot, j: int, urdf: UrdfJoint | None, *, needed: bool) -> _Found:
+    def of(cls, robot: Robot, j: int, *, needed: bool) -> _Found:
         """Join both sources; a joint that need not move may lack its limits."""
         joint = robot.joints[j]
+        urdf = joint.urdf
         ranges = [joint.position_limits, _range_of(urdf)]
         given = [limits for limits in ranges if limits is not None]
         speed = _least(joint.velocity_limit, urdf.velocity if urdf else None)

@@ -10,24 +10,23 @@ from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import now, robot_id, tool
-from seqid_cli.params.plan_schema import (
+from seqid_cli.params.results.plan import (
     PLAN_SCHEMA,
     JointLimits,
     PlanFile,
     PlannedMove,
     PlannedStage,
 )
-from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
-from seqid_cli.plan.belief import Belief, belief_of
-from seqid_cli.plan.friction import plan_friction
-from seqid_cli.plan.gravity import plan_gravity
-from seqid_cli.plan.have import information_of
-from seqid_cli.plan.imu import plan_imu
-from seqid_cli.plan.inertia import Planned, plan_inertia
+from seqid_cli.plan.belief import Belief, belief_of, information_of
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.validation import plan_validation
+from seqid_cli.plan.stages.friction import plan_friction
+from seqid_cli.plan.stages.gravity import plan_gravity
+from seqid_cli.plan.stages.imu import plan_imu
+from seqid_cli.plan.stages.inertia import Planned, plan_inertia
+from seqid_cli.plan.stages.validation import plan_validation
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MOVE_RAMPS = 20.0  # length of a move over the time from rest to the largest speed
-
 
 @dataclass(frozen=True)
 class PlanOptions:
@@ -13,13 +11,15 @@ class PlanOptions:
 
     `duration_s` is the time that the moves of the inertia stage may take, `together` whether all
     joints move at once in them instead of two, `pool` how many moves are drawn to choose from and
-    `sweeps` how often each chosen one is refined. Each move lasts `move_s` (None: 20 ramps), gets
-    from rest to the largest speed in `ramp_s`, and uses a `share` of all limits; `locked` joints
+    `sweeps` how often each chosen one is refined. Each move lasts `move_s` (None: `move_ramps`
+    times `ramp_s`), gets from rest to the largest speed in `ramp_s`, and uses a `share` of all
+    limits, the rest of which is for the controller's overshoot; `locked` joints
     are kept still, and `speed_scale` slows down the files, for the first run on the robot.
     """
 
     duration_s: float = 150.0
     move_s: float | None = None
+    move_ramps: float = 20.0
     together: bool = False
     pool: int = 600
     sweeps: int = 2
@@ -32,4 +32,4 @@ class PlanOptions:
     @property
     def length_s(self) -> float:
         """How long each move lasts, s."""
-        return MOVE_RAMPS * self.ramp_s if self.move_s is None else self.move_s
+        return self.move_ramps * self.ramp_s if self.move_s is None else self.move_s

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Literal
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, ResidualEntry
 from seqid_cli.params.document import join, present
 from seqid_cli.params.evidence_schema import EvidenceEntry
-from seqid_cli.params.prediction_schema import PredictionFile
-from seqid_cli.params.read_any import Source
+from seqid_cli.params.io import Source
+from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import ParameterFile, RobotId, Stages
 
 Kind = Literal["identified", "refined", "simultaneous"]

@@ -8,8 +8,8 @@ from pathlib import Path
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import PathLike, Paths, listed, optional, warn
 from seqid_cli.params.files import check_output, write_text_atomic
-from seqid_cli.params.read_any import read_any
-from seqid_cli.params.report_schema import ReportFile, ReportPoint, ReportSection
+from seqid_cli.params.io import read_any
+from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
 
 _MAGIC = b"PAR1"
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
-from seqid_cli.params.diagnosis_words import beyond_noise, nothing_found
-from seqid_cli.params.report_schema import TITLES
+from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.diagnosis_words import beyond_noise, nothing_found
+from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.report.collection import Collection, Diagnosed, Model, Prediction
 from seqid_cli.report.words import (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from seqid_cli.params.read_any import Source
+from seqid_cli.params.io import Source
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.judgement import Judgement, judge
 from seqid_cli.report.page import render

@@ -8,7 +8,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def plot_friction(file: ParameterFile, joint: str) -> Drawing:
     UsageError
         The file has no friction of this joint.
     """
-    from seqid_cli.report.friction_figures import over_position, over_velocity, surface_figure
-    from seqid_cli.report.torque_figures import Place
+    from seqid_cli.report.figures.friction import over_position, over_velocity, surface_figure
+    from seqid_cli.report.figures.torque import Place
 
     known = file.stages.friction.joints if file.stages.friction else {}
     if joint not in known:
@@ -60,7 +60,7 @@ def plot_friction(file: ParameterFile, joint: str) -> Drawing:
 
 def plot_evidence(file: DiagnosisFile) -> Drawing:
     """Draw the residuals behind the findings and the unexplained parts of a diagnosis."""
-    from seqid_cli.report.evidence_views import evidence_figure
+    from seqid_cli.report.figures.evidence import evidence_figure
 
     collection = _collection(file)
     shown = [item.evidence for item in file.findings] + [p.evidence for p in file.unexplained]
@@ -69,7 +69,7 @@ def plot_evidence(file: DiagnosisFile) -> Drawing:
 
 
 def _collection(file: ParameterFile | DiagnosisFile) -> Collection:
-    from seqid_cli.params.read_any import Source
+    from seqid_cli.params.io import Source
     from seqid_cli.report.collection import collect
 
     return collect([Source("", "", file)])

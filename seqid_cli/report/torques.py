@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.tables.columns import opened_table
-from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.report.collection import Collection, Prediction
 
 Array = NDArray[np.float64]

@@ -6,13 +6,14 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import ConfigError
-from .toml_read import ReadRobotFile, read_robot_file
-from .urdf_text import UrdfText, check_names, read_urdf_text
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.toml.read import ReadRobotFile, read_robot_file
+from seqid_cli.robot.urdf.joints import chains
+from seqid_cli.robot.urdf.text import UrdfText, check_names, read_urdf_text
 
 if TYPE_CHECKING:
-    from .toml_schema import EffectEntry, ImuEntry, JointEntry
-    from .types import Array, Chain, Imu, Joint, OwnEffect, Robot
+    from seqid_cli.robot.toml.schema import ImuEntry
+    from seqid_cli.robot.types import Array, Chain, Imu, Robot
 
 
 def load_robot(path: Path) -> Robot:
@@ -47,35 +48,50 @@ def _urdf_of(read: ReadRobotFile) -> UrdfText | None:
 
 
 def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> Robot:
-    import msgspec
     import numpy as np
 
-    from .types import Channels, Robot
+    from seqid_cli.robot.types import Joint, OwnEffect, Robot
 
     content = read.content
     chain, nominal = _chain_of(read, urdf)
     names = [joint.name for joint in content.joint]
+    known = {joint.name: joint for path in chains(urdf) for joint in path} if urdf else {}
+    joints = []
+    for entry, slides in zip(content.joint, chain.prismatic, strict=True):
+        given = {key: getattr(entry, key) for key in entry.__struct_fields__ if key != "dh"}
+        joints.append(Joint(**{**given, "prismatic": bool(slides)}, urdf=known.get(entry.name)))
+    effects = [
+        OwnEffect(
+            name=entry.name,
+            joint=None if entry.joint is None else names.index(entry.joint),
+            formula=formula,
+            settings=entry.settings,
+        )
+        for entry, formula in zip(content.effect, read.formulas, strict=True)
+    ]
     return Robot(
         name=content.name,
-        joints=tuple(
-            _joint(entry, bool(slides))
-            for entry, slides in zip(content.joint, chain.prismatic, strict=True)
-        ),
+        joints=tuple(joints),
         chain=chain,
         gravity=np.array(content.gravity, dtype=float),
         sha256=hashlib.sha256(read.raw + (urdf.raw if urdf else b"")).hexdigest(),
         source=read.path,
         imus=tuple(_imu(entry, names) for entry in content.imu),
-        channels=Channels(**msgspec.structs.asdict(content.channels)),
+        channels=content.channels,
         nominal=nominal,
-        effects=tuple(_effect(entry, names) for entry in content.effect),
+        urdf=urdf.path if urdf else None,
+        effects=tuple(effects),
     )
 
 
 def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> tuple[Chain, Array | None]:
     if urdf is None:
-        return _chain_of_dh(read.content.joint), None
-    from .urdf import chain_from_urdf
+        from seqid_cli.robot.placement import DhRow, chain_from_dh
+
+        entries = [(joint.dh, joint.prismatic) for joint in read.content.joint]
+        rows = [DhRow(dh.alpha, dh.a, dh.d, dh.theta0, slides) for dh, slides in entries if dh]
+        return chain_from_dh(rows), None
+    from seqid_cli.robot.urdf.model import chain_from_urdf
 
     names = tuple(joint.name for joint in read.content.joint)
     found = chain_from_urdf(urdf, names, read.path)
@@ -90,51 +106,10 @@ def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> tuple[Chain, Array 
     return found.chain, found.nominal
 
 
-def _chain_of_dh(joints: tuple[JointEntry, ...]) -> Chain:
-    from .dh import DhRow, chain_from_dh
-
-    return chain_from_dh(
-        [
-            DhRow(joint.dh.alpha, joint.dh.a, joint.dh.d, joint.dh.theta0, joint.prismatic)
-            for joint in joints
-            if joint.dh is not None
-        ]
-    )
-
-
-def _joint(entry: JointEntry, prismatic: bool) -> Joint:
-    from .types import Joint
-
-    return Joint(
-        name=entry.name,
-        prismatic=prismatic,
-        torque_constant=entry.torque_constant,
-        torque_constant_error=entry.torque_constant_error,
-        gear_ratio=entry.gear_ratio,
-        rotor_inertia=entry.rotor_inertia,
-        encoder_resolution=entry.encoder_resolution,
-        position_limits=entry.position_limits,
-        velocity_limit=entry.velocity_limit,
-    )
-
-
-def _effect(entry: EffectEntry, joints: list[str]) -> OwnEffect:
-    from .formula import parse_formula
-    from .types import OwnEffect
-
-    text = entry.torque
-    return OwnEffect(
-        name=entry.name,
-        joint=None if entry.joint is None else joints.index(entry.joint),
-        formula=None if text is None else parse_formula(text, len(joints), entry.settings),
-        settings=entry.settings,
-    )
-
-
 def _imu(entry: ImuEntry, joints: list[str]) -> Imu:
     import numpy as np
 
-    from .types import Imu
+    from seqid_cli.robot.types import Imu
 
     if entry.accelerometers:
         positions = np.array([sensor.position for sensor in entry.accelerometers], dtype=float)

@@ -12,10 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .placement import skew
-from .types import Array, Chain
-
-BASE = -1
+from seqid_cli.robot.placement import skew
+from seqid_cli.robot.types import Array, Chain
 
 
 @dataclass(frozen=True)
@@ -109,11 +107,11 @@ def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -
         else:
             dw[i] += axis * ddq[i] + turned
             w[i] += axis * dq[i]
-        _fill_motion_matrix(H[i], w[i], dw[i])
+        fill_motion_matrix(H[i], w[i], dw[i])
     return LinkMotion(R=R, p=p, w=w, dw=dw, a=a, H=H)
 
 
-def _fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
+def fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
     """Fill H (3, 3, N) with skew(dw) + skew(w) skew(w)."""
     xx, yy, zz = w * w
     H[0, 0], H[1, 1], H[2, 2] = -(yy + zz), -(xx + zz), -(xx + yy)
@@ -143,11 +141,6 @@ def forward(chain: Chain, q: Array) -> Frames:
         R[:, i] = R[:, i - 1] @ R_local[:, i]
         p[:, i] = p[:, i - 1] + np.einsum("nab,nb->na", R[:, i - 1], p_local[:, i])
     return Frames(R=R, p=p, z=np.einsum("niab,ib->nia", R, chain.axis))
-
-
-def link_rotation(chain: Chain, q: Array, link: int) -> Array:
-    """Return the rotation (N, 3, 3), base from `link` (0-based; -1 is the base), at q (N, n)."""
-    return rotation_between(chain, q, BASE, link)
 
 
 def rotation_between(chain: Chain, q: Array, i: int, j: int) -> Array:

@@ -1,10 +1,13 @@
-"""Constant rotations, and placements without the rounding of files."""
+"""Constant rotations, placements without the rounding of files, and chains of DH parameters."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
-from .types import Array
+from seqid_cli.robot.types import Array, Chain
 
 ANGLE_NOISE = 1e-5  # rad; "1.5708" in a file means a quarter turn (it is 3.7e-6 off)
 LENGTH_NOISE = 1e-6  # m; below what any arm is built to
@@ -52,3 +55,33 @@ def tidy_axis(axis: Array) -> Array:
     unit = axis / np.linalg.norm(axis)
     unit = np.where(np.abs(unit) < ANGLE_NOISE, 0.0, unit)
     return np.asarray(unit / np.linalg.norm(unit))
+
+
+@dataclass(frozen=True)
+class DhRow:
+    """One joint: RotX(alpha) TransX(a) RotZ(theta0 + q) TransZ(d), rad and m.
+
+    A prismatic joint keeps its angle `theta0` and moves by q along z.
+    """
+
+    alpha: float
+    a: float
+    d: float
+    theta0: float
+    prismatic: bool = False
+
+
+def chain_from_dh(rows: Sequence[DhRow]) -> Chain:
+    """Build the chain of a modified DH table; joint axes are z of their frames (Eq. 27)."""
+    x, z = np.eye(3)[[0, 2]]
+    rotations, positions = [], []
+    for row in rows:
+        tilt = rotation_about(x, row.alpha)
+        rotations.append(tidy_rotation(tilt @ rotation_about(z, row.theta0)))
+        positions.append(tidy_position(row.a * x + row.d * tidy_rotation(tilt)[:, 2]))
+    return Chain(
+        rotation=np.array(rotations),
+        position=np.array(positions),
+        axis=np.tile(z, (len(rows), 1)),
+        prismatic=np.array([row.prismatic for row in rows]),
+    )

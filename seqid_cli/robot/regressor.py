@@ -22,9 +22,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .kinematics import _fill_motion_matrix, cross, link_motion
-from .placement import skew
-from .types import Array, Chain
+from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion
+from seqid_cli.robot.placement import skew
+from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10
 Kinds = NDArray[np.intp]
@@ -339,7 +339,7 @@ def _fill_load(link: _Link, a: Array) -> None:
     """Fill `load` of a link from its w, dw and a (3, N)."""
     turning, moving = link.load
     np.copyto(moving[:, 0], a)
-    _fill_motion_matrix(moving[:, 1:], link.w, link.dw)
+    fill_motion_matrix(moving[:, 1:], link.w, link.dw)
     turning[1, 1], turning[2, 1] = -a[2], a[1]
     turning[0, 2], turning[2, 2] = a[2], -a[0]
     turning[0, 3], turning[1, 3] = -a[1], a[0]

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.robot.formula import Formula
+from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.robot.urdf.joints import UrdfJoint
 
 Array = NDArray[np.float64]
 
@@ -19,7 +21,8 @@ class Joint:
     """One actuated joint of the chain (rad and N m; m and N where prismatic).
 
     `torque_constant` [N m/A] and `rotor_inertia` [kg m^2] are on the motor side.
-    `torque_constant_error` is the relative standard error of the joint's torque scale.
+    `torque_constant_error` is the relative standard error of the joint's torque scale. `urdf` holds
+    what the URDF says of the joint, None where there is none.
     """
 
     name: str
@@ -31,6 +34,7 @@ class Joint:
     encoder_resolution: float | None = None
     position_limits: tuple[float, float] | None = None
     velocity_limit: float | None = None
+    urdf: UrdfJoint | None = None
 
     @property
     def torque_per_ampere(self) -> float | None:
@@ -53,19 +57,6 @@ class Imu:
     positions: Array
     axes: Array
     gyro: bool = False
-
-
-@dataclass(frozen=True)
-class Channels:
-    """Names that a log uses instead of the default ones; None means the default."""
-
-    time: str | None = None
-    position: str | None = None
-    velocity: str | None = None
-    current: str | None = None
-    torque: str | None = None
-    temperature: str | None = None
-    effort: str | None = None  # what it is: "torque" or "current"; torque where it is not said
 
 
 @dataclass(frozen=True)
@@ -102,7 +93,7 @@ class OwnEffect:
 
 @dataclass(frozen=True)
 class Robot:
-    """A robot file, read and checked.
+    """A robot file, read and checked, with its URDF (`urdf`, None where it names none).
 
     `gravity` (3,) m/s^2 in the base frame. `nominal` (n, 10) are the standard inertial parameters
     of the URDF, if it has any, in Pinocchio's order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz),
@@ -118,6 +109,7 @@ class Robot:
     imus: tuple[Imu, ...] = ()
     channels: Channels = field(default_factory=Channels)
     nominal: Array | None = None
+    urdf: Path | None = None
     effects: tuple[OwnEffect, ...] = ()
 
     @property

@@ -71,7 +71,7 @@ def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
 
     from seqid_cli.model.friction import friction_torque
     from seqid_cli.model.torque import friction_surfaces
-    from seqid_cli.robot.base import free_basis
+    from seqid_cli.robot.base_parameters import free_basis
     from seqid_cli.robot.file import load_robot
 
     robot = load_robot(robot_path)

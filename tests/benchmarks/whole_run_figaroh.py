@@ -105,7 +105,7 @@ def _row(name: str, runs: Sequence[Result], reference: Sequence[Result]) -> list
 def main(arguments: Sequence[str]) -> int:
     """Identify as the inertia stage does and print what it took."""
     from seqid_cli.identify.regression.least_squares import Accumulator, solve
-    from seqid_cli.robot.base import base_regressor, free_basis
+    from seqid_cli.robot.base_parameters import base_regressor, free_basis
 
     robot = load_robot(Path(arguments[0]))
     with np.load(arguments[1]) as arrays:

@@ -13,11 +13,11 @@ import pytest
 
 from seqid_cli.__main__ import main
 from seqid_cli.discover.gather import Gathered
-from seqid_cli.inspect.findings import located
+from seqid_cli.inspect.findings.finding import located
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.params.inspection_schema import InspectionFinding
 from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Robot
 from tests import ROOT

@@ -17,10 +17,12 @@ from seqid_cli.commands.show_diagnosis import show_diagnosis, verdict_sentence
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings.finding import found
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.diagnosis_schema import (
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.generate import json_schema
+from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     DiagnosisFile,
     EffectParameter,
@@ -30,8 +32,6 @@ from seqid_cli.params.diagnosis_schema import (
     ResidualEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.params.encode import encode
-from seqid_cli.params.inspection_schema import INSPECTION_SCHEMA, InspectionFile
+from seqid_cli.params.results.inspection import INSPECTION_SCHEMA, InspectionFile
 from tests.commands.conftest import Rig
 from tests.unit.inspect.faults import SAMPLES, read_columns, write_columns
 

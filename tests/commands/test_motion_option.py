@@ -21,7 +21,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters, write_json_atomic
-from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
+from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.params.schema import SCHEMA, ImuStage, MotionUse
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot

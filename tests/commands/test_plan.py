@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.params.generate import schema_path
-from seqid_cli.params.plan_schema import PLAN_SCHEMA
+from seqid_cli.params.results.plan import PLAN_SCHEMA
 from tests import ROOT
 from tests.commands.conftest import Rig
 

@@ -15,7 +15,7 @@ import pytest
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.generate import json_schema
-from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
+from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLES, Reader, Rig
 from tests.unit.params.documents import friction_file, full_file

@@ -21,7 +21,7 @@ from seqid_cli.motion import blocks
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import SCHEMA, ParameterFile, RigidStage, Stages
-from seqid_cli.robot.base import standard_names
+from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot

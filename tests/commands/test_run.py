@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
-from seqid_cli.params.prediction_schema import PREDICTION_SCHEMA
+from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
+from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.params.schema import SCHEMA
 from tests.commands.conftest import ONE_JOINT, run
 

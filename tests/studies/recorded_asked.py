@@ -15,7 +15,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import ClosedLoop, Stages
 from seqid_cli.robot.types import Robot
 from tests.studies.tables import number, table

@@ -14,8 +14,8 @@ from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import (
     ClosedLoop,
     EffectOfJoint,

@@ -17,7 +17,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.torque import TorqueModel, known_rotors
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages
-from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from tests import ROOT
 from tests.plants.experiments import (
     Trial,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry, UnexplainedPart
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
 from tests.studies.undeclared_cases import Truth
 
 SURE = 0.8  # confidence from which a wrong mechanism counts as a confident error

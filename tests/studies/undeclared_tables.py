@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.plants.drawn import JOINTS
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE
 from tests.studies.tables import number, table

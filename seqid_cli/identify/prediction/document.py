@@ -19,7 +19,7 @@ from seqid_cli.identify.prediction.torques_mcap import McapTorqueWriter
 from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
 from seqid_cli.model.effects.fitted import effect_notes
 from seqid_cli.params.document import now, present, robot_id, tool
-from seqid_cli.params.prediction_schema import (
+from seqid_cli.params.results.prediction import (
     PREDICTION_SCHEMA,
     JointError,
     LogPredictionError,

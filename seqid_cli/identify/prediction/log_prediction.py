@@ -12,7 +12,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.inertia import slowest_speeds
 from seqid_cli.model.torque import TorqueModel, friction_surfaces
 from seqid_cli.params.schema import MotionUse, Stages
-from seqid_cli.robot.base import free_basis
+from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask

@@ -13,7 +13,7 @@ from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage
-from seqid_cli.robot.base import Basis, base_regressor, loaded_columns
+from seqid_cli.robot.base_parameters import Basis, base_regressor, loaded_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 

@@ -39,7 +39,7 @@ from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.motion import Motion, as_asked, encoder_resolution
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.base import Basis
+from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 

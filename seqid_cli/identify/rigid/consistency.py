@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from seqid_cli.model.bodies.demand import Deviation, identified
 from seqid_cli.model.bodies.nearest import nearest_bodies
 from seqid_cli.params.schema import RigidStage, Stages
-from seqid_cli.robot.base import standard_names
+from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
 
 TOLD = 0.5  # standard errors by which a parameter must move to be named

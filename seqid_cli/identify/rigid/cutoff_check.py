@@ -25,7 +25,7 @@ from seqid_cli.identify.regression.least_squares import Solution, spread_of
 from seqid_cli.identify.rigid.posterior import Posterior, friction_covariance
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import RigidStage, Verdict
-from seqid_cli.robot.base import Basis
+from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
 CLEAR = 4.0  # standard errors of a difference between two cut-offs, from which it is said

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from seqid_cli.robot.base import Basis, base_regressor
+from seqid_cli.robot.base_parameters import Basis, base_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 

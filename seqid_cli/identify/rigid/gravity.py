@@ -35,7 +35,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base import Basis, base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 

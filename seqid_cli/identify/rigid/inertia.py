@@ -65,7 +65,13 @@ from seqid_cli.model.torque import friction_surfaces, known_rotors
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
 from seqid_cli.params.schema import MotionUse, RigidStage, Stages, Verdict
-from seqid_cli.robot.base import Basis, free_basis, gear_ratios, loaded_columns, standard_names
+from seqid_cli.robot.base_parameters import (
+    Basis,
+    free_basis,
+    gear_ratios,
+    loaded_columns,
+    standard_names,
+)
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent

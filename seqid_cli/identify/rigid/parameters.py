@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.params.schema import Parameter, RigidStage
-from seqid_cli.robot.base import Basis, standard_names
+from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index
 

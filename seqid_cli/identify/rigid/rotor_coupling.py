@@ -23,7 +23,7 @@ import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution
 from seqid_cli.identify.rigid.posterior import Posterior
-from seqid_cli.robot.base import Basis
+from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
 CONSISTENT = 3.0  # standard errors within which the free share agrees with 0 or 1

@@ -41,7 +41,7 @@ from seqid_cli.params.schema import (
     SpeedLevel,
     Verdict,
 )
-from seqid_cli.robot.base import Basis, free_basis, gear_ratios
+from seqid_cli.robot.base_parameters import Basis, free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array

@@ -23,7 +23,7 @@ from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.criteria import ECHOES, EchoCriteria
-from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

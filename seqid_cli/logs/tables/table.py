@@ -28,7 +28,8 @@ from seqid_cli.logs.tables.naming_schemes import (
     stamp_parts,
     time_names,
 )
-from seqid_cli.robot.types import Channels, Robot
+from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.robot.types import Robot
 
 ROWS = "the rows"
 _SHOWN = 6

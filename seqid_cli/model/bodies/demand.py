@@ -10,7 +10,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.model.bodies.consistent import Demand
 from seqid_cli.model.torque import known_rotors, standard_parameters
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
-from seqid_cli.robot.base import Basis, free_basis
+from seqid_cli.robot.base_parameters import Basis, free_basis
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Robot
 

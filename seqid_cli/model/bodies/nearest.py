@@ -9,7 +9,7 @@ import numpy as np
 from seqid_cli.model.bodies.consistent import consistent_links
 from seqid_cli.model.bodies.demand import Identified
 from seqid_cli.model.bodies.prior import Expected, expected_links
-from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Array, Robot
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seqid_cli.robot.base import free_basis
+from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
 
 

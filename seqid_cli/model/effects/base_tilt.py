@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.robot.base import STANDARD
+from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.regressor import gravity_regressor, inverse_dynamics
 from seqid_cli.robot.types import Robot
 

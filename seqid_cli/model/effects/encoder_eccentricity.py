@@ -32,7 +32,7 @@ from seqid_cli.model.effects.periodic import amplitude_and_phase
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.sensitivity import modelled_slopes
 from seqid_cli.model.effects.units import unit_of
-from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

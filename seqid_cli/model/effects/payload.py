@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.robot.base import STANDARD, parameter_unit
+from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK, torque_regressor
 
 Array = NDArray[np.float64]

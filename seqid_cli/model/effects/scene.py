@@ -13,7 +13,7 @@ from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
 from seqid_cli.motion.motion import Motion
-from seqid_cli.robot.base import gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]

@@ -27,3 +27,11 @@ def unit_of(unit: str, prismatic: bool) -> str:
     if not prismatic:
         return unit
     return _ANGLE.sub("m", _TORQUE.sub("N", unit))
+
+
+def setting_units(effect: str) -> dict[str, str]:
+    """Return the units of an effect's settings, in which its torque is not linear."""
+    from seqid_cli.model.effects.registry import CATALOGUE
+
+    settings = CATALOGUE[effect].settings if effect in CATALOGUE else ()
+    return {setting.name: setting.unit for setting in settings}

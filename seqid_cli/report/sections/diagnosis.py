@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from seqid_cli.params.diagnosis_schema import (
+from seqid_cli.model.effects.units import setting_units
+from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
     EventEntry,
     FindingEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.diagnosis_words import beyond_noise
+from seqid_cli.params.results.diagnosis_words import beyond_noise
 from seqid_cli.report.collection import Collection, Diagnosed
-from seqid_cli.report.diagnosis_figures import against_floor, timeline
-from seqid_cli.report.evidence_views import evidence_figure, rivals_table
+from seqid_cli.report.figures.diagnosis import against_floor, timeline
+from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.judgement import known_effects
-from seqid_cli.report.sections.parameters import setting_units
 from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
 from seqid_cli.report.words import (
     command,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Verdict
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.friction_figures import (
+from seqid_cli.report.figures.friction import (
     drawable,
     over_position,
     over_velocity,
     surface_figure,
 )
-from seqid_cli.report.torque_figures import Place
+from seqid_cli.report.figures.torque import Place
 from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
 from seqid_cli.report.words import interval, number, percent, unit_text, with_error
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from seqid_cli.params.schema import ImuCalibration, RigidStage, Verdict
-from seqid_cli.report.chart import drawing
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.svg import circle, label, line
+from seqid_cli.report.figures.chart import drawing
+from seqid_cli.report.figures.svg import circle, label, line
 from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table
 from seqid_cli.report.words import number, short_path, with_error
 

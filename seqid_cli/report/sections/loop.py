@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from seqid_cli.params.schema import ClosedLoop, RefinementRound
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.evidence_views import evidence_figure, rivals_table
-from seqid_cli.report.row_chart import RowChart
+from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
+from seqid_cli.report.figures.row_chart import RowChart
 from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table
 from seqid_cli.report.words import (
     DASH,

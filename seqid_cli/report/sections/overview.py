@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from seqid_cli.report.chart import drawing
 from seqid_cli.report.collection import Collection
+from seqid_cli.report.figures.chart import drawing
+from seqid_cli.report.figures.svg import rect
 from seqid_cli.report.judgement import Judgement
-from seqid_cli.report.svg import rect
 from seqid_cli.report.views import Section
 from seqid_cli.report.words import number, percent, short_path, unit_text
 

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup
 
+from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
-from seqid_cli.report.chart import drawing
 from seqid_cli.report.collection import Collection, Model
-from seqid_cli.report.svg import Scale, circle, line
+from seqid_cli.report.figures.chart import drawing
+from seqid_cli.report.figures.svg import Scale, circle, line
 from seqid_cli.report.views import Absent, Cell, Column, Group, Section, Table
 from seqid_cli.report.words import (
     Z95,
@@ -224,12 +225,3 @@ def _effects(effects: Sequence[EffectOfJoint]) -> Group:
 
 def _exact(value: float) -> tuple[str, str]:
     return number(value), "fixed"
-
-
-def setting_units(effect: str) -> Mapping[str, str]:
-    """Return the units of an effect's settings."""
-    from seqid_cli.model.effects.registry import CATALOGUE
-
-    if effect not in CATALOGUE:
-        return {}
-    return {setting.name: setting.unit for setting in CATALOGUE[effect].settings}

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.collection import Collection, Prediction
-from seqid_cli.report.torque_figures import Event, Place, over_quantity, over_time, spectrum
+from seqid_cli.report.figures.torque import Event, Place, over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
 from seqid_cli.report.views import Absent, Column, Figure, Group, Section, Table
 from seqid_cli.report.words import command, limits, number, percent, plural, short_path, unit_text

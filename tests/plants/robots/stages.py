@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base import free_basis, standard_names
+from seqid_cli.robot.base_parameters import free_basis, standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Array, Robot
 from tests import ROOT

@@ -9,7 +9,7 @@ import numpy as np
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import FrictionJoint
-from seqid_cli.robot.dh import DhRow, chain_from_dh
+from seqid_cli.robot.placement import DhRow, chain_from_dh
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.small import random_inertia, robot_from_chain
 

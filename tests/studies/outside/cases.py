@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from seqid_cli import discover, identify
 from seqid_cli.errors import SeqidWarning
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.effects import Effect

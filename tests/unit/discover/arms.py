@@ -15,7 +15,7 @@ from seqid_cli.discover.select.model import FREE, Ground, Hold, Model
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
-from seqid_cli.robot.base import free_basis
+from seqid_cli.robot.base_parameters import free_basis
 from tests.plants.robots.two_joint import torque_model, two_joint_robot
 from tests.unit.model.effects.scenes import scene_of, wander
 

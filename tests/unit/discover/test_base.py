@@ -13,7 +13,7 @@ from seqid_cli.discover.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages
-from seqid_cli.robot.base import free_basis, standard_names
+from seqid_cli.robot.base_parameters import free_basis, standard_names
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
 from tests.unit.discover.arms import arm_scenes, measuring
 

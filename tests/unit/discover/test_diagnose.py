@@ -25,7 +25,7 @@ from seqid_cli.discover.select.model import Ground
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.cases import Case, declared_plant, injections, motions

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.diagnosis import described
 from seqid_cli.discover.investigate import investigate
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
 from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from tests.unit.discover.test_diagnose import OPTIONS, clean, given, humped_diagnosis, plain
 
 Array = NDArray[np.float64]

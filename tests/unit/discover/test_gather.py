@@ -22,7 +22,7 @@ from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.motion.blocks import open_surveyed
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.unit.discover.long_logs import BEGUN, LongCase, long_case
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import pytest
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect
 from tests.plants.injections_friction import clear

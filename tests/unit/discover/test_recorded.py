@@ -17,7 +17,7 @@ from seqid_cli.logs.checks.echo import WARNING
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
 from tests import ROOT

@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -35,7 +36,7 @@ from tests.plants.robots.stages import (
     stages_of,
 )
 
-Arm = tuple[Robot, Stages, bytes | None]
+Arm = tuple[Robot, Stages]
 
 
 def made(folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: bool = False) -> Arm:
@@ -43,17 +44,16 @@ def made(folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: b
     extra = "gear_ratio = 50.0\n" + "rotor_inertia = 1e-4\n" * known
     robot = save_robot(folder, text, names, joint_extra=extra)
     rotor = np.zeros(robot.n) if known else np.full(robot.n, 1e-4)
-    kept = np.array([body.kept for body in bodies_of_urdf(text.encode(), names)])
-    return robot, stages_of(robot, random_bodies(rng, robot.n) + kept, rotor), text.encode()
+    kept = np.array([body.kept for body in bodies_of_urdf(ElementTree.fromstring(text), names)])
+    return robot, stages_of(robot, random_bodies(rng, robot.n) + kept, rotor)
 
 
 def sample(rig: str) -> Arm:
     """A sample robot with bodies that exist; the real files are tested with the commands."""
     rng = np.random.default_rng(len(rig))
     robot = sample_robot(rig)
-    urdf = SAMPLES / rig / f"{rig}.urdf"
     phi = random_bodies(rng, robot.n) if robot.nominal is None else 0.9 * robot.nominal
-    return robot, stages_of(robot, phi), urdf.read_bytes() if urdf.exists() else None
+    return robot, stages_of(robot, phi)
 
 
 ARMS: dict[str, Callable[[Path], Arm]] = {
@@ -80,12 +80,12 @@ def states(n: int) -> Array:
 
 
 def written(arm: Arm, kind: str) -> Exported:
-    robot, stages, urdf = arm
-    return export(robot, stages, kind=kind, urdf=urdf)
+    robot, stages = arm
+    return export(robot, stages, kind=kind)
 
 
 def rigid(arm: Arm) -> Array:
-    robot, stages, _ = arm
+    robot, stages = arm
     return TorqueModel.from_stages(stages, robot).rigid(*states(robot.n))
 
 
@@ -135,7 +135,7 @@ def test_mujoco_finds_the_identified_torque_in_the_mjcf(arm: Arm) -> None:
 @pytest.mark.parametrize("rig", ["one_joint", "two_joint"])
 def test_models_identified_from_the_sample_logs_keep_their_torque(rig: str) -> None:
     robot = sample_robot(rig)
-    arm = (robot, read_parameters(SAMPLES / rig / "golden.json").stages, None)
+    arm = (robot, read_parameters(SAMPLES / rig / "golden.json").stages)
     expected = rigid(arm)
     done = written(arm, "URDF")
     assert done.model.exact
@@ -184,7 +184,7 @@ needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler 
 
 @needs_cc
 def test_the_c_header_computes_the_predicted_torque(arm: Arm, tmp_path: Path) -> None:
-    robot, stages, _ = arm
+    robot, stages = arm
     q, dq, ddq = states(robot.n)
     model = TorqueModel.from_stages(stages, robot)
     expected = model.rigid(q, dq, ddq) + model.friction(q, dq)
@@ -197,7 +197,7 @@ def test_the_c_header_computes_the_predicted_torque(arm: Arm, tmp_path: Path) ->
 def test_the_c_header_keeps_directions_speed_scales_and_coupled_rotors(
     tmp_path: Path, log: bool
 ) -> None:
-    robot, stages, urdf = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 8, known=True)
+    robot, stages = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 8, known=True)
     assert stages.inertia is not None
     stages.inertia.rotor_coupling = "gyroscopic"
     stages.friction = friction_stage(robot, directional=True, log=log)
@@ -205,7 +205,7 @@ def test_the_c_header_keeps_directions_speed_scales_and_coupled_rotors(
     q, dq, ddq = states(robot.n)
     model = TorqueModel.from_stages(stages, robot)
     expected = model.rigid(q, dq, ddq) + model.friction(q, dq)
-    done = export(robot, stages, kind="C header", urdf=urdf)
+    done = export(robot, stages, kind="C header")
     torque = c_torques(tmp_path, robot, done.text)
     np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
@@ -234,13 +234,13 @@ def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
 
 
 def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
-    robot, stages, urdf = made(tmp_path, urdf_6r(), NAMES_6R, 9, known=True)
+    robot, stages = made(tmp_path, urdf_6r(), NAMES_6R, 9, known=True)
     assert stages.inertia is not None
     names = np.array([p.name for p in stages.inertia.parameters])
     shift = np.where(names == "Izz_6", -3000.0, 0.0)  # the last link would turn the other way
     rng = np.random.default_rng(9)
     stages.inertia = inertia_stage(robot, random_bodies(rng, robot.n), shift=shift)
-    done = export(robot, stages, kind="URDF", urdf=urdf)
+    done = export(robot, stages, kind="URDF")
     model = done.model
     assert not model.exact
     assert model.largest_deviation > 10.0
@@ -257,16 +257,16 @@ def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
 
 
 def test_projection_is_no_farther_than_bodies_that_are_known_to_exist(tmp_path: Path) -> None:
-    robot, stages, urdf = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 10)
+    robot, stages = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 10)
     assert stages.inertia is not None
     names = [p.name for p in stages.inertia.parameters]
     shift = np.where(np.array(names) == "Izz_4", -2000.0, 0.0)
     rng = np.random.default_rng(10)
     phi = random_bodies(rng, robot.n)
     stages.inertia = inertia_stage(robot, phi, np.full(robot.n, 1e-4), shift=shift)
-    near = export(robot, stages, kind="URDF", urdf=urdf).model
+    near = export(robot, stages, kind="URDF").model
     stages.inertia = inertia_stage(robot, phi, np.full(robot.n, 1e-4))
-    true = export(robot, stages, kind="URDF", urdf=urdf).model
+    true = export(robot, stages, kind="URDF").model
     chi2 = sum((d.std_errors or 0.0) ** 2 for d in near.deviations)
     feasible = sum(float(s) ** 2 for s in shift)  # the bodies the shift was taken from
     assert true.exact
@@ -274,13 +274,13 @@ def test_projection_is_no_farther_than_bodies_that_are_known_to_exist(tmp_path: 
 
 
 def test_a_gravity_file_takes_inertias_from_the_urdf(tmp_path: Path) -> None:
-    robot, stages, urdf = made(tmp_path, urdf_6r(), NAMES_6R, 12, known=True)
+    robot, stages = made(tmp_path, urdf_6r(), NAMES_6R, 12, known=True)
     assert stages.inertia is not None
     gravity = stages.inertia
     own = [k for k, p in enumerate(gravity.parameters) if p.unit == "kg m"]
     gravity.parameters = [gravity.parameters[k] for k in own]
     gravity.covariance = [[gravity.covariance[i][j] for j in own] for i in own]
-    done = export(robot, Stages(gravity=gravity), kind="URDF", urdf=urdf)
+    done = export(robot, Stages(gravity=gravity), kind="URDF")
     assert done.model.exact
     assert any("no inertia stage" in note for note in done.model.notes)
     zero = np.zeros((25, robot.n))
@@ -296,13 +296,13 @@ def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:
     robot = save_robot(tmp_path, text, names, joint_extra="gear_ratio = 50.0\n")
     assert robot.nominal is not None
     stages = stages_of(robot, robot.nominal)
-    model = export(robot, stages, kind="URDF", urdf=text.encode()).model
+    model = export(robot, stages, kind="URDF").model
     np.testing.assert_allclose(model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max())
     assert all(model.from_cad)
 
 
 def test_a_robot_of_no_inertials_gets_links_of_the_right_size() -> None:
-    robot, stages, _ = sample("two_joint")
+    robot, stages = sample("two_joint")
     model = export(replace(robot, nominal=None), stages, kind="MJCF").model
     assert not any(model.from_cad)
     reach = np.linalg.norm(model.own[:, 1:4], axis=1) / model.own[:, 0]

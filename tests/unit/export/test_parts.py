@@ -167,7 +167,7 @@ def test_urdf_keeps_all_but_the_inertials_and_dynamics_of_the_arm(tmp_path: Path
     text = branched().replace("<robot", "<!-- by hand -->\n<robot", 1)
     robot = save_robot(tmp_path, text, ("shoulder", "elbow"))
     assert robot.nominal is not None
-    done = export(robot, stages_of(robot, robot.nominal), kind="URDF", urdf=text.encode())
+    done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
     before, after = ElementTree.fromstring(text), ElementTree.fromstring(done.text)
     assert "<!-- by hand -->" in done.text
     inertials = {e.get("name"): e.find("inertial") is not None for e in after.findall("link")}
@@ -199,7 +199,7 @@ def test_urdf_keeps_all_but_the_inertials_and_dynamics_of_the_arm(tmp_path: Path
 
 def test_links_behind_a_joint_of_their_own_keep_their_mass(tmp_path: Path) -> None:
     robot = save_robot(tmp_path, branched(), ("shoulder", "elbow"))
-    bodies = bodies_of_urdf(branched().encode(), robot.joint_names)
+    bodies = bodies_of_urdf(ElementTree.fromstring(branched()), robot.joint_names)
     assert bodies[1].link == "lower"
     assert set(bodies[1].merged) == {"flange", "palm"}
     assert bodies[1].loose == ("finger",)
@@ -220,7 +220,7 @@ def test_rotor_inertia_goes_into_the_transmission_that_is_there(tmp_path: Path) 
     extra = "gear_ratio = 101.0\nrotor_inertia = 2e-4\n"
     robot = save_robot(tmp_path, urdf_6r(), NAMES_6R, joint_extra=extra)
     assert robot.nominal is not None
-    done = export(robot, stages_of(robot, robot.nominal), kind="URDF", urdf=urdf_6r().encode())
+    done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
     root = ElementTree.fromstring(done.text)
     found = root.findall("transmission")
     assert len(found) == len(NAMES_6R)
@@ -321,7 +321,7 @@ def test_numbers_of_no_arm_are_refused(tmp_path: Path) -> None:
         export(robot, stages, kind="URDF")
     broken = branched().replace('value="0.1"', 'value="0,1"')
     with pytest.raises(ConfigError, match="'0,1'"):
-        bodies_of_urdf(broken.encode(), ("shoulder", "elbow"))
+        bodies_of_urdf(ElementTree.fromstring(broken), ("shoulder", "elbow"))
 
 
 @pytest.mark.parametrize("error", [1e-6, 1e-3, 1.0])
@@ -331,7 +331,7 @@ def test_noise_of_any_size_gives_bodies_that_exist(tmp_path: Path, error: float)
     phi, rotor = random_bodies(rng, 6), np.full(6, 1e-4)
     size = len(stages_of(robot, phi, rotor).inertia.parameters)  # type: ignore[union-attr]
     stages = stages_of(robot, phi, rotor, error=error, shift=rng.normal(size=size))
-    model = export(robot, stages, kind="URDF", urdf=urdf_6r().encode()).model
+    model = export(robot, stages, kind="URDF").model
     assert all(np.linalg.eigvalsh(pseudo_inertia(row))[0] > 0.0 for row in model.own)
     assert model.largest_deviation < 5.0
 

@@ -13,7 +13,7 @@ from seqid_cli.identify.rigid.parameters import parameters_of, representative_of
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params.schema import RigidStage, Stages
-from seqid_cli.robot.base import free_basis, standard_names
+from seqid_cli.robot.base_parameters import free_basis, standard_names
 from seqid_cli.robot.types import Robot
 from tests.plants.rigs import six_joint, two_joint
 from tests.plants.robots.lab import robot_of, true_standard

@@ -18,7 +18,7 @@ from seqid_cli.identify.regression.equations import blocks, filtered_regressor, 
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from tests.plants.robots.small import planar_2r
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from seqid_cli.identify.regression.equations import FilteredColumns
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
-from seqid_cli.robot.base import Basis, base_regressor, free_basis
+from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm

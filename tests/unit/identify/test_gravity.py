@@ -15,7 +15,7 @@ from seqid_cli.identify.rigid.inertia import gravity_prior
 from seqid_cli.identify.rigid.posterior import friction_covariance
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
-from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 from tests.plants.rigs import MOMENT, one_joint, six_joint
 from tests.plants.robots.lab import robot_of

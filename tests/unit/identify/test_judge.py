@@ -11,7 +11,7 @@ from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_ve
 from seqid_cli.identify.log_verdicts import notes_of_logs, remedies, verdicts_of_logs
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings.finding import found
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.file import load_robot

@@ -17,7 +17,7 @@ from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.prediction_schema import PredictionFile
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from tests import ROOT

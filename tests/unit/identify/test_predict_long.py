@@ -21,7 +21,7 @@ from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectSession, RigidStage, Stages
-from seqid_cli.robot.base import standard_names
+from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.seven_joint import known_friction, write_arm, write_log

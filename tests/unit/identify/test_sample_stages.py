@@ -16,7 +16,7 @@ from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
-from seqid_cli.robot.base import base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from tests.plants import rigs as plants
 from tests.plants.robots.sample import Rig, rmse
 

@@ -21,7 +21,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.bodies.demand import identified
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base import base_parameters
+from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
 from tests.plants.rigs import MOMENT, one_joint
 from tests.plants.robots.lab import robot_of

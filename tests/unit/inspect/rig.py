@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.inspect.inspection import inspect_logs
-from seqid_cli.params.inspection_schema import InspectionFile
+from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.unit.inspect.faults import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seqid_cli.inspect.codes import CODES
+from seqid_cli.inspect.findings.codes import CODES
 from tests import ROOT
 
 DOCS = ROOT / "docs" / "inspect.md"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from seqid_cli.inspect.codes import CODES
+from seqid_cli.inspect.findings.codes import CODES
 from tests.unit.inspect.faults import FAULTS, Fault, groups
 from tests.unit.inspect.rig import inspect_planted
 

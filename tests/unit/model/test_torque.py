@@ -22,7 +22,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base import base_parameters, base_regressor, standard_names
+from seqid_cli.robot.base_parameters import base_parameters, base_regressor, standard_names
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import Rigid

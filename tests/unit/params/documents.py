@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from seqid_cli.params.diagnosis_schema import (
+from seqid_cli.params.document import now, tool, with_stage
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     DiagnosisFile,
     DiagnosisVerdict,
@@ -15,9 +17,7 @@ from seqid_cli.params.diagnosis_schema import (
     ResidualEntry,
     UnexplainedPart,
 )
-from seqid_cli.params.document import now, tool, with_stage
-from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
-from seqid_cli.params.prediction_schema import FileId
+from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import (
     ClosedLoop,
     EffectOfJoint,

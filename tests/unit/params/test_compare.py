@@ -11,8 +11,8 @@ import pytest
 from seqid_cli.compare.differences import compare
 from seqid_cli.compare.rule import Comparison, Rule
 from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.params.comparison_schema import Difference
-from seqid_cli.params.read_any import Document, Source
+from seqid_cli.params.io import Document, Source
+from seqid_cli.params.results.comparison import Difference
 from seqid_cli.params.schema import EffectOfJoint, Parameter, ParameterFile, Verdict
 from tests.unit.params.documents import diagnosis_file, full_file, inertia_file
 

@@ -10,8 +10,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.params.document import join
 from seqid_cli.params.encode import encode, plain
-from seqid_cli.params.io import read_joined, read_parameters, write_json_atomic
+from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.schema import ParameterFile
 from tests.unit.params.documents import full_file, gravity_file, imu_file
 
@@ -274,9 +275,13 @@ def write(folder: Path, name: str, make: Callable[[], ParameterFile]) -> Path:
     return path
 
 
+def join_files(paths: list[Path]) -> ParameterFile:
+    return join([(str(path), read_parameters(path)) for path in paths])
+
+
 def test_two_branches_are_joined(tmp_path: Path) -> None:
     paths = [write(tmp_path, "g.json", gravity_file), write(tmp_path, "i.json", imu_file)]
-    both = read_joined(paths)
+    both = join_files(paths)
     assert msgspec.structs.asdict(both.stages).keys() >= {"friction", "gravity", "imu"}
     assert both.stages.gravity == gravity_file().stages.gravity
     assert both.stages.imu == imu_file().stages.imu
@@ -290,7 +295,7 @@ def test_branches_that_disagree_are_refused(tmp_path: Path) -> None:
     other.stages.friction.joints["elbow"].rmse = 0.7
     second = write(tmp_path, "h.json", lambda: other)
     with pytest.raises(ConfigError, match=f"h.json: its friction stage differs from .*{first}"):
-        read_joined([first, second])
+        join_files([first, second])
 
 
 def test_files_of_two_robots_are_refused(tmp_path: Path) -> None:
@@ -298,4 +303,4 @@ def test_files_of_two_robots_are_refused(tmp_path: Path) -> None:
     other.robot = msgspec.structs.replace(other.robot, name="leg")
     paths = [write(tmp_path, "g.json", gravity_file), write(tmp_path, "i.json", lambda: other)]
     with pytest.raises(ConfigError, match=r"i.json: is about robot 'leg' .*g.json about 'arm'"):
-        read_joined(paths)
+        join_files(paths)

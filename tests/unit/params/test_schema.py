@@ -7,11 +7,11 @@ import sys
 import jsonschema
 import pytest
 
-from seqid_cli.params.diagnosis_schema import DIAGNOSIS_SCHEMA
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
 from seqid_cli.params.generate import DOCUMENTS, json_schema, schema_path
-from seqid_cli.params.prediction_schema import (
+from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
+from seqid_cli.params.results.prediction import (
     PREDICTION_SCHEMA,
     FileId,
     JointError,

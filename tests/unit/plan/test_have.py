@@ -6,8 +6,7 @@ import numpy as np
 
 from seqid_cli.inspect.screening import read_screened
 from seqid_cli.params.schema import Stages
-from seqid_cli.plan.belief import belief_of
-from seqid_cli.plan.have import information_of
+from seqid_cli.plan.belief import belief_of, information_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions

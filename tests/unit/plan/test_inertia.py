@@ -10,13 +10,13 @@ import pytest
 
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
-from seqid_cli.plan.choose import Goal, Pool, assess, choose, draw_pool, groups_of
-from seqid_cli.plan.inertia import plan_inertia
 from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.refine import refine
-from seqid_cli.plan.shapes import COARSE_HZ, Shapes
-from seqid_cli.robot.base import base_regressor
+from seqid_cli.plan.stages.choose import Goal, Pool, assess, choose, draw_pool, groups_of
+from seqid_cli.plan.stages.inertia import plan_inertia
+from seqid_cli.plan.stages.refine import refine
+from seqid_cli.robot.base_parameters import base_regressor
 from tests.plants.robots.sample import sample_robot
 
 SECONDS = 6.0

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import belief_of
-from seqid_cli.plan.inertia import plan_inertia
 from seqid_cli.plan.limits import Limits, limits_of
+from seqid_cli.plan.moves.fourier import COEFFICIENTS, Drawn, Shapes
+from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.shapes import COEFFICIENTS, Drawn, Shapes
-from seqid_cli.plan.trajectories import sampled
+from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.lab import drawn_robot

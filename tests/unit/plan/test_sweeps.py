@@ -11,19 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.plan_schema import PlannedMove, Stroke
+from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
-from seqid_cli.plan.friction import SPEEDS, plan_friction
-from seqid_cli.plan.gravity import plan_gravity
-from seqid_cli.plan.imu import POSTURES, plan_imu
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
+from seqid_cli.plan.moves.strokes import profile, seconds_of
+from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.strokes import profile, seconds_of
-from seqid_cli.plan.trajectories import sampled
-from seqid_cli.plan.validation import plan_validation
-from seqid_cli.robot.base import base_regressor
+from seqid_cli.plan.stages.friction import SPEEDS, plan_friction
+from seqid_cli.plan.stages.gravity import plan_gravity
+from seqid_cli.plan.stages.imu import POSTURES, plan_imu
+from seqid_cli.plan.stages.validation import plan_validation
+from seqid_cli.robot.base_parameters import base_regressor
 from tests.plants.robots.lab import drawn_robot
 from tests.plants.robots.sample import sample_robot
 

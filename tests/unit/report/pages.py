@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
-from seqid_cli.params.prediction_schema import (
+from seqid_cli.params.io import Document, Source
+from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.prediction import (
     PREDICTION_SCHEMA,
     FileId,
     JointError,
     LogPredictionError,
     PredictionFile,
 )
-from seqid_cli.params.read_any import Document, Source
 from seqid_cli.params.schema import ParameterFile, Verdict
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
 

@@ -6,8 +6,8 @@ import pytest
 
 from seqid_cli.errors import ConfigError, SeqidError
 from seqid_cli.params.encode import encode
-from seqid_cli.params.prediction_schema import FileId, PredictionFile
-from seqid_cli.params.read_any import read_any
+from seqid_cli.params.io import read_any
+from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.collection import collect
 from seqid_cli.report.judgement import judge

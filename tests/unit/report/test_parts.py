@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markupsafe import Markup
 
-from seqid_cli.report.downsample import extremes, pieces
-from seqid_cli.report.svg import Scale, element, padded, round_ticks, tick_texts
+from seqid_cli.report.figures.downsample import extremes, pieces
+from seqid_cli.report.figures.svg import Scale, element, padded, round_ticks, tick_texts
 from seqid_cli.report.words import (
     command,
     expression,

@@ -12,14 +12,14 @@ from scipy.signal import lfilter
 from seqid_cli.errors import InputError
 from seqid_cli.model.effects.spectral_lines import Signal
 from seqid_cli.report.collection import collect
-from seqid_cli.report.make import build_report, make_report
-from seqid_cli.report.torque_figures import (
+from seqid_cli.report.figures.torque import (
     Place,
     certain_lines,
     over_quantity,
     over_time,
     spectrum,
 )
+from seqid_cli.report.make import build_report, make_report
 from seqid_cli.report.torques import Series, TorqueTable
 from tests.unit.params.documents import inertia_file
 from tests.unit.report.pages import (

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from seqid_cli.robot.base import (
+from seqid_cli.robot.base_parameters import (
     base_parameters,
     base_regressor,
     loaded_columns,
@@ -15,7 +15,7 @@ from seqid_cli.robot.base import (
     standard_names,
     standard_regressor,
 )
-from seqid_cli.robot.dh import DhRow, chain_from_dh
+from seqid_cli.robot.placement import DhRow, chain_from_dh
 from seqid_cli.robot.regressor import gravity_regressor, rotor_regressor, torque_regressor
 from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.small import (

@@ -6,14 +6,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from seqid_cli.robot.dh import DhRow, chain_from_dh
 from seqid_cli.robot.kinematics import (
     forward,
     link_angular_motion,
-    link_rotation,
     rotation_between,
 )
-from seqid_cli.robot.placement import rotation_about, tidy_position, tidy_rotation
+from seqid_cli.robot.placement import (
+    DhRow,
+    chain_from_dh,
+    rotation_about,
+    tidy_position,
+    tidy_rotation,
+)
 from seqid_cli.robot.types import Array
 from tests.plants.robots.small import arm_6r, random_model, states
 
@@ -65,7 +69,7 @@ def test_rotation_between_is_equations_27_and_28() -> None:
             rotation_between(chain, q, 0, 3)[k], steps[1] @ steps[2] @ steps[3]
         )
         np.testing.assert_allclose(rotation_between(chain, q, 2, 1)[k], steps[2].T)
-        np.testing.assert_allclose(link_rotation(chain, q, 1)[k], steps[0] @ steps[1])
+        np.testing.assert_allclose(rotation_between(chain, q, -1, 1)[k], steps[0] @ steps[1])
     np.testing.assert_array_equal(rotation_between(chain, q, 2, 2), np.tile(np.eye(3), (6, 1, 1)))
 
 

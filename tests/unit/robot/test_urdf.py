@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.base import base_parameters
+from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics, torque_regressor

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from seqid_cli.params.diagnosis_schema import DiagnosisFile, FindingEntry, UnexplainedPart
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
 from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY
 from tests.studies.undeclared_cases import (
     RIG_NAMES,

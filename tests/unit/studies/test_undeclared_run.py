@@ -14,7 +14,7 @@ from msgspec import structs
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.diagnosis_schema import DiagnosisFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ClosedLoop, ParameterFile, RefinementRound, Stages
 from seqid_cli.robot.types import Robot
 from tests.studies import __main__ as program

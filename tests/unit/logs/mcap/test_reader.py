@@ -15,7 +15,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import list_topics
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.robot.types import Channels
+from seqid_cli.robot.toml.schema import Channels
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, Motion, grid, make_motion, make_robot
 from tests.unit.logs.writers import (
     Message,

@@ -21,7 +21,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import expand
-from seqid_cli.robot.types import Channels
+from seqid_cli.robot.toml.schema import Channels
 from tests.unit.logs.format_writers import (
     DYNAMIC,
     DYNAMIC_DEFINITION,

@@ -12,7 +12,7 @@ import pytest
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
-from seqid_cli.robot.types import Channels
+from seqid_cli.robot.toml.schema import Channels
 from tests.unit.logs.format_writers import Data, lerobot_table
 from tests.unit.logs.samples import JOINTS, curve, grid, make_motion, make_robot
 

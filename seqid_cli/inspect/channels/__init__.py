@@ -1,0 +1,1 @@
+"""Checks of single channels: clock, holes, positions, velocities, torques."""

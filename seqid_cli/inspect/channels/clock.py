@@ -1,0 +1,100 @@
+"""Time: units, rate, gaps, stamps, and what the reader had to say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.material import LogData
+from seqid_cli.logs.clocks import gap_limit
+from seqid_cli.logs.timebase import JITTER_LIMIT
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.shares import percent
+
+SLOW_HZ, TOO_SLOW_HZ, TOO_FAST_HZ = 20.0, 5.0, 50_000.0
+EARLY_S, LATE_S = -0.005, 5.0  # of logging behind the header stamp
+
+# What the reader says in words, and the code that it stands for; empty where a check of its own
+# says it better.
+_SAID: tuple[tuple[str, str], ...] = (
+    (r"runs twice over the same time", "clock_set_back"),
+    (r"steps back \d+ times", "stamps_backwards"),
+    (r"samples are lost at \d+ places", "samples_lost"),
+    (r"positions repeat the one before while", ""),
+    (r"repeat a stamp|share a stamp", "stamps_repeated"),
+    (r"stamps span", "stamps_far_off"),
+    (r"header stamps? .*zero|have no header stamp|without a usable time", "stamps_zero"),
+    (r"cannot resolve less than", "time_resolution"),
+    (r"are infinite or beyond", "values_absurd"),
+    (r"looks like mA", "current_in_ma"),
+    (r"looks like an echo", "torque_echo"),
+    (r"cannot be turned into torque", "drive_data_missing"),
+    (r"do not overlap|covers \d+ % of the joints", "imu_no_overlap"),
+    (r"is left out: .* has no", "imu_missing_values"),
+    (r"looks like m?g, m/s\^2", "imu_in_g"),
+    (r"read as (ms|us|ns)$", ""),
+    (r"sample interval scatters|samples per second: check", ""),
+    (r"position runs from|position looks like degrees|velocity looks like deg", ""),
+    (r"torque of .* is zero throughout", ""),
+)
+
+
+def clock_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Check the clock of a log and pass on what its reader said."""
+    health = data.recording.health
+    rate = health.rate_hz
+    if not TOO_SLOW_HZ <= rate <= TOO_FAST_HZ:
+        yield found(
+            "time_unit",
+            f"{rate:.3g} samples per second: the time column is not in seconds"
+            + (" but looks like ms" if 0.02 <= rate <= TOO_SLOW_HZ else ""),
+            channel="t",
+        )
+    elif rate < SLOW_HZ:
+        yield found("rate_low", f"{rate:.3g} samples per second")
+    if health.jitter > JITTER_LIMIT:
+        yield found(
+            "jitter",
+            f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
+            + (f", with {len(health.gaps)} gaps" if health.gaps else ""),
+        )
+    elif gaps := _gaps(data):
+        worst = max(gaps, key=lambda gap: gap[1] - gap[0])
+        lost = sum(end - start for start, end in gaps)
+        yield found(
+            "clock_gap",
+            f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {worst[0]:.3f} to "
+            f"{worst[1]:.3f} s",
+        )
+    delay = health.log_minus_header_s
+    if delay is not None and not EARLY_S <= delay <= LATE_S:
+        yield found("header_clock", f"messages are logged {delay:.6g} s after their header stamp")
+    names = (*data.robot.joint_names, *(imu.name for imu in data.robot.imus))
+    standing = {name for j, name in enumerate(data.robot.joint_names) if not data.moves(j)}
+    for finding in _said(health.warnings, names):
+        # Noise on the position of a joint that stands adds up to travel, not to motion.
+        if finding.code != "torque_echo" or finding.joint not in standing:
+            yield finding
+
+
+def _gaps(data: LogData) -> list[tuple[float, float]]:
+    """Gaps without a row; holes of single channels are another matter (`hole_findings`)."""
+    if not data.recording.health.gaps:
+        return []
+    t = data.t
+    wide = np.flatnonzero(np.diff(t) > gap_limit(np.diff(t)))
+    return [(float(t[k]), float(t[k + 1])) for k in wide]
+
+
+def _said(warnings: tuple[str, ...], names: tuple[str, ...]) -> Iterator[InspectionFinding]:
+    for text in warnings:
+        code = next((code for form, code in _SAID if re.search(form, text)), "reader")
+        if not code:
+            continue
+        subject = text.partition(":")[0]
+        joint = subject if subject in names else ""
+        imu = re.search(r"IMU '([^']+)'", text)
+        yield found(code, text, joint=imu[1] if imu else joint)

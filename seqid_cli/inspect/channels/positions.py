@@ -1,0 +1,325 @@
+"""Positions: units, limits, jumps, freezes, encoder resolution."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing_share
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.material import LogData
+from seqid_cli.motion.segmentation import windowed_velocity
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.types import Joint, Robot
+from seqid_cli.robust import white_noise
+from seqid_cli.shares import percent
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+NONE: Rows = np.zeros(0, dtype=np.intp)
+DEGREES = 180.0 / np.pi
+OUTSIDE = 0.02  # of the limits' span
+JUMP_ACCELERATION = 1000.0  # rad/s^2 (m/s^2): beyond any arm
+JUMP_MOST = 0.05  # rad (m): at low rates the acceleration says little
+JUMP_STEPS = 8.0
+JUMP_NOISE = 6.0  # times what one in a hundred changes differs from those around it
+JUMPS = 16  # changes that may be jumps themselves
+JUMP_RANGE = 0.005  # of the position's range: smaller ones do no harm
+ALONE = 0.3  # of a jump, that the samples before and after may move
+FROZEN_SAMPLES, FROZEN_S = 5, 0.01
+TURN = 2.0 * np.pi
+TOO_FAST = 20.0  # rad/s: of most joints, only in degrees
+MISSING = 0.01
+SPEEDING = 2.0
+ON_LATTICE, OFF_LATTICE = 0.9, 0.5
+
+
+@dataclass(frozen=True)
+class Break:
+    """Where the positions of one joint are broken, and the joint samples that are wrong.
+
+    `rows` is empty where the samples cannot be told, or all after some moment are wrong.
+    """
+
+    joint: int
+    finding: InspectionFinding
+    rows: NDArray[np.intp]
+
+
+def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
+    """Find wraps, freezes, spikes and jumps of every joint.
+
+    Parameters
+    ----------
+    robot : Robot
+    t : (M,) array
+        Time of the joint samples [s].
+    position : (M, n) array
+        As logged [rad; m where prismatic], NaN where missing.
+
+    Returns
+    -------
+    list of Break
+    """
+    breaks = []
+    for j, joint in enumerate(robot.joints):
+        rows = np.flatnonzero(np.isfinite(position[:, j]))
+        own_t, q = t[rows], position[rows, j]
+        if len(q) < 3 or _smooth(own_t, q):
+            continue
+        broken = _breaks(joint, own_t, q, lattice(q))
+        breaks += [Break(j, finding, rows[wrong]) for finding, wrong in broken]
+    return breaks
+
+
+def _smooth(t: Array, q: Array) -> bool:
+    """Whether no two changes of a position in a row differ by as much as any break makes."""
+    usual = float(np.median(np.diff(t)))
+    least = ALONE * min(JUMP_ACCELERATION * usual**2, JUMP_MOST)
+    bend = np.diff(q, 2)
+    return bool(max(bend.max(), -bend.min()) < least)
+
+
+def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[InspectionFinding]:
+    """Check every joint's positions; `breaks` are those of `breaks_of`."""
+    for j in range(data.robot.n):
+        broken = [each.finding for each in breaks if each.joint == j]
+        yield from broken
+        unit = None if broken else _unit(data, j)
+        if unit is not None:
+            yield unit
+
+
+def position_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+    """Check how well positions are measured, but for the joints named in `broken`."""
+    for j, joint in enumerate(data.robot.joints):
+        column = data.joints.channels["position"][:, j]
+        q = column[np.isfinite(column)]
+        if len(q) < 3:
+            continue
+        share = missing_share(column)
+        if share > MISSING:
+            text = f"{percent(share)} of the positions are missing"
+            yield found("values_missing", text, joint=joint.name, channel="position")
+        if joint.name in broken:
+            continue
+        yield from _resolution(joint, q, lattice(q))
+        size = held(q)
+        if size > 1 and data.moves(j):
+            text = f"the position repeats each value {size} times"
+            yield found("channel_held", text, joint=joint.name, channel="position")
+        yield from _speed(data, j)
+
+
+def _unit(data: LogData, j: int) -> InspectionFinding | None:
+    """Compare with the limits, as they are and in other units."""
+    joint = data.robot.joints[j]
+    column = data.joints.channels["position"][:, j]
+    q = column[np.isfinite(column)]
+    if joint.position_limits is None or len(q) < 3:
+        return None
+    margin = max(3.0 * data.step[j], OUTSIDE * _span(joint.position_limits))
+    if _within(q, joint.position_limits, margin):
+        return None
+    low, high = joint.position_limits
+    unit = "m" if joint.prismatic else "rad"
+    text = (
+        f"runs from {q.min():.4g} to {q.max():.4g}, the limits are {low:.4g} to {high:.4g} {unit}"
+    )
+    choices = (
+        [("position_in_mm", 1000.0)] if joint.prismatic else [("position_in_degrees", DEGREES)]
+    )
+    if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
+        choices.append(("position_motor_side", joint.gear_ratio))
+    if joint.encoder_resolution:
+        choices.sort(key=lambda choice: abs(np.log(_ratio(q, joint) / abs(choice[1]))))
+    beyond = max(low - float(q.min()), float(q.max()) - high)
+    for code, factor in choices:
+        fills = np.ptp(q) / abs(factor) >= OUTSIDE * _span(joint.position_limits)
+        if (
+            beyond > _span(joint.position_limits)
+            and fills
+            and _within(q / factor, joint.position_limits, margin)
+        ):
+            return found(code, text, joint=joint.name, channel="position")
+    return found("position_limits", text, joint=joint.name, channel="position")
+
+
+def _ratio(q: Array, joint: Joint) -> float:
+    """Return how many times its declared encoder step a position's step is."""
+    return max(lattice(q), 1e-12) / (joint.encoder_resolution or 1.0)
+
+
+def _within(q: Array, limits: tuple[float, float], margin: float) -> bool:
+    return bool(q.min() >= limits[0] - margin and q.max() <= limits[1] + margin)
+
+
+def _span(limits: tuple[float, float]) -> float:
+    return limits[1] - limits[0]
+
+
+def fast_in_degrees(data: LogData) -> Iterator[InspectionFinding]:
+    """Take positions for degrees where most moving joints of an arm are impossibly fast.
+
+    Only for logs with neither limits nor velocities, which say it with more certainty.
+    """
+    robot = data.robot
+    if data.recording.dq is not None or any(j.position_limits for j in robot.joints):
+        return
+    moving = [j for j in range(robot.n) if data.moves(j) and not robot.joints[j].prismatic]
+    speeds = [_top_speed(data, j) for j in moving]
+    if len(moving) >= 2 and float(np.median(speeds)) > TOO_FAST:
+        for j, speed in zip(moving, speeds, strict=True):
+            text = f"moves at {speed:.3g} per second: it looks like degrees"
+            yield found("position_in_degrees", text, joint=robot.joints[j].name, channel="position")
+
+
+def _top_speed(data: LogData, j: int) -> float:
+    half = max(1, round(0.05 * data.recording.rate_hz))
+    if 2 * half + 1 >= len(data.recording.q):
+        return 0.0
+    speed = np.abs(windowed_velocity(data.recording.q[:, j], data.recording.rate_hz, half))
+    return float(speed.max())
+
+
+def top_speeds(data: LogData) -> list[float]:
+    """Return the top speed of each joint over 0.1 s, rad/s (m/s)."""
+    return [_top_speed(data, j) for j in range(data.robot.n)]
+
+
+def _speed(data: LogData, j: int) -> Iterator[InspectionFinding]:
+    joint = data.robot.joints[j]
+    if joint.velocity_limit is None:
+        return
+    top = _top_speed(data, j)
+    if top > SPEEDING * joint.velocity_limit:
+        text = f"reaches {top:.3g}, velocity_limit is {joint.velocity_limit:.3g}"
+        yield found("speed_limit", text, joint=joint.name, channel="position")
+
+
+def _breaks(
+    joint: Joint, t: Array, q: Array, step: float
+) -> Iterator[tuple[InspectionFinding, Rows]]:
+    """Find wraps, freezes, spikes and jumps, each with the samples that are wrong."""
+    dt, d = np.diff(t), np.diff(q)
+    usual = float(np.median(dt))
+    if usual <= 0.0:
+        return
+    turns = np.rint(d / TURN)
+    wraps = (turns != 0) & (np.abs(d - turns * TURN) < 0.05 * TURN) & (dt < 2.5 * usual)
+    if not joint.prismatic and wraps.any() and usual < 0.25:
+        at = float(t[int(np.argmax(wraps))])
+        text = f"changes by whole turns {int(wraps.sum())} times, first at {at:.3f} s"
+        yield found("position_wraps", text, joint=joint.name, channel="position"), NONE
+        return
+    large = _least_jump(q, step, usual)
+    frozen = _frozen(t, q, large)
+    if frozen:
+        start, length, jump = frozen[0]
+        text = (
+            f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
+            f"{t[start + length - 1] - t[start]:.3f} s, and then catches up by {jump:.3g}"
+        )
+        wrong = np.concatenate([np.arange(a + 1, a + size) for a, size, _ in frozen])
+        yield found("position_frozen", text, joint=joint.name, channel="position"), wrong
+        return
+    yield from _jumps(joint, t, q, large, usual)
+
+
+def _least_jump(q: Array, step: float, usual: float) -> float:
+    """Return the change between two samples that neither motion nor the log's own noise makes."""
+    d = np.diff(q)
+    uneven = np.abs(d - median_filter(d, 5, mode="wrap"))
+    count = max(len(uneven) - JUMPS, 1)
+    usual_ones = np.partition(uneven, count - 1)[:count]
+    return max(
+        JUMP_STEPS * step,
+        min(JUMP_ACCELERATION * usual**2, JUMP_MOST),
+        JUMP_NOISE * float(np.quantile(usual_ones, 0.99)),
+        JUMP_RANGE * float(np.ptp(np.quantile(q, (0.01, 0.99)))),
+    )
+
+
+def _jumps(
+    joint: Joint, t: Array, q: Array, large: float, usual: float
+) -> Iterator[tuple[InspectionFinding, Rows]]:
+    d = np.diff(q)
+    size = np.abs(d)
+    big = size > large
+    # A jump stands alone: the motion around it is small against it (a spike returns at once).
+    around = np.maximum(_smaller(size, 1), _smaller(size, -1))
+    at = np.flatnonzero(big & (around < ALONE * size) & (np.diff(t) < 1.5 * usual))
+    if not len(at):
+        return
+    back = {int(k): s for k in at if (s := _returns(d, int(k)))}
+    code = "position_spikes" if back else "position_jump"
+    first = next(iter(back), int(at[0]))
+    count = len(back) if back else len(at)
+    text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
+    wrong = [np.arange(k + 1, k + s + 1) for k, s in back.items()]
+    finding = found(
+        code,
+        text + (f" and {count - 1} more times" if count > 1 else ""),
+        joint=joint.name,
+        channel="position",
+    )
+    yield finding, np.concatenate(wrong) if wrong else NONE
+
+
+def _returns(d: Array, k: int) -> int:
+    """Return after how many samples change k is undone, at most three; 0 if it is not."""
+    for s in (1, 2, 3):
+        if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * abs(d[k]):
+            return s
+    return 0
+
+
+def _smaller(size: Array, direction: int) -> Array:
+    """Return the smaller of the two changes on one side of each change; a spike has one large."""
+    one, two = np.roll(size, direction), np.roll(size, 2 * direction)
+    edge = slice(0, 2) if direction > 0 else slice(-2, None)
+    one[edge], two[edge] = 0.0, 0.0
+    smaller: Array = np.minimum(one, two)
+    return smaller
+
+
+def _frozen(t: Array, q: Array, large: float) -> list[tuple[int, int, float]]:
+    """List freezes: first sample, length, and the jump that ends it."""
+    found_runs = []
+    for run in equal_runs(q, FROZEN_SAMPLES):
+        a, b = run.start, run.start + run.length  # b: first sample after
+        if b + 5 >= len(q) or a < 5 or t[b - 1] - t[a] < FROZEN_S:
+            continue
+        jump = float(q[b] - q[b - 1])
+        before, after = float(q[a] - q[a - 5]) / 5, float(q[b + 5] - q[b]) / 5
+        missed = 0.5 * (before + after) * run.length
+        if abs(jump) > large and before * after > 0 and 0.5 < jump / missed < 2.0:
+            found_runs.append((a, run.length, jump))
+    return found_runs
+
+
+def _resolution(joint: Joint, q: Array, step: float) -> Iterator[InspectionFinding]:
+    declared = joint.encoder_resolution
+    if declared is None or np.ptp(q) < 20 * max(declared, step):
+        return
+    if step and abs(step / declared - 1.0) < 0.1:
+        return
+    if _coherence(q, declared) > ON_LATTICE and (not step or _coherence(q, 2 * declared) < 0.5):
+        return
+    text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
+    if not step:
+        noise = float(white_noise(q))
+        if noise > 0.1 * declared or _coherence(q, declared) > OFF_LATTICE:
+            return
+        text = f"it has no steps, the robot file says {declared:.4g}"
+    yield found("encoder_resolution", text, joint=joint.name, channel="position")
+
+
+def _coherence(q: Array, step: float) -> float:
+    """How well positions (M,) lie on a lattice of a step, from 0 to 1."""
+    return float(np.abs(np.mean(np.exp(2j * np.pi * np.remainder(q / step, 1.0)))))

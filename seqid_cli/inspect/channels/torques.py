@@ -1,0 +1,148 @@
+"""Torque and current, channel by channel."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing_share
+from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.material import LogData
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
+
+Array = NDArray[np.float64]
+
+MISSING = 0.01
+STUCK_SAMPLES, STUCK_S = 50, 0.2
+LIVELY = 0.9  # share of changing samples of a channel that does not repeat itself
+COARSE = 0.25  # of the standard deviation
+DITHERED = 0.6  # share of changing samples, beyond which noise carries the signal over the steps
+WHOLE, WHOLE_LEAST = 0.999, 30.0
+
+
+def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Check the torque or current of every joint that moves."""
+    effort = data.effort()
+    if effort is None:
+        yield found("torque_missing", "there is neither torque nor current")
+        return
+    quantity, values = effort
+    for j, joint in enumerate(data.robot.joints):
+        if data.moves(j) and np.isfinite(values[:, j]).any():
+            for code, text in _of_moving(data, j, values[:, j]):
+                yield found(code, text, joint=joint.name, channel=quantity)
+    if quantity == "current":
+        yield from _milliamperes(data, values)
+    elif data.modelled and _unclear(data.robot):
+        text = "could be torque or current: the robot file gives torque_constant, the log torque"
+        yield found("effort_unclear", text, channel=quantity)
+
+
+def _unclear(robot: Robot) -> bool:
+    """Whether neither the robot file nor the robot's weight tells torque from current."""
+    drives = any(joint.torque_constant is not None for joint in robot.joints)
+    said = robot.channels.effort == "torque" or robot.channels.torque is not None
+    return drives and not said and float(largest_gravity(robot).max()) < HEAVY
+
+
+def _of_moving(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]]:
+    present = np.isfinite(column)
+    values, t = column[present], data.t[present]
+    if not values.any():
+        yield "torque_zero", "is zero throughout although the joint moves"
+        return
+    if np.ptp(values) == 0.0:
+        yield "torque_constant_value", f"is {values[0]:.4g} throughout although the joint moves"
+        return
+    stuck = _stuck(values, t, data.moving_samples(j)[present])
+    if stuck:
+        yield "torque_stuck", stuck
+        return
+    limit = clipped(values)
+    if limit is not None:
+        yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
+
+
+def torque_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+    """Check how well torque is measured, but for the joints named in `broken`."""
+    effort = data.effort()
+    if effort is None:
+        return
+    quantity, values = effort
+    for j, joint in enumerate(data.robot.joints):
+        share = missing_share(values[:, j])
+        if share > MISSING:
+            text = f"{percent(share)} of the values are missing"
+            yield found("values_missing", text, joint=joint.name, channel=quantity)
+        if data.moves(j) and joint.name not in broken:
+            for code, text in _resolved(data, j, values[:, j]):
+                yield found(code, text, joint=joint.name, channel=quantity)
+
+
+def _resolved(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]]:
+    present = np.isfinite(column)
+    values, moving = column[present], data.moving_samples(j)[present]
+    size = held(values)
+    if size > 1:
+        yield "channel_held", f"repeats each value {size} times"
+    step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
+    dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > DITHERED
+    if step and spread and step > COARSE * spread and not dithered:
+        yield "torque_quantised", f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
+
+
+def _stuck(values: Array, t: Array, moving: NDArray[np.bool_]) -> str:
+    if np.mean(np.diff(values) != 0) < LIVELY:
+        lively = np.median(np.diff(values[moving]) != 0) if moving.sum() > 2 else 0.0
+        if not lively:
+            return ""
+    for run in equal_runs(values, STUCK_SAMPLES):
+        inside = slice(run.start, run.start + run.length)
+        seconds = float(t[run.start + run.length - 1] - t[run.start])
+        if (
+            seconds >= STUCK_S
+            and moving[inside].mean() > 0.5
+            and run.value not in (values.min(), values.max())
+        ):
+            return f"stays at {run.value:.4g} for {seconds:.3g} s from {t[run.start]:.3f} s"
+    return ""
+
+
+def _milliamperes(data: LogData, values: Array) -> Iterator[InspectionFinding]:
+    """Whole numbers beyond 30 in all channels are no amperes of an arm's drive."""
+    columns = [values[np.isfinite(values[:, j]), j] for j in range(data.robot.n)]
+    live = {j: c for j, c in enumerate(columns) if len(c) and np.ptp(c) > 0}
+    whole = all(np.mean(c == np.rint(c)) > WHOLE for c in live.values())
+    if live and whole and max(float(np.abs(c).max()) for c in live.values()) > WHOLE_LEAST:
+        for j in live:
+            text = "holds whole numbers beyond 30: it looks like mA"
+            name = data.robot.joint_names[j]
+            yield found("current_in_ma", text, joint=name, channel="current")
+
+
+def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Check the temperatures."""
+    temperatures = data.joints.channels.get("temperature")
+    if temperatures is None:
+        return
+    for j, joint in enumerate(data.robot.joints):
+        values = temperatures[np.isfinite(temperatures[:, j]), j]
+        if not len(values):
+            continue
+        middle = float(np.median(values))
+        text, code = "", "temperature_nonsense"
+        if 240.0 < middle < 420.0:
+            text, code = f"is {middle:.4g} in the median", "temperature_in_kelvin"
+        elif not values.any():
+            text = "is exactly 0 throughout"
+        elif values.min() < -40.0 or values.max() > 200.0:
+            text = f"runs from {values.min():.4g} to {values.max():.4g} degC"
+        elif len(values) > 1 and float(np.abs(np.diff(values)).max()) > 20.0:
+            text = f"steps by {float(np.abs(np.diff(values)).max()):.3g} K"
+        if text:
+            yield found(code, text, joint=joint.name, channel="temperature")

@@ -1,0 +1,168 @@
+"""Logged velocities against the positions, over windows in which the encoder sees motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.channels.positions import DEGREES
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.material import LogData
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.shares import percent
+
+Array = NDArray[np.float64]
+
+WINDOWS_S = (0.1, 0.2, 0.5, 1.0)  # the shortest in which the encoder sees enough
+COUNTS = 10.0  # encoder steps of travel that make a window count
+FEWEST = 10
+NOTHING = 0.05
+NEAR = 0.15
+GAIN_LOW, GAIN_HIGH, CORRELATED = 0.8, 1.25, 0.9
+CROSSED = 0.95
+DEAD = 0.3  # of the usual travel of a window, that a dead encoder's joint must move
+
+
+def velocity_findings(
+    data: LogData, broken: frozenset[str] = frozenset()
+) -> Iterator[InspectionFinding]:
+    """Check the velocity of every joint that moves, but for the joints named in `broken`."""
+    if data.recording.dq is None:
+        return
+    names = data.robot.joint_names
+    sound = [j for j in range(data.robot.n) if names[j] not in broken]
+    choices = [_windows(data, seconds) for seconds in WINDOWS_S]
+    # The shortest windows that show as many joints as any; max takes the first of equals.
+    windows = max(choices, key=lambda choice: len(_judged(choice, data, sound)))
+    travel, integral, counts = windows.travel, windows.integral, windows.counts(data)
+    moving = _judged(windows, data, sound)
+    crossed = _crossed(travel, integral, counts, moving)
+    paired = {j for pair in crossed for j in pair}
+    alone = [j for j in sound if j not in paired]
+    dead = {j: seconds for j in alone if (seconds := _dead_s(data, choices, j))}
+    for j, seconds in dead.items():
+        text = f"stands still for {seconds:.2g} s in which its velocity moves it"
+        yield found("position_stuck", text, joint=names[j], channel="position")
+    judged = [j for j in moving if j not in dead]
+    fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in judged}
+    shared = _time_unit({j: gain for j, (gain, r, _) in fits.items() if abs(r) > CORRELATED})
+    if shared:
+        yield found(
+            "time_unit",
+            f"the velocity is {1 / shared:.3g} times the slope of the position at every joint",
+            channel="t",
+        )
+        return
+    for a, b in crossed:
+        text = f"the velocity of {names[a]} fits the position of {names[b]} and the other way round"
+        yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="velocity")
+    for j in judged:
+        if j not in paired:
+            yield from _verdict(data, j, *fits[j])
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Travel (W, n) of the positions and integral (W, n) of the velocities over windows."""
+
+    seconds: float
+    travel: Array
+    integral: Array
+
+    def counts(self, data: LogData) -> NDArray[np.bool_]:
+        """Where the encoders (W, n) see enough to be judged."""
+        return np.asarray(np.abs(self.travel) > COUNTS * data.step)
+
+
+def _windows(data: LogData, seconds: float) -> _Windows:
+    recording = data.recording
+    assert recording.dq is not None
+    width = max(2, round(seconds * recording.rate_hz))
+    edges = np.arange(0, len(recording.t), width)
+    step = 1.0 / recording.rate_hz
+    middles = 0.5 * (recording.dq[1:] + recording.dq[:-1]) * step
+    total = np.vstack([np.zeros((1, data.robot.n)), np.cumsum(middles, axis=0)])
+    broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
+    whole = np.diff(broken) == 0
+    travel = np.diff(recording.q[edges], axis=0)[whole]
+    return _Windows(seconds, travel, np.diff(total[edges], axis=0)[whole])
+
+
+def _judged(windows: _Windows, data: LogData, sound: list[int]) -> list[int]:
+    counts = windows.counts(data)
+    return [j for j in sound if counts[:, j].sum() >= FEWEST]
+
+
+def _dead_s(data: LogData, choices: list[_Windows], j: int) -> float:
+    """Seconds in which a joint's velocity moves it and its position does not; 0 if too few."""
+    for windows in choices:
+        size = np.abs(windows.integral[:, j])
+        if not len(size):
+            continue
+        fast = max(COUNTS * float(data.step[j]), DEAD * float(np.quantile(size, 0.9)))
+        dead = (windows.travel[:, j] == 0.0) & (size > fast)
+        if dead.sum() >= FEWEST:
+            return windows.seconds * float(dead.sum())
+    return 0.0
+
+
+def _fit(travel: Array, integral: Array) -> tuple[float, float, float]:
+    """Gain from integral to travel, their correlation, and the ratio of their RMS."""
+    energy = float(integral @ integral)
+    power = float(travel @ travel)
+    ratio = np.sqrt(energy / max(power, 1e-300))
+    if energy <= 0.0 or power <= 0.0:
+        return 0.0, 0.0, float(ratio)
+    product = float(travel @ integral)
+    return product / energy, product / np.sqrt(energy * power), float(ratio)
+
+
+def _time_unit(gains: dict[int, float]) -> float:
+    """Return the power of 1000 by which all gains are off; 0 where they are not."""
+    if not gains:
+        return 0.0
+    for factor in (1e-3, 1e-6, 1e3, 1e6):
+        if all(abs(gain / factor - 1.0) < NEAR for gain in gains.values()):
+            return factor
+    return 0.0
+
+
+def _crossed(
+    travel: Array, integral: Array, counts: NDArray[np.bool_], judged: list[int]
+) -> list[tuple[int, int]]:
+    pairs = []
+    for a in judged:
+        for b in judged:
+            if a < b:
+                rows = counts[:, a] | counts[:, b]
+                own = [_fit(travel[rows, j], integral[rows, j])[1] for j in (a, b)]
+                other = [_fit(travel[rows, i], integral[rows, j])[1] for i, j in ((a, b), (b, a))]
+                if min(other) > CROSSED and max(own) < CORRELATED:
+                    pairs.append((a, b))
+    return pairs
+
+
+def _verdict(
+    data: LogData, j: int, gain: float, correlation: float, ratio: float
+) -> Iterator[InspectionFinding]:
+    joint = data.robot.joints[j]
+    if ratio < NOTHING and abs(correlation) < CORRELATED:
+        text = f"integrates to {percent(ratio)} of the position's travel"
+        yield found("velocity_zero", text, joint=joint.name, channel="velocity")
+        return
+    codes = {DEGREES: "position_in_degrees", 1.0 / DEGREES: "velocity_in_degrees", -1.0: ""}
+    if joint.prismatic:
+        codes = {1000.0: "position_in_mm", -1.0: ""}
+    text = f"the position changes by {gain:.3g} times the velocity's integral"
+    if abs(correlation) > CORRELATED:
+        for factor, code in codes.items():
+            if abs(gain / factor - 1.0) < (NEAR if code else 0.2):
+                channel = "position" if code.startswith("position") else "velocity"
+                yield found(code or "velocity_sign", text, joint=joint.name, channel=channel)
+                return
+    if not GAIN_LOW < gain < GAIN_HIGH or correlation < CORRELATED:
+        text += f", correlation {correlation:.2f}"
+        yield found("velocity_inconsistent", text, joint=joint.name, channel="velocity")

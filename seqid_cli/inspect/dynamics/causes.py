@@ -1,0 +1,127 @@
+"""What may be wrong between a log and its robot, each as the change to the log that undoes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from seqid_cli.inspect.dynamics.friction import Sample
+from seqid_cli.inspect.material import LogData
+from seqid_cli.robot.types import Robot
+
+TURN = 2.0 * np.pi  # beyond which some position lies where they are in degrees
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A change to the log that mends the fit: of which kind, of which joints."""
+
+    code: str
+    joints: tuple[int, ...]
+    text: str
+    change: Callable[[Sample], Sample]
+    channel: str = "position"
+
+
+def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
+    """Yield what is commonly wrong with axes, zeros, signs, units and the order of joints."""
+    far = np.abs(sample.q).max(axis=0) > TURN  # less in degrees is no motion to speak of
+    turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
+    degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
+    for joints in (group for group in degrees if far[list(group)].any()):
+        yield Cause("position_in_degrees", joints, "is in degrees", _in_radians(joints))
+    for j in range(robot.n):
+        yield Cause("axis_flipped", (j,), "turns the other way round", _flipped(j))
+        yield Cause("sign_mismatch", (j,), "its torque is reversed", _flipped(j, motion=False))
+        yield Cause("sign_mismatch", (j,), "its position is reversed", _flipped(j, torque=False))
+        if not robot.joints[j].prismatic:
+            for turns, angle in (("a quarter", 0.5), ("minus a quarter", -0.5), ("half a", 1.0)):
+                text = f"its zero is {turns} turn off"
+                yield Cause("position_zero", (j,), text, _shifted(j, angle * np.pi))
+    # Exchanging a joint that stands with one that moves changes what is compared.
+    for a, b in combinations(sample.moving, 2):
+        if robot.joints[a].prismatic != robot.joints[b].prismatic:
+            continue
+        yield Cause("joints_swapped", (a, b), "are exchanged", _swapped(a, b, tau=True))
+        yield Cause("joints_swapped", (a, b), "have exchanged positions", _swapped(a, b, tau=False))
+        yield Cause("joints_swapped", (a, b), "have exchanged torques", _swapped_torques(a, b))
+
+
+def units_of(data: LogData) -> Iterator[Cause]:
+    """Yield efforts that are the other quantity, where the robot file gives the drives' data."""
+    effort, joints = data.effort(), data.robot.joints
+    factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in joints])
+    if effort is None or not factor.all():
+        return
+    every, current = tuple(range(len(joints))), effort[0] == "current"
+    code = "effort_is_torque" if current else "effort_is_current"
+    text = "carry torque, not current" if current else "carry current, not torque"
+    scale = 1.0 / factor if current else factor
+    yield Cause(
+        code, every, text, lambda sample: replace(sample, tau=sample.tau * scale), effort[0]
+    )
+
+
+def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Callable[[Sample], Sample]:
+    def change(sample: Sample) -> Sample:
+        sign = np.ones(sample.q.shape[1])
+        sign[j] = -1.0
+        moved, driven = sign if motion else 1.0, sign if torque else 1.0
+        return replace(
+            sample,
+            q=sample.q * moved,
+            dq=sample.dq * moved,
+            ddq=sample.ddq * moved,
+            tau=sample.tau * driven,
+            direction=sample.direction * moved,
+        )
+
+    return change
+
+
+def _in_radians(joints: tuple[int, ...]) -> Callable[[Sample], Sample]:
+    def change(sample: Sample) -> Sample:
+        factor = np.ones(sample.q.shape[1])
+        factor[list(joints)] = np.pi / 180.0
+        return replace(sample, q=sample.q * factor, dq=sample.dq * factor, ddq=sample.ddq * factor)
+
+    return change
+
+
+def _shifted(j: int, angle: float) -> Callable[[Sample], Sample]:
+    def change(sample: Sample) -> Sample:
+        shift = np.zeros(sample.q.shape[1])
+        shift[j] = angle
+        return replace(sample, q=sample.q + shift)
+
+    return change
+
+
+def _swapped(a: int, b: int, *, tau: bool) -> Callable[[Sample], Sample]:
+    def change(sample: Sample) -> Sample:
+        order = list(range(sample.q.shape[1]))
+        order[a], order[b] = b, a
+        moving = tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving))
+        return replace(
+            sample,
+            q=sample.q[:, order],
+            dq=sample.dq[:, order],
+            ddq=sample.ddq[:, order],
+            direction=sample.direction[:, order],
+            tau=sample.tau[:, order] if tau else sample.tau,
+            moving=moving,
+        )
+
+    return change
+
+
+def _swapped_torques(a: int, b: int) -> Callable[[Sample], Sample]:
+    def change(sample: Sample) -> Sample:
+        order = list(range(sample.q.shape[1]))
+        order[a], order[b] = b, a
+        return replace(sample, tau=sample.tau[:, order])
+
+    return change

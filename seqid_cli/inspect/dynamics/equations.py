@@ -1,0 +1,317 @@
+"""The robot's equations against the log: axes, zeros, order of joints, and the size of torque.
+
+Two comparisons. The structural one needs no inertial parameters: all joints share one set of base
+parameters (gravity and inertia), so a joint whose axis, zero or place is another one spoils the
+fit, and mending it restores the fit. The nominal one needs a URDF with inertials: the measured
+torque is split into s times its gravity torque, inertia and friction; s is near one where torque
+is torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.dynamics.causes import Cause, causes_of, units_of
+from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.material import LogData, per_robot
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.base_parameters import base_regressor
+from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
+
+Array = NDArray[np.float64]
+
+SUSPICIOUS = 0.1  # of the torque's RMS left by the equations, from where a cause is looked for
+POOR = 0.6
+SEEN = 10.0  # encoder steps per second, of each joint that is to follow the equations
+MENDED = 0.5  # of the error, that a cause may leave
+SOUND = 0.35  # of the torque's RMS, that a mended fit may leave
+BETTER = 0.8  # of another cause's error: less of a difference decides nothing
+RIVALS, MOST_ALIKE = 8, 3  # causes looked at closely, and joints that they may be of
+ROWS, FEW_ROWS = 600, 250  # of a fit, and of a first look at many
+SLIDES = 0.2  # of the RMS speed
+SIGMAS = 3.0
+SMALL, LARGE = 0.25, 4.0
+LOADED = 0.2  # of the largest gravity torque, that a joint must carry to be judged
+HEAVY = 1e-3  # N m
+ACTING = 0.1  # of the largest gravity torque of a joint in any posture, the same
+LIGHT = 0.05  # of the largest of any joint: lighter ones show friction rather than gravity
+POSTURES = 200
+KINDS = ("axis_flipped", "position_zero", "joints_swapped")
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a fit leaves of the torque's RMS, and the number of columns that it can tell apart."""
+
+    error: float
+    columns: int
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A cause that mends a fit, and the error that it leaves."""
+
+    finding: InspectionFinding
+    error: float
+
+
+@dataclass(frozen=True)
+class Weight:
+    """Measured over nominal gravity torque of one joint, its error, and the nominal's RMS."""
+
+    joint: int
+    ratio: float
+    error: float
+    rms: float
+
+
+def geometry_findings(
+    data: LogData, sample: Sample, friction: list[InspectionFinding]
+) -> list[InspectionFinding]:
+    """Compare a log with the robot's equations.
+
+    Parameters
+    ----------
+    data : LogData
+    sample : Sample
+        Its filtered motion and torque.
+    friction : list of InspectionFinding
+        What its friction shows. Another cause that mends the equations explains that as well: a
+        zero that is off leaves gravity in the torque, which may look like friction of any sign.
+
+    Returns
+    -------
+    list of InspectionFinding
+        One cause, or those of `friction`, or what the robot's weight says.
+    """
+    if not data.modelled or not sample.moving:
+        return friction
+    structural = [*_structural(data, sample)]
+    if friction:
+        known = {(f.code, frozenset(f.joint.split(", "))) for f in friction}
+        mends = [f for f in structural if f.code != "model_mismatch"]
+        agrees = any((f.code, frozenset(f.joint.split(", "))) in known for f in mends)
+        return friction if agrees or not mends else mends
+    return structural or [*_scale(data, sample, _weights(data.robot, _thinned(sample, ROWS)))]
+
+
+def _structural(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+    robot = data.robot
+    thin = _thinned(sample, ROWS)
+    left = _structural_error(robot, thin)
+    error = left.error
+    if error < SUSPICIOUS:
+        return
+    free = _structural_error(robot, thin, own_law=True).error
+    causes = [*causes_of(robot, thin), *units_of(data)]
+    mended = _mending(robot, thin, left, _structural_error, causes, free=free)
+    if mended is not None:
+        yield mended.finding
+    elif error > POOR and all(sample.rms_speed(j) > SEEN * data.step[j] for j in sample.moving):
+        yield found(
+            "model_mismatch", f"the equations leave {percent(error, 0)} of the torque's RMS"
+        )
+
+
+def _mending(
+    robot: Robot,
+    sample: Sample,
+    before: Left,
+    measure: Callable[[Robot, Sample], Left],
+    causes: Sequence[Cause],
+    *,
+    free: float = np.inf,
+) -> Mended | None:
+    """Find the one change that mends a fit; None where none does, or too many.
+
+    Where several do as well, the inertials of a URDF decide. A cause must leave half of the error.
+    Where it gives the equations columns that they had not before (gravity on a joint that hardly
+    feels it, say), any free function would do better as well: then it must leave half of what such
+    functions leave, `free`.
+    """
+    few = _thinned(sample, FEW_ROWS)
+    tried = [(measure(robot, cause.change(few)).error, cause) for cause in causes]
+    tried.sort(key=lambda item: item[0])
+    best = [(measure(robot, cause.change(sample)), cause) for _, cause in tried[:RIVALS]]
+    best.sort(key=lambda item: item[0].error)
+    alike = [cause for after, cause in best if after.error < best[0][0].error / BETTER]
+    if len({frozenset(cause.joints) for cause in alike}) > MOST_ALIKE:
+        return None
+    if robot.nominal is not None:
+        alike.sort(key=lambda cause: _nominal_error(robot, cause.change(sample)).error)
+    cause = alike[0]
+    after = next(after for after, other in best if other is cause)
+    most = min(before.error, free) if after.columns > before.columns else before.error
+    if after.error > min(MENDED * most, SOUND):
+        return None
+    names = ", ".join(robot.joint_names[j] for j in cause.joints)
+    fall = f"falls from {percent(before.error)} to {percent(after.error)}"
+    text = f"{cause.text}; the equations' error {fall}"
+    others = [other for other in alike if set(other.joints) != set(cause.joints)]
+    if others:
+        rivals = [
+            f"{', '.join(robot.joint_names[j] for j in other.joints)}: {other.text}"
+            for other in others
+        ]
+        text += f" (as well with {'; or '.join(rivals)})"
+    finding = found(cause.code, text, joint=names, channel=cause.channel)
+    return Mended(finding, after.error)
+
+
+def _thinned(sample: Sample, count: int) -> Sample:
+    every = max(1, len(sample.q) // count)
+    rows = slice(None, None, every)
+    return replace(
+        sample,
+        memory=max(1.0, sample.memory / every),
+        q=sample.q[rows],
+        dq=sample.dq[rows],
+        ddq=sample.ddq[rows],
+        tau=sample.tau[rows],
+        direction=sample.direction[rows],
+    )
+
+
+def _structural_error(robot: Robot, sample: Sample, *, own_law: bool = False) -> Left:
+    """RMS that rigid body and friction leave of the torques, each as a share of its own.
+
+    With `own_law`, and a smooth function of each joint's own position.
+    """
+    assert sample.basis is not None
+    Y = base_regressor(robot, sample.basis, sample.q, sample.dq, sample.ddq)
+    parts = [Y, joint_columns(robot, sample), *([position_columns(sample)] if own_law else [])]
+    X = np.concatenate(parts, axis=2)
+    tau = sample.tau
+    sliding = np.zeros(tau.shape, dtype=bool)  # at rest friction takes any value
+    for j in sample.moving:
+        sliding[:, j] = np.abs(sample.dq[:, j]) > SLIDES * sample.rms_speed(j)
+    squares = np.where(sliding, tau, 0.0) ** 2
+    size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1))
+    size = np.maximum(size, 1e-12)
+    W = (X / size[:, None])[sliding]
+    W = W / np.maximum(np.sqrt(np.mean(W**2, axis=0)), 1e-12)
+    y = (tau / size)[sliding]
+    theta, _, rank, _ = np.linalg.lstsq(W, y, rcond=1e-8)
+    return Left(float(np.sqrt(np.mean((y - W @ theta) ** 2))), int(rank))
+
+
+def _weights(robot: Robot, sample: Sample) -> list[Weight]:
+    """Compare the torque of each moving joint with gravity by the URDF's inertials.
+
+    Only joints that carry a fair share of the weight, by which a URDF can be judged.
+    """
+    if robot.nominal is None or not robot.gravity.any():
+        return []
+    gravity, inertia = _nominal(robot, sample)
+    rms = gravity.std(axis=0)
+    could = largest_gravity(robot)
+    slides = np.array([joint.prismatic for joint in robot.joints])
+    moving = np.isin(np.arange(robot.n), sample.moving)
+    columns = joint_columns(robot, sample)
+    result = []
+    for j in sample.moving:
+        alike = slides == slides[j]  # forces and torques are not to be compared
+        least = max(
+            LOADED * max(float(rms[alike & moving].max()), HEAVY),
+            ACTING * float(could[j]),
+        )
+        if rms[j] < least or could[j] < LIGHT * could[alike].max():
+            continue  # friction that changes with position would pass for gravity
+        own = columns[:, j, 4 * j : 4 * j + 4]
+        X = np.column_stack([gravity[:, j], inertia[:, j], own])
+        scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
+        inverse = np.linalg.pinv(X / scale, rcond=1e-8) / scale[:, None]
+        theta = inverse @ sample.tau[:, j]
+        left = sample.tau[:, j] - X @ theta
+        variance = float(np.mean(left**2)) * sample.memory
+        error = float(np.sqrt(variance * (inverse[0] @ inverse[0])))
+        result.append(Weight(j, float(theta[0]), error, float(rms[j])))
+    return result
+
+
+@per_robot
+def largest_gravity(robot: Robot) -> Array:
+    """Largest gravity torque (n,) by the URDF's inertials over postures spread evenly; else 0."""
+    if robot.nominal is None:
+        return np.zeros(robot.n)
+    root = 2.0 ** (1.0 / (robot.n + 1))  # powers of it step through all angles evenly
+    turns = np.outer(np.arange(POSTURES), root ** -np.arange(1, robot.n + 1)) % 1.0
+    slides = np.array([joint.prismatic for joint in robot.joints])
+    q = np.where(slides, turns - 0.5, 2.0 * np.pi * turns)
+    still = np.zeros_like(q)
+    torque = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+    return np.asarray(np.abs(torque).max(axis=0))
+
+
+def _nominal(robot: Robot, sample: Sample) -> tuple[Array, Array]:
+    """Gravity and inertia torque (N, n) by the URDF's inertials."""
+    assert robot.nominal is not None
+    chain, g, phi = robot.chain, robot.gravity, robot.nominal
+    still = np.zeros_like(sample.q)
+    gravity = inverse_dynamics(chain, g, phi, sample.q, still, still)
+    return gravity, inverse_dynamics(chain, g, phi, sample.q, sample.dq, sample.ddq) - gravity
+
+
+def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Left:
+    """RMS that the URDF's inertials and friction leave of the torques, each as a share of its own.
+
+    With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
+    """
+    gravity, inertia = _nominal(robot, sample)
+    columns = joint_columns(robot, sample)
+    shares = []
+    for j in sample.moving:
+        own = columns[:, j, 4 * j : 4 * j + 4]
+        y = sample.tau[:, j] - (0.0 if scaled else gravity[:, j] + inertia[:, j])
+        X = np.column_stack([own, gravity[:, j], inertia[:, j]]) if scaled else own
+        X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
+        left = y - X @ np.linalg.lstsq(X, y, rcond=1e-8)[0]
+        shares.append(float(np.mean(left**2)) / max(float(np.var(sample.tau[:, j])), 1e-300))
+    return Left(float(np.sqrt(np.mean(shares))), 0)
+
+
+def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[InspectionFinding]:
+    """Judge the size of the torque at the joints that carry weight."""
+    off = [w for w in weights if _is_off(w)]
+    if not off:
+        return
+    thin = _thinned(sample, ROWS)
+    before, causes = _nominal_error(data.robot, thin), [*causes_of(data.robot, thin)]
+    mended = _mending(data.robot, thin, before, _nominal_error, causes)
+    unit = _nominal_error(data.robot, thin, scaled=True).error
+    pulls = all(w.ratio > SIGMAS * w.error for w in off)  # gravity acts, in the right direction
+    if mended is not None and not (pulls and unit < mended.error / BETTER):
+        yield mended.finding
+        return
+    effort = data.effort()
+    for w in off:
+        joint = data.robot.joints[w.joint]
+        text = f"the torque is {w.ratio:.3g} +- {w.error:.1g} of the expected gravity torque"
+        code = "axis_flipped" if w.ratio + SIGMAS * w.error < -SMALL else _unit_code(data, w)
+        yield found(code, text, joint=joint.name, channel=effort[0] if effort else "torque")
+
+
+def _is_off(weight: Weight) -> bool:
+    low = weight.ratio + SIGMAS * weight.error < SMALL
+    return low or abs(weight.ratio) - SIGMAS * weight.error > LARGE
+
+
+def _unit_code(data: LogData, weight: Weight) -> str:
+    joint = data.robot.joints[weight.joint]
+    factor = abs(joint.torque_per_ampere or 0.0)
+    effort = data.effort()
+    current = effort is not None and effort[0] == "current"
+    if current and 300.0 < abs(weight.ratio) < 3000.0:
+        return "current_in_ma"
+    if factor and current and 0.4 < abs(weight.ratio) / factor < 2.5:
+        return "effort_is_torque"
+    if factor and not current and 0.4 < abs(weight.ratio) * factor < 2.5:
+        return "effort_is_current"
+    return "torque_scale"

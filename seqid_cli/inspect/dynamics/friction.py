@@ -1,0 +1,269 @@
+"""Torque against motion: friction must brake, and the rigid-body equations must fit.
+
+For every joint j the filtered torque is compared with
+
+    tau_j = G_j(q) phi + sum_k c_k T_k(q_j) + sum_i J_i ddq_i + sum_i F_i tanh(dq_i / v_i) + B dq_j,
+
+gravity of the whole arm, a smooth function of the joint's own position, accelerations, and friction
+of every joint that moves. Whatever the inertias are, F_j tanh + B dq at the joint's own RMS speed
+is positive: a negative one means that torque and position have opposite signs. If F_i of another
+joint i is there and the joint's own is not, the torque is that of the other joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.material import LogData, per_robot
+from seqid_cli.logs.checks.echo import driven
+from seqid_cli.motion.motion import Motion, decimated
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+ROWS = 1000
+FEWEST = 60
+BOTH_WAYS = 0.05  # rad (m) that a joint must go each way
+BALANCED = 0.2  # of the way there, that a joint must go back: else friction is an offset
+SLOW = 0.1  # of the RMS speed, over which friction changes its sign
+MEMORY_S = 0.3  # of the residual, for the errors
+SIGMAS = 4.0
+SHARE = 0.03  # of the torque's spread, that friction must be to be judged
+ALIEN = 0.25  # of the alien friction, that the own one may be where joints are exchanged
+SMOOTH_TERMS = 4
+UNEXPLAINED = 0.25  # of the torque's spread, that is judged nevertheless without geometry
+RCOND = 1e-8
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Filtered motion and torque of a log at the rows that count, all (N, n)."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    direction: Array  # of motion, -1 to 1, through the torque's filter
+    memory: float  # rows that count as one
+    moving: tuple[int, ...]  # joints that are driven far enough both ways
+    basis: Basis | None  # of the robot without rotors; None where its geometry is not known
+
+    def rms_speed(self, j: int) -> float:
+        """RMS speed of a joint, rad/s."""
+        return max(float(np.sqrt(np.mean(self.dq[:, j] ** 2))), 1e-12)
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction of one joint's torque: by joint that moves, with standard errors, and the own."""
+
+    by_joint: dict[int, tuple[float, float]]
+    own: tuple[float, float]  # at RMS speed
+    spread: float
+    unexplained: float
+
+
+def sample_of(data: LogData) -> Sample | None:
+    """Filter a log; None where it has no torque or nothing moves long enough."""
+    recording, robot = data.recording, data.robot
+    if recording.tau is None or data.motion is None:
+        return None
+    motion = decimated(data.motion)
+    rows = np.flatnonzero(motion.usable & np.isfinite(motion.dq).all(axis=1))
+    rows = rows[:: max(1, len(rows) // ROWS)]
+    if len(rows) < FEWEST or motion.tau is None:
+        return None
+    moving = tuple(
+        j
+        for j in np.flatnonzero(driven(motion.q[rows])).tolist()
+        if data.moves(j) and _both_ways(motion, rows, j)
+    )
+    spacing = float(np.median(np.diff(motion.t[rows])))
+    speeds = np.maximum(np.sqrt(np.mean(motion.dq[rows] ** 2, axis=0)), 1e-12)
+    direction = motion.filtered(np.tanh(motion.dq / (SLOW * speeds)), 2)
+    return Sample(
+        motion.q[rows],
+        motion.dq[rows],
+        motion.ddq[rows],
+        motion.tau[rows],
+        direction[rows],
+        max(1.0, MEMORY_S / spacing),
+        moving,
+        _basis(robot) if data.modelled and moving else None,
+    )
+
+
+@per_robot
+def _basis(robot: Robot) -> Basis:
+    return base_parameters(robot, rotor=[])
+
+
+def _both_ways(motion: Motion, rows: NDArray[np.intp], j: int) -> bool:
+    dq = motion.dq[rows, j]
+    step = float(np.median(np.diff(motion.t[rows])))
+    travels = [float(np.abs(part).sum()) * step for part in (dq[dq > 0], dq[dq < 0])]
+    return min(travels) > max(BOTH_WAYS, BALANCED * max(travels))
+
+
+def friction_findings(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+    """Check signs of torques and their order by the friction that they show."""
+    names = data.robot.joint_names
+    gravity = _gravity(data.robot, sample)
+    fits = {
+        j: fit
+        for j in range(data.robot.n)
+        if (fit := _friction(sample, gravity[:, j], j)) is not None
+    }
+    swapped = _exchanged(fits, sample.moving)
+    for a, b in swapped:
+        text = f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
+        yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="torque")
+    for j in sample.moving:
+        fit = fits.get(j)
+        if fit is None or any(j in pair for pair in swapped):
+            continue
+        if not data.modelled and fit.unexplained > UNEXPLAINED:
+            continue  # gravity of the other links could pass for anything
+        value, error = fit.own
+        if value < -SIGMAS * error and value < -SHARE * fit.spread:
+            text = (
+                f"its friction is {value:.3g} +- {error:.2g} N m at "
+                f"{sample.rms_speed(j):.3g} rad/s: the joint would gain energy"
+            )
+            yield found("sign_mismatch", text, joint=names[j], channel="torque")
+
+
+def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
+    tau = sample.tau[:, j]
+    spread = float(tau.std())
+    if spread == 0.0 or not sample.moving:
+        return None
+    moving = list(sample.moving)
+    signs = sample.direction[:, moving]
+    own = [sample.dq[:, j]] if j in moving else []
+    X = np.column_stack([signs, *own, sample.ddq[:, moving], *_law(sample, gravity, j)])
+    scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
+    U, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
+    kept = s > RCOND * s[0]
+    inverse = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
+    theta = inverse @ tau
+    residual = tau - X @ theta
+    freedom = max(len(tau) - int(kept.sum()) * sample.memory, 10.0)
+    variance = float(residual @ residual) / freedom * max(sample.memory, memory_of(residual))
+    C = inverse[: len(moving) + len(own)] @ inverse[: len(moving) + len(own)].T * variance
+    by_joint = {i: (float(theta[k]), float(np.sqrt(C[k, k]))) for k, i in enumerate(moving)}
+    return Friction(
+        by_joint,
+        _at_rms(theta, C, moving, j, sample),
+        spread,
+        float(np.sqrt(np.mean(residual**2))) / spread,
+    )
+
+
+def memory_of(residual: Array) -> float:
+    """Return how many samples of a residual (M,) count as one: the sum of its autocorrelation.
+
+    Up to its first zero, which is as far as it is known.
+    """
+    x = residual - residual.mean()
+    size = 1 << (2 * len(x) - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(x, size)) ** 2
+    r = np.fft.irfft(spectrum)[: len(x)]
+    if r[0] <= 0.0:
+        return 1.0
+    negative = np.flatnonzero(r <= 0.0)
+    last = int(negative[0]) if len(negative) else len(r)
+    return float(1.0 + 2.0 * r[1:last].sum() / r[0])
+
+
+def _at_rms(
+    theta: Array, C: Array, moving: list[int], j: int, sample: Sample
+) -> tuple[float, float]:
+    if j not in moving:
+        return 0.0, np.inf
+    k, last = moving.index(j), len(moving)
+    g = np.array([1.0, sample.rms_speed(j)])
+    rows = [k, last]
+    return float(g @ theta[rows]), float(np.sqrt(g @ C[np.ix_(rows, rows)] @ g))
+
+
+def _gravity(robot: Robot, sample: Sample) -> Array:
+    """Columns (N, n, b) of gravity; none where the geometry is not known."""
+    if sample.basis is None or not robot.gravity.any():
+        return np.zeros((*sample.q.shape, 0))
+    still = np.zeros_like(sample.q)
+    return base_regressor(robot, sample.basis, sample.q, still, still)
+
+
+def _law(sample: Sample, gravity: Array, j: int) -> list[Array]:
+    """Return columns that depend on position alone."""
+    q = sample.q[:, j]
+    span = float(np.ptp(q))
+    terms = SMOOTH_TERMS if j in sample.moving and span > 0 else 1
+    columns = list(_smooth(q, terms).T)
+    columns += [g for g in gravity.T if np.abs(g).max() > 1e-9]
+    return columns
+
+
+def _exchanged(fits: dict[int, Friction], moving: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Pairs of joints whose torques show each other's friction but not their own."""
+    pairs = []
+    for a, b in combinations(sorted(fits), 2):
+        if a not in moving and b not in moving:
+            continue
+        ways = [(i, j) for i, j in ((a, b), (b, a)) if i in moving]
+        if all(_alien(fits, i, j) for i, j in ways):
+            pairs.append((a, b))
+    return pairs
+
+
+def _alien(fits: dict[int, Friction], i: int, j: int) -> bool:
+    """Whether the motion of joint i shows as friction in the torque of j and not in its own."""
+    own, own_error = fits[i].by_joint[i]
+    alien, error = fits[j].by_joint[i]
+    certain = (abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())
+    largest = max(certain)
+    return (
+        alien > SIGMAS * error
+        and alien > SHARE * fits[j].spread
+        and abs(alien) >= largest
+        and abs(own) < max(ALIEN * alien, 2.0 * own_error)
+    )
+
+
+def position_columns(sample: Sample) -> Array:
+    """Columns (N, n, 3 k) of smooth functions of each of the k moving joints' own position."""
+    terms = SMOOTH_TERMS - 1
+    columns = np.zeros((*sample.q.shape, terms * len(sample.moving)))
+    for k, j in enumerate(sample.moving):
+        columns[:, j, terms * k : terms * (k + 1)] = _smooth(sample.q[:, j], SMOOTH_TERMS)[:, 1:]
+    return columns
+
+
+def _smooth(q: Array, terms: int) -> Array:
+    """Chebyshev polynomials (N, terms) over the range of positions (N,)."""
+    return np.asarray(
+        chebvander(2.0 * (q - q.min()) / max(float(np.ptp(q)), 1e-12) - 1.0, terms - 1)
+    )
+
+
+def joint_columns(robot: Robot, sample: Sample) -> Array:
+    """Columns (N, n, 4 n) that belong to one joint each: offset, rotor, direction and speed."""
+    n, rows = robot.n, len(sample.q)
+    columns = np.zeros((rows, n, 4 * n))
+    for j in range(n):
+        columns[:, j, 4 * j] = 1.0
+        if j in sample.moving:
+            columns[:, j, 4 * j + 1] = sample.ddq[:, j]
+            columns[:, j, 4 * j + 2] = sample.direction[:, j]
+            columns[:, j, 4 * j + 3] = sample.dq[:, j]
+    return columns

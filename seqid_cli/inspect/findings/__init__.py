@@ -1,0 +1,1 @@
+"""Codes of findings with their remedies, and findings made of them."""

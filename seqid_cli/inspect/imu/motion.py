@@ -1,0 +1,181 @@
+"""IMUs against the encoders: delay, link, axes, gyro.
+
+Whatever the mounting, an accelerometer on a link reads a linear function of the link's specific
+force (3), angular acceleration (3) and products of angular velocity (6) in the link's frame, a gyro
+one of the angular velocity (3), at the IMU's own time. Both sides go through the same low-pass; the
+linear function is fitted to each channel for a range of time shifts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, Fit, fit_link, scan
+from seqid_cli.inspect.imu.readings import channel_name, odd_channel
+from seqid_cli.inspect.material import LogData
+from seqid_cli.logs.raw import GYRO
+from seqid_cli.motion.motion import Motion
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.types import Imu
+from seqid_cli.shares import percent
+
+Array = NDArray[np.float64]
+
+DELAY_S, DELAY_SAMPLES = 0.005, 2.0
+OTHER_LINK = 0.25
+CERTAIN = 0.01  # of the variance left, below which there is nothing to explain
+TELLS = 0.1  # of the variance, that may be left where a map is to tell axes
+DEGREES = 180.0 / np.pi
+MAPPED = 0.03  # standard error of the map that tells axes
+SCALED = 0.05
+UNIFORM = 1.0 / np.sqrt(12.0)  # standard deviation of an error within one step
+
+
+@dataclass(frozen=True)
+class Following:
+    """What the motion says of one IMU."""
+
+    imu: Imu
+    fit: Fit
+    gyro: bool
+
+
+def follow(data: LogData) -> list[Following]:
+    """Fit every IMU of a log to the motion of its link; empty where nothing turns."""
+    if not data.modelled:
+        return []
+    if not data.recording.accelerometers and not data.recording.gyros:
+        return []
+    if data.motion is None:
+        return []
+    result = []
+    for imu in data.robot.imus:
+        for gyro, source in ((False, data.recording.accelerometers), (True, data.recording.gyros)):
+            values = source.get(imu.name)
+            if values is not None:
+                fit = fit_link(data.robot, data.motion, values, imu.after_joint, gyro=gyro)
+                if fit is not None:
+                    result.append(Following(imu, fit, gyro))
+    return result
+
+
+def motion_findings(data: LogData, following: list[Following]) -> Iterator[InspectionFinding]:
+    """Judge how the IMUs follow the encoders."""
+    for item in following:
+        name = item.imu.name
+        if item.fit.left > FOLLOWS:
+            yield _not_following(data, item)
+            continue
+        better = _better(data, item)
+        if better is not None:
+            yield better
+            continue
+        least = max(DELAY_S, DELAY_SAMPLES / data.recording.rate_hz)
+        delay = item.fit.delay
+        error = float(np.hypot(item.fit.delay_error, _resolution_s(data, item.imu.after_joint)))
+        if abs(delay) > least and abs(delay) > SIGMAS * error:
+            text = f"its readings are {1e3 * delay:.1f} +- {1e3 * error:.1g} ms behind the encoders"
+            yield found("imu_delay", text, joint=name)
+        if item.gyro:
+            yield from _gyro(item)
+        else:
+            yield from _axes(data, item)
+
+
+def _resolution_s(data: LogData, link: int) -> float:
+    """Time that the fastest joint before a link takes for the error of its encoder, s.
+
+    Joints rest anywhere within a count, on one side going forward and on the other going back.
+    """
+    assert data.motion is not None
+    motion = data.motion
+    speeds = [
+        float(np.sqrt(np.mean(motion.dq[motion.moving[:, j], j] ** 2))) / data.step[j]
+        for j in range(link + 1)
+        if motion.moving[:, j].any()
+    ]
+    return float(UNIFORM / max(max(speeds, default=0.0), 1e-9))
+
+
+def _better(data: LogData, item: Following) -> InspectionFinding | None:
+    """Find what the IMU follows far better than its own link: another one, or an axis reversed."""
+    motion = data.motion
+    if item.fit.left < CERTAIN or motion is None:
+        return None
+    name, own = item.imu.name, item.imu.after_joint
+    values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[name]
+    names = data.robot.joint_names
+    turned = [(j, own, _reversed(motion, j)) for j in range(own + 1) if data.moves(j)]
+    tried = [(None, link, motion) for link in range(data.robot.n) if link != own]
+    found_best: tuple[float, int | None, int] | None = None
+    for joint, link, moved in (*tried, *turned):
+        found_now = scan(data.robot, moved, values, link, gyro=item.gyro)
+        if found_now is not None and (found_best is None or found_now.share < found_best[0]):
+            found_best = (found_now.share, joint, link)
+    if found_best is None or found_best[0] > OTHER_LINK * item.fit.left:
+        return None
+    share, joint, link = found_best
+    text = f"{percent(share)} of its variance is left against {percent(item.fit.left, 0)}"
+    if joint is not None:
+        text = f"by IMU {name} it turns the other way round: {text}"
+        return found("axis_flipped", text, joint=names[joint], channel="position")
+    text = f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
+    return found("imu_wrong_link", text, joint=name)
+
+
+def _reversed(motion: Motion, j: int) -> Motion:
+    sign = np.where(np.arange(motion.q.shape[1]) == j, -1.0, 1.0)
+    return replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
+
+
+def _not_following(data: LogData, item: Following) -> InspectionFinding:
+    better = _better(data, item)
+    if better is not None:
+        return better
+    text = f"the motion of its link leaves {percent(item.fit.left, 0)} of its variance unexplained"
+    return found("imu_not_moving", text, joint=item.imu.name)
+
+
+def _gyro(item: Following) -> Iterator[InspectionFinding]:
+    size = item.fit.gain
+    text = f"reads {size:.3g} times the link's angular velocity"
+    if item.fit.left > TELLS:
+        return
+    if abs(size / DEGREES - 1.0) < 0.2:
+        yield found("gyro_in_degrees", text, joint=item.imu.name)
+    elif item.fit.map_error < MAPPED and np.linalg.det(item.fit.map) < 0.0:
+        channel = channel_name(item.imu, GYRO, 0)[:-1]
+        text = "its gyro fits the link's motion as a mirror image only"
+        yield found("imu_left_handed", text, joint=item.imu.name, channel=channel)
+    elif abs(size - 1.0) > 0.15:
+        yield found("gyro_scale", text, joint=item.imu.name)
+
+
+def _axes(data: LogData, item: Following) -> Iterator[InspectionFinding]:
+    """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
+    if item.fit.map_error > MAPPED or item.fit.left > TELLS or _in_other_unit(item):
+        return
+    gravity = float(np.linalg.norm(data.robot.gravity)) or 9.81
+    force = item.fit.map[:, :3]
+    odd = odd_channel(item.imu, gravity * force.T, gravity)
+    if odd is not None:
+        yield odd
+        return
+    turned = np.linalg.pinv(item.imu.axes) @ force
+    size = np.linalg.svd(turned, compute_uv=False)
+    if np.linalg.det(turned) < 0.0 and size[2] > 0.7 * size[0]:
+        text = "its accelerometers fit the link's motion as a mirror image only"
+        yield found("imu_left_handed", text, joint=item.imu.name)
+    elif abs(float(np.mean(size)) - 1.0) > SCALED and size[2] > 0.9 * size[0]:
+        text = f"reads {float(np.mean(size)):.3g} times the link's specific force"
+        yield found("imu_gravity", text, joint=item.imu.name)
+
+
+def _in_other_unit(item: Following) -> bool:
+    size = float(np.linalg.svd(item.fit.map[:, :3], compute_uv=False)[0])
+    return not 0.5 < size / np.sqrt(max(len(item.imu.axes) / 3.0, 1.0)) < 2.0

@@ -1,0 +1,222 @@
+"""IMUs by themselves: stuck, clipped, units, gravity at rest, axes of an array."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from seqid_cli.inspect.channels.values import clipped, equal_runs, missing_share
+from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.material import LogData
+from seqid_cli.logs.checks.health import STANDARD_GRAVITY
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
+from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.motion.imu.array import layout
+from seqid_cli.motion.segmentation import standing
+from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.shares import percent
+
+Array = NDArray[np.float64]
+
+STUCK_S, STUCK_SAMPLES = 0.5, 50
+REST_S = 0.2
+WRONG = 0.05  # of gravity
+EXPLAINS = 0.1  # of the squared error
+ALIKE = 4.0  # times the squared error without a channel, that it may leave once put right
+RIVAL = 0.5
+MISSING = 0.01
+BIAS = 0.1  # rad/s
+FEW_CHANNELS = 3
+AXES = "xyz"
+
+
+def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
+    """Tell which arrays of the robot file cannot see angular acceleration."""
+    for imu in robot.imus:
+        triad = len(imu.positions) == 3 and not imu.positions.any()
+        if imu.gyro or triad or layout(imu).acceleration:
+            continue
+        text = f"its {len(imu.positions)} accelerometers do not determine the angular acceleration"
+        yield found("imu_layout", text, joint=imu.name)
+
+
+def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Check the channels of every IMU in the log."""
+    for imu in data.robot.imus:
+        broken = [*_channels(data, imu)]
+        yield from _together(broken)
+        values = data.recording.accelerometers.get(imu.name)
+        if values is not None and not broken:
+            yield from _at_rest(data, imu, values)
+        gyro = data.recording.gyros.get(imu.name)
+        if gyro is not None:
+            yield from _gyro_bias(data, imu, gyro)
+
+
+def _together(findings: list[InspectionFinding]) -> Iterator[InspectionFinding]:
+    """Say once what many channels of an IMU share: it is the IMU's fault then, not theirs."""
+    for code in dict.fromkeys(finding.code for finding in findings):
+        alike = [finding for finding in findings if finding.code == code]
+        if len(alike) <= FEW_CHANNELS:
+            yield from alike
+        else:
+            names = ", ".join(finding.channel for finding in alike)
+            yield structs.replace(alike[0], channel=names)
+
+
+def channel_name(imu: Imu, quantity: str, k: int) -> str:
+    """Name a channel as Parquet logs do: a1, a2, ... (ax, ay, az of a triad), gx, gy, gz."""
+    if quantity == GYRO:
+        return f"{imu.name}.g{AXES[k % 3]}"
+    return f"{imu.name}.a{k + 1}"
+
+
+def _channels(data: LogData, imu: Imu) -> Iterator[InspectionFinding]:
+    first = {ACCELEROMETERS: 0, GYRO: 0}
+    for stream in data.raw.imus.get(imu.name, ()):
+        stamps = stream.stamp_ns
+        seconds = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
+        for quantity, values in stream.channels.items():
+            live = [k for k in range(values.shape[1]) if _changes(values[:, k])]
+            for k in range(values.shape[1]):
+                name = channel_name(imu, quantity, first[quantity] + k)
+                finding = _channel(imu, name, values[:, k], seconds, others=live != [])
+                if finding is not None:
+                    yield finding
+            first[quantity] += values.shape[1]
+
+
+def _changes(values: Array) -> bool:
+    present = values[np.isfinite(values)]
+    return bool(len(present) and np.ptp(present) > 0)
+
+
+def _channel(
+    imu: Imu, name: str, values: Array, seconds: float, *, others: bool
+) -> InspectionFinding | None:
+    present = values[np.isfinite(values)]
+    share = missing_share(values)
+    if share > MISSING:
+        text = f"{percent(share)} of the values are missing"
+        return found("values_missing", text, joint=imu.name, channel=name)
+    least = max(STUCK_SAMPLES, int(STUCK_S / max(seconds, 1e-9)))
+    # A channel that repeats itself all the time is slow or coarse, not stuck.
+    lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
+    stuck = [run for run in equal_runs(present, least) if lively or run.length == len(present)]
+    stuck = [
+        run
+        for run in stuck
+        if run.value not in (present.max(), present.min()) or run.length == len(present)
+    ]
+    if stuck and (others or lively):
+        run = stuck[0]
+        text = f"stays at {run.value:.4g} for {run.length * seconds:.3g} s"
+        return found("imu_stuck", text, joint=imu.name, channel=name)
+    limit = clipped(present)
+    if limit is not None:
+        text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
+        return found("imu_saturated", text, joint=imu.name, channel=name)
+    return None
+
+
+def rest_rows(data: LogData, values: Array) -> Array:
+    """Average readings (N, K) over each rest of the whole arm; (R, K)."""
+    still = standing(data.moving, data.recording.rate_hz).all(axis=1) & data.recording.valid
+    least = REST_S * data.recording.rate_hz
+    means = [values[a:b].mean(axis=0) for a, b in runs(still, len(still)) if b - a >= least]
+    return np.array(means).reshape(-1, values.shape[1])
+
+
+def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[InspectionFinding]:
+    gravity = float(np.linalg.norm(data.robot.gravity))
+    rest = rest_rows(data, values)
+    if not data.modelled or not len(rest) or np.linalg.matrix_rank(imu.axes) < 3:
+        return
+    if abs(gravity - STANDARD_GRAVITY) > 0.5 or _in_g(imu, rest):
+        return
+    odd = odd_channel(imu, rest, gravity)
+    if odd is not None:
+        yield odd
+        return
+    norm = float(np.median(np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)))
+    if abs(norm / gravity - 1.0) > WRONG:
+        text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
+        yield found("imu_gravity", text, joint=imu.name)
+
+
+def _in_g(imu: Imu, rest: Array) -> bool:
+    norm = float(np.median(np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)))
+    return 0.8 < norm < 1.2 or 800.0 < norm < 1200.0
+
+
+def odd_channel(imu: Imu, rest: Array, gravity: float) -> InspectionFinding | None:
+    """Find what one change makes the accelerometers of an array agree on gravity (Eq. 29).
+
+    Parameters
+    ----------
+    imu : Imu
+    rest : (R, K) array
+        Readings [m/s^2] to specific force alone.
+    gravity : float
+        Its size [m/s^2].
+    """
+    count = rest.shape[1]
+    if count <= 3:
+        return None
+    P = np.eye(count) - imu.axes @ np.linalg.pinv(imu.axes)
+    error = float(np.mean((rest @ P) ** 2)) * count
+    if np.sqrt(error) < WRONG * gravity:
+        return None
+    tried: list[tuple[float, str, tuple[int, ...]]] = []
+    for k in range(count):
+        flipped = rest.copy()
+        flipped[:, k] *= -1.0
+        tried.append((_disagreement(flipped, P), "imu_channel_flipped", (k,)))
+    for k, other in combinations(range(count), 2):
+        order = list(range(count))
+        order[k], order[other] = other, k
+        tried.append((_disagreement(rest[:, order], P), "imu_channels_swapped", (k, other)))
+    for k in range(count):
+        kept = [i for i in range(count) if i != k]
+        if np.linalg.matrix_rank(imu.axes[kept]) == 3:
+            axes = imu.axes[kept]
+            without = np.eye(count - 1) - axes @ np.linalg.pinv(axes)
+            tried.append((1.2 * _disagreement(rest[:, kept], without), "imu_channel_wrong", (k,)))
+    left, code, channels = min(tried)
+    if code == "imu_channel_wrong":  # leaving one out fits best even where it is only reversed
+        left, code, channels = min(
+            [t for t in tried if t[1] != code and channels[0] in t[2] and t[0] < ALIKE * left]
+            or [(left, code, channels)]
+        )
+    if left > EXPLAINS * error:
+        return None
+    names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
+    alike = sum(other < 1.05 * left and c == code for other, c, _ in tried) - 1
+    text = (
+        f"the accelerometers disagree on gravity by {np.sqrt(error):.3g} m/s^2, "
+        f"{np.sqrt(left):.3g} once this is mended"
+        + (f"; {alike} other pairs would do as well" if alike else "")
+    )
+    return found(code, text, joint=imu.name, channel=names)
+
+
+def _disagreement(rest: Array, P: Array) -> float:
+    disagreeing: Array = rest @ P
+    squares: float = float(np.mean(disagreeing**2)) * float(rest.shape[1])
+    return squares
+
+
+def _gyro_bias(data: LogData, imu: Imu, gyro: Array) -> Iterator[InspectionFinding]:
+    rest = rest_rows(data, gyro)
+    if not len(rest):
+        return
+    bias = rest.mean(axis=0)
+    if float(np.linalg.norm(bias)) > BIAS:
+        worst = int(np.abs(bias).argmax())
+        text = f"reads {float(np.linalg.norm(bias)):.3g} rad/s at rest"
+        yield found("gyro_bias", text, joint=imu.name, channel=channel_name(imu, GYRO, worst))

@@ -1,0 +1,53 @@
+"""The comparison, `seqid/comparison@1`: two results of one robot side by side."""
+
+from __future__ import annotations
+
+from seqid_cli.params.base import Document, FrozenStruct
+from seqid_cli.params.schema import Tool
+
+COMPARISON_SCHEMA = "seqid/comparison@1"
+
+
+class RuleEntry(FrozenStruct, kw_only=True, frozen=True):
+    """What counts as a change: beyond `sigma` standard errors (null: never asked) and `rtol`."""
+
+    sigma: float | None
+    rtol: float
+
+
+class Difference(FrozenStruct, kw_only=True, frozen=True):
+    """One number in both results.
+
+    `a`, `b` are null where a file does not have it; `std_error` combines those of both, and
+    `sigmas`, `relative` are the difference in units of it and of the number's size. Numbers that
+    are null do not apply. `remark` says where or what else.
+    """
+
+    stage: str
+    name: str
+    joint: str
+    unit: str = ""
+    a: float | None = None
+    b: float | None = None
+    std_error: float | None = None
+    sigmas: float | None = None
+    relative: float | None = None
+    different: bool = True
+    remark: str = ""
+
+
+class ComparisonFile(Document, kw_only=True):
+    """The whole document; `changed` of the `compared` numbers did, `notes` do not count."""
+
+    schema: str
+    created: str
+    tool: Tool
+    kind: str
+    a: str
+    b: str
+    rule: RuleEntry
+    different: bool
+    compared: int
+    changed: int
+    differences: list[Difference]
+    notes: list[str]

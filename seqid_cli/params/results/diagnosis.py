@@ -1,0 +1,147 @@
+"""The diagnosis file, `seqid/diagnosis@1`: effects that a model lacks, with the evidence."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from seqid_cli.params.base import Document, Struct
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.results.prediction import FileId
+from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
+
+DiagnosisVerdict = Literal["effect_found", "nothing_missing", "unexplained"]
+DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
+MORE_THAN_NOISE = 3.0  # noise floors, above which a joint's residual is reported
+
+
+class EffectParameter(Struct, kw_only=True):
+    """One physical parameter of an effect."""
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+
+
+class FindingEntry(Struct, kw_only=True):
+    """One effect that the model lacks; `joint` is null for an effect of the whole arm.
+
+    `confidence` is the probability that it is this effect or one of `confusable_with`, which these
+    logs do not separate from it; `name_confidence` that it is this one. `separate_by` says what to
+    record to separate them. `explains` is the share of the held-out residual variance above the
+    noise floor that the effect takes away, `gain` the share of the residual variance itself,
+    `log_gain` that in log predictive density; `rivals` were tried in its place. `parameters` is
+    empty where the logs do not determine them; the effect's torque is not linear in `settings`.
+    """
+
+    effect: str
+    joint: str | None
+    confidence: float
+    explains: float
+    confusable_with: list[str]
+    separate_by: str
+    gain: float
+    name_confidence: float | None = None  # null: written before it was known
+    parameters: list[EffectParameter] = []
+    settings: dict[str, float] = {}
+    note: str = ""
+    log_gain: float | None = None  # null: of an event, or written before it was known
+    evidence: EvidenceEntry | None = None
+    rivals: list[RivalEntry] = []
+
+
+class Curve(Struct, kw_only=True):
+    """Shape of an unexplained residual over one quantity, in files of before `evidence`."""
+
+    quantity: str
+    unit: str
+    x: list[float]
+    torque: list[float]  # N m (N where prismatic)
+
+
+class ClosestEffect(Struct, kw_only=True):
+    """The effect that comes nearest to an unexplained part, and the `share` of its gain."""
+
+    effect: str
+    share: float
+
+
+class UnexplainedPart(Struct, kw_only=True):
+    """A part of a joint's residual that depends on quantities, but on no effect of the catalogue.
+
+    `depends_on` names the strongest first, out of position, velocity, direction, acceleration,
+    load, temperature, time, time_frequency, other_joint:<name>; `share` is of the residual variance
+    above the noise floor. `closest` is null where no effect comes near, and in files of before it
+    was known.
+    """
+
+    joint: str
+    depends_on: list[str]
+    share: float
+    curve: Curve | None = None
+    closest: ClosestEffect | None = None
+    log_gain: float | None = None
+    evidence: EvidenceEntry | None = None
+    rivals: list[RivalEntry] = []
+
+
+class ResidualEntry(Struct, kw_only=True):
+    """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
+
+    `noise_floor` is the residual by torque noise and encoder alone, estimated by itself, and
+    `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts. `white` says
+    that nothing but noise is left. `tried` is what was not taken beside the findings.
+    """
+
+    rmse: float | None
+    noise_floor: float | None
+    noise_floor_interval: list[float] = []
+    white: bool
+    rmse_explained: float | None
+    samples: int
+    tried: list[RivalEntry] = []
+
+
+class EventEntry(Struct, kw_only=True):
+    """An interval of one log (s since its start) in which a force from outside acted on the arm."""
+
+    log: str
+    start: float
+    end: float
+    joints: list[str]
+
+
+class HiddenEntry(Struct, kw_only=True):
+    """An effect that these motions cannot show.
+
+    `visible` is the share of its torque that the model's own parameters do not absorb.
+    """
+
+    effect: str
+    joint: str | None
+    visible: float
+
+
+class DiagnosisFile(Document, kw_only=True):
+    """The whole document; `findings` are ordered, the most certain first.
+
+    `verdicts` are poor where the logs are damaged or the model is of no arm that can be: what is
+    found then may be that.
+    """
+
+    schema: str
+    created: str
+    tool: Tool
+    robot: RobotId
+    inputs: list[InputLog]
+    parameters: list[FileId]
+    stages: list[str]  # names of the stages that took part
+    verdict: DiagnosisVerdict
+    findings: list[FindingEntry]
+    unexplained: list[UnexplainedPart]
+    joints: dict[str, ResidualEntry]
+    events: list[EventEntry] = []
+    hidden: list[HiddenEntry] = []
+    motion: list[MotionUse] = []
+    verdicts: list[Verdict] = []
+    notes: list[str] = []

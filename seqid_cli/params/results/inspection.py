@@ -1,0 +1,101 @@
+"""The inspection document, `seqid/inspection@1`: the content of logs and their faults."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from seqid_cli.params.base import Document, FrozenStruct, Struct
+from seqid_cli.params.schema import Tool
+
+INSPECTION_SCHEMA = "seqid/inspection@1"
+InspectionVerdict = Literal["good", "usable", "faulty", "unreadable"]
+
+
+class InspectedJoint(Struct, kw_only=True):
+    """One joint in a log: rad (m), rad/s (m/s), degC; `effort` is torque or current."""
+
+    name: str
+    moves: bool
+    low: float
+    high: float
+    top_speed: float
+    encoder_step: float | None
+    effort: str
+    effort_rms: float | None
+    temperature: list[float] | None
+
+
+class InspectedImu(Struct, kw_only=True):
+    """One IMU in a log; `rest_norm` in m/s^2, `delay_s` behind the encoders."""
+
+    name: str
+    accelerometers: int
+    gyro: bool
+    rate_hz: float
+    rest_norm: float | None
+    delay_s: float | None
+
+
+class InspectedMoves(Struct, kw_only=True):
+    """Intervals of constant velocity of one joint; speeds in rad/s (m/s)."""
+
+    joint: str
+    forward: int
+    backward: int
+    slowest: float
+    fastest: float
+    postures: int
+
+
+class InspectionFinding(FrozenStruct, kw_only=True, frozen=True):
+    """One fault, or something worth knowing, and the remedy.
+
+    `log` is empty for a fault of the robot file or of all logs; `joint` (or IMU, or two joints)
+    and `channel` are named where the fault is of one.
+    """
+
+    code: str
+    severity: str
+    log: str
+    joint: str
+    channel: str
+    message: str
+    remedy: str
+
+
+class InspectedLog(Struct, kw_only=True):
+    """One log; `missing` maps names of the robot file that the log lacks to the nearest name."""
+
+    path: str
+    sha256: str
+    format: str
+    verdict: str
+    samples: int
+    seconds: float
+    rate_hz: float
+    jitter: float
+    gaps: list[list[float]]
+    non_monotonic: int
+    duplicates: int
+    log_minus_header_s: float | None
+    channels: list[str]
+    missing: dict[str, str]
+    joints: list[InspectedJoint]
+    imus: list[InspectedImu]
+    moves: list[InspectedMoves]
+    moving_together: list[str]
+    serves: list[str]
+    partial: str
+
+
+class InspectionFile(Document, kw_only=True):
+    """The whole document."""
+
+    schema: str
+    created: str
+    tool: Tool
+    robot: str
+    verdict: str
+    logs: list[InspectedLog]
+    findings: list[InspectionFinding]
+    advice: list[str]

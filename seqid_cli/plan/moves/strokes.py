@@ -1,0 +1,126 @@
+"""Ways of one joint at constant speed, both ways over its range, all others locked.
+
+A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi t / r)) / 2, of the
+length r = pi v / (2 a) at which their largest acceleration is a.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.params.results.plan import PlannedMove, Stroke
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.limits import Limits
+from seqid_cli.plan.moves.fourier import Moves
+
+Array = NDArray[np.float64]
+
+REST_S = 0.3  # before the first stroke and after each
+POINTS = 9  # positions of a sweep at which torques are checked
+HALVINGS = 4  # of the acceleration, before a sweep is given up
+STEADY = 0.5  # share of its way that the fastest stroke keeps its speed
+
+
+def top_speed(limits: Limits, j: int, span: float) -> float:
+    """Largest speed that joint j can keep over `STEADY` of `span`: ramps take pi v^2 / (2 a)."""
+    ramps = (1.0 - STEADY) * span
+    return float(min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)))
+
+
+def calmer(belief: Belief) -> Iterator[Belief]:
+    """The same with accelerations halved, again and again, for loads that leave no more."""
+    for halvings in range(HALVINGS + 1):
+        acceleration = belief.limits.acceleration / 2.0**halvings
+        yield replace(belief, limits=replace(belief.limits, acceleration=acceleration))
+
+
+def there_and_back(
+    limits: Limits, j: int, speeds: Sequence[float], ends: tuple[float, float]
+) -> list[Stroke]:
+    """Strokes of joint j between two ends at each speed, there and back."""
+    acceleration = float(limits.acceleration[j])
+    return [
+        Stroke(start=start, end=end, speed=float(v), acceleration=acceleration)
+        for v in speeds
+        for start, end in (ends, ends[::-1])
+    ]
+
+
+def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
+    """Position, speed and acceleration (N,) of a stroke, its end included, its start not."""
+    way, v = abs(stroke.end - stroke.start), stroke.speed
+    ramp = np.pi * v / (2.0 * stroke.acceleration)
+    total = way / v + ramp
+    count = int(np.ceil(total * rate_hz))
+    t = np.minimum(np.arange(1, count + 1) / rate_hz, total)
+    up, down = np.minimum(t, ramp), np.clip(t - (total - ramp), 0.0, ramp)
+    pace = np.pi / ramp
+    moved = v * (up / 2 - np.sin(pace * up) / (2 * pace))
+    moved += v * np.clip(t - ramp, 0.0, total - 2 * ramp)
+    moved += v * (down / 2 + np.sin(pace * down) / (2 * pace))
+    speed = v * np.where(t < total - ramp, 1 - np.cos(pace * up), 1 + np.cos(pace * down)) / 2
+    push = v * pace / 2 * np.where(t < ramp, np.sin(pace * up), -np.sin(pace * down))
+    way_sign = np.sign(stroke.end - stroke.start)
+    return stroke.start + way_sign * moved, way_sign * speed, way_sign * push
+
+
+def seconds_of(strokes: Sequence[Stroke]) -> float:
+    """Time that strokes and the rests between them take, s."""
+    moving = (
+        abs(s.end - s.start) / s.speed + np.pi * s.speed / (2.0 * s.acceleration) for s in strokes
+    )
+    return float(sum(moving) + REST_S * (len(strokes) + 1))
+
+
+def stroke_move(
+    belief: Belief, name: str, stage: str, j: int, posture: Array, strokes: list[Stroke]
+) -> PlannedMove:
+    """A move of joint j from the start of its first stroke, all others at `posture` (n,)."""
+    names = belief.robot.joint_names
+    start = posture.copy()
+    start[j] = strokes[0].start
+    share = float(overloads(belief, j, posture[None], max(s.speed for s in strokes))[0])
+    return PlannedMove(
+        name=name,
+        stage=stage,
+        joints=[names[j]],
+        duration_s=seconds_of(strokes),
+        start={name: float(x) for name, x in zip(names, start, strict=True)},
+        strokes=strokes,
+        torque_share=share if belief.checks_torque else None,
+    )
+
+
+def sweeps(belief: Belief, j: int, postures: Array, speed: float, seconds: float) -> Moves:
+    """Joint j at `POINTS` positions of its range in each of `postures` (P, n), both ways.
+
+    The times share out `seconds`, so that information is that of so long a way.
+    """
+    limits = belief.limits
+    q = np.repeat(postures[:, None], 2 * POINTS, axis=1)
+    q[:, :, j] = np.tile(np.linspace(limits.lower[j], limits.upper[j], POINTS), 2)
+    dq = np.zeros_like(q)
+    dq[:, :, j] = np.repeat([speed, -speed], POINTS)
+    return Moves(np.arange(2 * POINTS) * seconds / (2 * POINTS), q, dq, np.zeros_like(q))
+
+
+def overloads(belief: Belief, j: int, postures: Array, speed: float) -> Array:
+    """Largest torque over its limit (P,) while joint j sweeps, its ramps included."""
+    moves = sweeps(belief, j, postures, speed, 1.0)
+    pushed = [np.zeros_like(moves.q) for _ in range(2)]
+    for push, sign in zip(pushed, (1.0, -1.0), strict=True):
+        push[:, :, j] = sign * belief.limits.acceleration[j]
+    every = [Moves(moves.t, moves.q, moves.dq, push) for push in pushed]
+    loads = [belief.overload(each, belief.regressor(each)) for each in every]
+    return np.asarray(np.max(loads, axis=0))
+
+
+def postures_of(limits: Limits, count: int, rng: np.random.Generator) -> Array:
+    """Draw postures (count, n) within the limits; the first is in the middle of all ranges."""
+    places = rng.uniform(size=(count, len(limits.range)))
+    places[0] = 0.5
+    return np.asarray(limits.lower + places * limits.range)

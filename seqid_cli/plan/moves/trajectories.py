@@ -1,0 +1,79 @@
+"""Planned moves as time series, and files that robot controllers and people read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.params.files import write_text_atomic
+from seqid_cli.params.results.plan import PlannedMove
+from seqid_cli.plan.moves.fourier import COEFFICIENTS, Shapes
+from seqid_cli.plan.moves.strokes import REST_S, profile
+
+Array = NDArray[np.float64]
+
+RATE_HZ = 100.0  # of the rows; controllers interpolate between them
+
+
+def sampled(move: PlannedMove, names: Sequence[str], rate_hz: float) -> tuple[Array, ...]:
+    """Return times (N,) s, positions, speeds and accelerations (N, n) of a planned move."""
+    if move.strokes:
+        return _swept(move, names, rate_hz)
+    shapes = Shapes.over(move.duration_s, rate_hz)
+    start = np.array([move.start[name] for name in names])
+    q = np.tile(start, (len(shapes.t), 1))
+    dq, ddq = np.zeros_like(q), np.zeros_like(q)
+    for name, motion in move.fourier.items():
+        j = list(names).index(name)
+        c = np.empty(COEFFICIENTS)
+        c[0::2], c[1::2] = motion.sine, motion.cosine
+        q[:, j] = motion.centre + c @ shapes.y
+        dq[:, j], ddq[:, j] = c @ shapes.dy, c @ shapes.ddy
+    return shapes.t, q, dq, ddq
+
+
+def _swept(move: PlannedMove, names: Sequence[str], rate_hz: float) -> tuple[Array, ...]:
+    """Strokes of one joint, each with a rest after it."""
+    j = list(names).index(move.joints[0])
+    rest = round(REST_S * rate_hz)
+    parts = [np.array([np.full(rest + 1, move.strokes[0].start), *np.zeros((2, rest + 1))])]
+    for stroke in move.strokes:
+        parts.append(np.array(profile(stroke, rate_hz)))
+        parts.append(np.array([np.full(rest, stroke.end), *np.zeros((2, rest))]))
+    joined = np.concatenate(parts, axis=1)
+    q = np.tile([move.start[name] for name in names], (joined.shape[1], 1))
+    dq, ddq = np.zeros_like(q), np.zeros_like(q)
+    q[:, j], dq[:, j], ddq[:, j] = joined
+    return np.arange(len(q)) / rate_hz, q, dq, ddq
+
+
+def write_csv(
+    folder: Path, moves: Sequence[PlannedMove], names: Sequence[str], speed_scale: float
+) -> list[PlannedMove]:
+    """Write each move as a CSV file; return the moves with the names of their files.
+
+    `speed_scale` below 1 makes all of them slower, for the first run on a robot.
+    """
+    return [_write(folder, move, names, speed_scale) for move in moves]
+
+
+def _write(
+    folder: Path, move: PlannedMove, names: Sequence[str], speed_scale: float
+) -> PlannedMove:
+    t, q, dq, ddq = sampled(move, names, RATE_HZ)
+    kinds = ("position", "velocity", "acceleration")
+    head = ["time", *(f"{kind}_{name}" for kind in kinds for name in names)]
+    rows = np.column_stack([t / speed_scale, q, speed_scale * dq, speed_scale**2 * ddq])
+    text = "\n".join(",".join(f"{x:.9g}" for x in row) for row in rows + 0.0)
+    path = folder / f"{move.name}.csv"
+    write_text_atomic(path, f"{','.join(head)}\n{text}\n")
+    return _with_file(move, path.name)
+
+
+def _with_file(move: PlannedMove, name: str) -> PlannedMove:
+    import msgspec
+
+    return msgspec.structs.replace(move, file=name)

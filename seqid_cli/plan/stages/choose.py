@@ -1,0 +1,151 @@
+"""Choose moves greedily from a pool, by the torque error that the parameters will leave.
+
+The goal is tr(W C): C the covariance of the base parameters, W the mean of H' D H over typical
+all-joint moves with D the noise information, so that it is the mean square of the predicted
+torque's error in units of the noise (A-optimality in the sense of the torque). Parameters are
+scaled by the diagonal of W; a vague prior of `VAGUE` times the noise keeps C finite.
+
+References
+----------
+Pukelsheim, Optimal Design of Experiments, SIAM 2006, ch. 6 and 9 (A-optimality, linear criteria).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
+from seqid_cli.plan.limits import Limits
+from seqid_cli.plan.moves.fourier import COEFFICIENTS, SPARSE, Drawn, Moves, Shapes, joined
+
+Array = NDArray[np.float64]
+
+VAGUE = 1e3  # torque error, in noise, that a parameter of which nothing is known could make
+DRAWN_AT_ONCE = 60  # moves whose regressors are held at a time
+CALMER = 0.5  # factor on the amplitude of a move that needs too much torque
+CALMED = 3  # times at most
+
+
+@dataclass(frozen=True)
+class Goal:
+    """`W` (b, b) of scaled parameters, `scale` (b,) noise per unit, `prior` (b, b) scaled.
+
+    `shared` are the joints that W is the sum over.
+    """
+
+    W: Array
+    scale: Array
+    prior: Array
+    shared: list[int]
+
+    @classmethod
+    def of(cls, belief: Belief, seed: int) -> Goal:
+        """Average over typical moves."""
+        moves = typical(belief, seed)
+        H = belief.regressor(moves)
+        seconds = float(moves.t[-1] - moves.t[0])
+        W = belief.information(moves, H).mean(axis=0) / (2.0 * NOISE_HZ * seconds)
+        scale = np.sqrt(np.maximum(np.diag(W), 1e-12 * np.diag(W).max()))
+        prior = belief.prior / np.outer(scale, scale) + np.eye(len(W)) / VAGUE**2
+        return cls(W / np.outer(scale, scale), scale, prior, belief.limits.moving)
+
+    def scaled(self, information: Array) -> Array:
+        """Information (..., b, b) on the scaled parameters."""
+        return np.asarray(information / np.outer(self.scale, self.scale))
+
+    def errors(self, information: Array) -> Array:
+        """tr(W C) of scaled information matrices (..., b, b), prior included."""
+        C = np.linalg.inv(information + self.prior)
+        return np.asarray(np.einsum("ab,...ba->...", self.W, C))
+
+    def covariance(self, information: Array) -> Array:
+        """Covariance (b, b) of the parameters in their own units, prior included."""
+        C = np.linalg.inv(information + self.prior)
+        return np.asarray(C / np.outer(self.scale, self.scale))
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Moves to choose from with their scaled information (M, b, b)."""
+
+    drawn: Drawn
+    information: Array
+    joints: list[tuple[int, ...]]
+
+
+def groups_of(limits: Limits, *, together: bool) -> list[tuple[int, ...]]:
+    """Joints that move at a time: every pair (Sec. 2.2.4), or all of them."""
+    free = tuple(limits.moving)
+    if together or len(free) < 3:
+        return [free]
+    return list(combinations(free, 2))
+
+
+def draw_pool(
+    belief: Belief,
+    goal: Goal,
+    shapes: Shapes,
+    groups: Sequence[tuple[int, ...]],
+    size: int,
+    rng: np.random.Generator,
+) -> Pool:
+    """Draw moves of each group in turn; those of too much torque are made smaller or left out."""
+    drawn, joints = _drawn(belief.limits, groups, size, rng)
+    parts = [
+        _calmed(belief, goal, shapes, drawn[start : start + DRAWN_AT_ONCE])
+        for start in range(0, size, DRAWN_AT_ONCE)
+    ]
+    fit = np.flatnonzero(np.concatenate([overload <= 1.0 for _, _, overload in parts]))
+    whole = joined([drawn for drawn, _, _ in parts])
+    information = np.concatenate([information for _, information, _ in parts])
+    return Pool(whole[fit], information[fit], [joints[int(k)] for k in fit])
+
+
+def _calmed(belief: Belief, goal: Goal, shapes: Shapes, drawn: Drawn) -> tuple[Drawn, Array, Array]:
+    """Moves, smaller where they needed too much torque, with information and overload."""
+    information, overload = assess(belief, goal, shapes.moves(drawn, belief.limits))
+    for _ in range(CALMED):
+        over = np.flatnonzero(overload > 1.0)
+        if not len(over):
+            break
+        drawn = drawn.smaller(over, CALMER)
+        moves = shapes.moves(drawn[over], belief.limits)
+        information[over], overload[over] = assess(belief, goal, moves)
+    return drawn, information, overload
+
+
+def assess(belief: Belief, goal: Goal, moves: Moves) -> tuple[Array, Array]:
+    """Scaled information (M, b, b) of moves, and the largest torque over its limit (M,)."""
+    some = moves.every(SPARSE)
+    H = belief.regressor(some)
+    return goal.scaled(belief.information(some, H)), belief.overload(some, H)
+
+
+def choose(goal: Goal, pool: Pool, count: int, have: Array) -> list[int]:
+    """Take the moves one by one that lower the error most, on top of `have` (b, b), scaled."""
+    chosen: list[int] = []
+    total = have
+    left = np.ones(len(pool.joints), dtype=bool)
+    for _ in range(min(count, len(pool.joints))):
+        errors = goal.errors(total + pool.information)
+        best = int(np.argmin(np.where(left, errors, np.inf)))
+        left[best] = False
+        chosen.append(best)
+        total = total + pool.information[best]
+    return chosen
+
+
+def _drawn(
+    limits: Limits, groups: Sequence[tuple[int, ...]], size: int, rng: np.random.Generator
+) -> tuple[Drawn, list[tuple[int, ...]]]:
+    n = len(limits.speed)
+    joints = [groups[k % len(groups)] for k in range(size)]
+    coefficients = np.zeros((size, n, COEFFICIENTS))
+    for k, group in enumerate(joints):
+        coefficients[k, list(group)] = rng.uniform(-1.0, 1.0, (len(group), COEFFICIENTS))
+    return Drawn(coefficients, rng.uniform(size=(size, n)), np.ones((size, n))), joints

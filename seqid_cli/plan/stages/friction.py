@@ -1,0 +1,90 @@
+"""Plan the friction stage: every joint by itself over its range, both ways, at many speeds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.results.plan import PlannedMove, PlannedStage
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.moves.strokes import (
+    calmer,
+    overloads,
+    postures_of,
+    seconds_of,
+    stroke_move,
+    sweeps,
+    there_and_back,
+    top_speed,
+)
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.inertia import Planned
+
+Array = NDArray[np.float64]
+
+SPEEDS = 10  # per joint, evenly spaced in the logarithm
+SLOWEST = 0.08  # of the fastest: friction's rise towards rest (Stribeck) lies below a tenth of it
+POSTURES = 60  # of the other joints, from which the one of the least torque is taken
+
+
+def plan_friction(belief: Belief, options: PlanOptions) -> Planned:
+    """Move each joint in the posture that loads it least, so that friction shows most clearly.
+
+    `torque_error` of the stage is the error of the mean friction at the fastest speed by noise.
+
+    Raises
+    ------
+    ConfigError
+        A joint's torque limit holds in no posture.
+    """
+    rng = np.random.default_rng(options.seed)
+    moves = [_sweeps(belief, j, rng) for j in belief.limits.moving]
+    names = list(belief.robot.joint_names)
+    errors = {}
+    for move in moves:
+        seconds = seconds_of(move.strokes[-2:])
+        noise = 1.0 / np.sqrt(belief.density[names.index(move.joints[0])] * seconds)
+        errors[move.joints[0]] = float(noise)
+    seconds = sum(move.duration_s for move in moves)
+    return Planned(moves, PlannedStage(torque_error=errors, duration_s=seconds))
+
+
+def _sweeps(belief: Belief, j: int, rng: np.random.Generator) -> PlannedMove:
+    name = belief.robot.joint_names[j]
+    belief, posture = lightest_posture(belief, j, float(belief.limits.range[j]), rng)
+    limits = belief.limits
+    top = top_speed(limits, j, float(limits.range[j]))
+    speeds = np.geomspace(SLOWEST * top, top, SPEEDS).tolist()
+    ends = (float(limits.lower[j]), float(limits.upper[j]))
+    strokes = there_and_back(limits, j, speeds, ends)
+    return stroke_move(belief, f"friction_{name}", "friction", j, posture, strokes)
+
+
+def lightest_posture(
+    belief: Belief, j: int, span: float, rng: np.random.Generator
+) -> tuple[Belief, Array]:
+    """The posture (n,) of those drawn in which a sweep of joint j needs least of the torques.
+
+    Also returns the belief with the acceleration that the load allows.
+
+    Raises
+    ------
+    ConfigError
+        It needs too much in all of them.
+    """
+    postures = postures_of(belief.limits, POSTURES, rng)
+    for calm in calmer(belief):
+        load = overloads(calm, j, postures, top_speed(calm.limits, j, span))
+        best = int(np.argmin(load))
+        if load[best] <= 1.0:
+            return calm, np.asarray(postures[best])
+    names = belief.robot.joint_names
+    swept = sweeps(calm, j, postures[[best]], top_speed(calm.limits, j, span), 1.0)
+    share = calm.torque(swept, calm.regressor(swept)).max(axis=(0, 1)) / calm.limits.torque
+    message = (
+        f"a sweep of joint {names[j]!r} breaks the torque limit of joint"
+        f" {names[int(np.argmax(share))]!r} in all of {POSTURES} postures"
+    )
+    hint = "Correct effort in the URDF, or narrow position_limits in the robot file."
+    raise ConfigError(message, where=str(belief.robot.source), hint=hint)

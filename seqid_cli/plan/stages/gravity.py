@@ -1,0 +1,160 @@
+"""Plan the gravity stage: postures of the locked joints of least condition (Eq. 20-21).
+
+Joints move one at a time, slowly, over their ranges. Postures are chosen greedily by the torque's
+error, then exchanged one by one for others of the pool while that lowers cond(Phi(H_g)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.results.plan import PlannedMove, PlannedStage
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.moves.fourier import Drawn, Moves
+from seqid_cli.plan.moves.strokes import (
+    calmer,
+    overloads,
+    postures_of,
+    stroke_move,
+    sweeps,
+    there_and_back,
+    top_speed,
+)
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.choose import Goal, Pool, choose
+from seqid_cli.plan.stages.inertia import Planned
+from seqid_cli.plan.stages.promise import promise_of, rank_and_condition
+
+Array = NDArray[np.float64]
+
+POSTURES = 60  # drawn per joint
+KEPT = 3  # sweeps planned per joint that gravity loads, on average
+SLOW = 0.3  # of the largest speed
+ROUNDS = 3  # of exchanges
+
+
+@dataclass(frozen=True)
+class _Sweeps:
+    """All sweeps of the pool: `joint` (M,), `posture` (M, n), `moves`, scaled information."""
+
+    joint: NDArray[np.intp]
+    posture: Array
+    moves: Moves
+    information: Array
+
+
+def plan_gravity(belief: Belief, stages: Stages, options: PlanOptions) -> Planned:
+    """Choose sweeps for the gravity parameters; none where gravity loads no joint.
+
+    Raises
+    ------
+    ConfigError
+        The torque limits allow none.
+    """
+    wanted = belief.basis.gravity
+    if not wanted.any():
+        note = "gravity loads no joint of this robot: nothing to record"
+        return Planned([], PlannedStage(rank=0, structural_rank=0, notes=[note]))
+    fresh = replace(belief, prior=np.zeros_like(belief.prior))
+    goal = Goal.of(fresh, options.seed)
+    *_, slow = calmer(fresh)  # slow sweeps need no more
+    pool = _pool(slow, goal, np.random.default_rng(options.seed))
+    loaded = len(np.unique(pool.joint))
+    chosen = _exchanged(pool, _greedy(goal, pool, KEPT * loaded), wanted)
+    chosen.sort(key=lambda k: -int(pool.joint[k]))
+    moves = _described(slow, pool, chosen)
+    stage = promise_of(
+        fresh,
+        goal,
+        msgspec.structs.replace(stages, gravity=None),
+        pool.moves[np.array(chosen)],
+        pool.information[chosen],
+        np.zeros_like(goal.W),
+        wanted=wanted,
+    )
+    seconds = sum(move.duration_s for move in moves)
+    told = pool.information[chosen].sum(axis=0) * np.outer(goal.scale, goal.scale)
+    return Planned(moves, msgspec.structs.replace(stage, duration_s=seconds, growth=[]), told)
+
+
+def _pool(belief: Belief, goal: Goal, rng: np.random.Generator) -> _Sweeps:
+    """Sweeps of every joint that moves and that gravity loads, within the torque limits."""
+    limits = belief.limits
+    joints, postures, moves, found = [], [], [], []
+    for j in limits.moving:
+        drawn = postures_of(limits, POSTURES, rng)
+        drawn = drawn[overloads(belief, j, drawn, SLOW * limits.speed[j]) <= 1.0]
+        if not len(drawn):
+            continue
+        speed = SLOW * float(limits.speed[j])
+        swept = sweeps(belief, j, drawn, speed, 2 * float(limits.range[j]) / speed)
+        own = belief.regressor(swept) * (np.arange(belief.robot.n) == j)[:, None]
+        own[..., ~belief.basis.gravity] = 0.0
+        information = goal.scaled(belief.information(swept, own))
+        if information.any():
+            joints.append(np.full(len(drawn), j))
+            postures.append(drawn)
+            moves.append(swept)
+            found.append(information)
+    if not moves:
+        message = "no sweep of any joint that gravity loads keeps the torque limits"
+        hint = "Correct effort in the URDF."
+        raise ConfigError(message, where=str(belief.robot.source), hint=hint)
+    parts = [np.concatenate([getattr(m, x) for m in moves]) for x in ("q", "dq", "ddq")]
+    return _Sweeps(
+        np.concatenate(joints),
+        np.concatenate(postures),
+        Moves(moves[0].t, *parts),
+        np.concatenate(found),
+    )
+
+
+def _greedy(goal: Goal, pool: _Sweeps, count: int) -> list[int]:
+    blank = np.zeros((len(pool.joint), 0))
+    candidates = Pool(Drawn(blank, blank, blank), pool.information, [()] * len(pool.joint))
+    return choose(goal, candidates, count, np.zeros_like(goal.W))
+
+
+def _exchanged(pool: _Sweeps, chosen: list[int], wanted: NDArray[np.bool_]) -> list[int]:
+    """Exchange sweeps for others of the same joint while the condition falls and the rank stays."""
+    chosen = list(chosen)
+    parts = pool.information[:, wanted][:, :, wanted]
+    best = _badness(parts[chosen].sum(axis=0))
+    for _ in range(ROUNDS):
+        before = best
+        for place, k in enumerate(chosen):
+            rest = parts[chosen].sum(axis=0) - parts[k]
+            others = np.setdiff1d(np.flatnonzero(pool.joint == pool.joint[k]), chosen)
+            found = [(_badness(rest + parts[int(other)]), int(other)) for other in others]
+            if found and min(found) < (best, 0):
+                best, chosen[place] = min(found)
+        if best >= before:
+            break
+    return chosen
+
+
+def _badness(information: Array) -> tuple[int, float]:
+    """Missing rank, then the condition."""
+    rank, condition = rank_and_condition(information)
+    return len(information) - rank, condition
+
+
+def _described(belief: Belief, pool: _Sweeps, chosen: list[int]) -> list[PlannedMove]:
+    limits = belief.limits
+    moves: list[PlannedMove] = []
+    for k in chosen:
+        j = int(pool.joint[k])
+        name = belief.robot.joint_names[j]
+        number = 1 + sum(move.joints == [name] for move in moves)
+        speed = min(SLOW * float(limits.speed[j]), top_speed(limits, j, float(limits.range[j])))
+        ends = (float(limits.lower[j]), float(limits.upper[j]))
+        strokes = there_and_back(limits, j, [speed], ends)
+        label = f"gravity_{name}_{number}"
+        moves.append(stroke_move(belief, label, "gravity", j, pool.posture[k], strokes))
+    return moves

@@ -1,0 +1,152 @@
+"""Plan the inertia stage: moves of two joints, or of all, chosen and refined (Sec. 2.2.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.results.plan import FourierMotion, PlannedMove, PlannedStage
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.moves.fourier import COARSE_HZ, SPARSE, Drawn, Moves, Shapes
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.choose import (
+    CALMER,
+    Goal,
+    Pool,
+    assess,
+    choose,
+    draw_pool,
+    groups_of,
+)
+from seqid_cli.plan.stages.promise import promise_of
+from seqid_cli.plan.stages.refine import refine
+
+Array = NDArray[np.float64]
+
+DENSE_HZ = 200.0  # of the samples on which the limits of the final moves are held
+OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {torque:.4g} N m"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """The moves of a stage and their predicted results.
+
+    `information` (b, b) is theirs on the base parameters, for the stages that follow.
+    """
+
+    moves: list[PlannedMove]
+    stage: PlannedStage
+    information: Array | None = None
+
+
+def plan_inertia(
+    belief: Belief, stages: Stages, options: PlanOptions, have: Array | None = None
+) -> Planned:
+    """Choose the moves that lower the torque's error most in the given time.
+
+    Parameters
+    ----------
+    belief : Belief
+    stages : Stages
+        What was identified already.
+    options : PlanOptions
+    have : (b, b) array, optional
+        Information that recorded logs hold already.
+
+    Raises
+    ------
+    ConfigError
+        No move keeps the torque limits.
+    """
+    goal = Goal.of(belief, options.seed)
+    known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
+    shapes = Shapes.over(options.length_s, COARSE_HZ)
+    count = max(1, int(options.duration_s / options.length_s))
+    groups = groups_of(belief.limits, together=options.together)
+    rng = np.random.default_rng(options.seed)
+    pool = draw_pool(belief, goal, shapes, groups, options.pool, rng)
+    check_torque(belief, pool, options)
+    chosen = pool.drawn[choose(goal, pool, count, known)]
+    refined = refine(belief, goal, shapes, chosen, known, sweeps=options.sweeps)
+    drawn, moves = within_torque(belief, refined, options)
+    coarse = shapes.moves(drawn, belief.limits)
+    each, _ = assess(belief, goal, coarse)
+    stage = promise_of(belief, goal, stages, coarse.every(SPARSE), each, known)
+    return Planned(described(belief, drawn, moves, options), stage)
+
+
+def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
+    """Stop where the pool is empty, naming the joint that the load is too heavy for."""
+    if pool.joints:
+        return
+    still = Shapes.over(options.length_s, COARSE_HZ)
+    n = belief.robot.n
+    rng = np.random.default_rng(options.seed)
+    places = rng.uniform(size=(200, n))
+    nothing = Drawn(np.zeros((200, n, len(still.y))), places, np.ones_like(places))
+    moves = still.moves(nothing, belief.limits).every(len(still.t) - 1)
+    load = belief.torque(moves, belief.regressor(moves)).min(axis=(0, 1))
+    j = int(np.argmax(load / belief.limits.torque))
+    text = OVERLOADED.format(
+        count=options.pool, joint=belief.robot.joint_names[j], torque=belief.limits.torque[j]
+    )
+    hint = "Correct effort in the URDF, or lower speeds with a longer --ramp."
+    raise ConfigError(text, where=str(belief.robot.source), hint=hint)
+
+
+def within_torque(belief: Belief, drawn: Drawn, options: PlanOptions) -> tuple[Drawn, Moves]:
+    """Make moves smaller until their torques hold on dense samples too."""
+    shapes = Shapes.over(options.length_s, DENSE_HZ)
+    moves = shapes.moves(drawn, belief.limits)
+    overload = _dense_overload(belief, moves)
+    while (over := np.flatnonzero(overload > 1.0)).size:
+        drawn = drawn.smaller(over, 1.0 - (1.0 - CALMER) / 10)
+        moves = shapes.moves(drawn, belief.limits)
+        overload[over] = _dense_overload(belief, moves[over])
+    return drawn, moves
+
+
+def _dense_overload(belief: Belief, moves: Moves) -> Array:
+    """Largest torque over its limit, one move at a time."""
+    one = [moves[k : k + 1] for k in range(len(moves.q))]
+    return np.array([belief.overload(move, belief.regressor(move))[0] for move in one])
+
+
+def described(
+    belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions
+) -> list[PlannedMove]:
+    """The moves in the form of the plan file."""
+    names = belief.robot.joint_names
+    shares = _dense_overload(belief, moves)
+    found = []
+    for k in range(len(drawn)):
+        moving = np.flatnonzero(drawn.coefficients[k].any(axis=1))
+        joints = [names[int(j)] for j in moving]
+        start = moves.q[k, 0]
+        motions = {names[int(j)]: _fourier(moves, drawn, k, int(j)) for j in moving}
+        found.append(
+            PlannedMove(
+                name=f"inertia_{k + 1:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
+                stage="inertia",
+                joints=joints,
+                duration_s=options.length_s,
+                start={name: float(x) for name, x in zip(names, start, strict=True)},
+                fourier=motions,
+                torque_share=float(shares[k]) if belief.checks_torque else None,
+            )
+        )
+    return found
+
+
+def _fourier(moves: Moves, drawn: Drawn, k: int, j: int) -> FourierMotion:
+    """The scaled coefficients of joint j in move k, found from the motion itself."""
+    shape = Shapes.over(float(moves.t[-1]), (len(moves.t) - 1) / float(moves.t[-1]))
+    y = drawn.coefficients[k, j] @ shape.y
+    centre = float(moves.q[k, 0, j])  # the window is zero at the ends
+    amplitude = float(y @ (moves.q[k, :, j] - centre) / (y @ y))
+    scaled = amplitude * drawn.coefficients[k, j]
+    return FourierMotion(centre=centre, sine=scaled[0::2].tolist(), cosine=scaled[1::2].tolist())

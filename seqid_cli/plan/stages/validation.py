@@ -1,0 +1,40 @@
+"""Plan the validation: moves of all joints, drawn by a seed of their own, not optimised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from seqid_cli.params.results.plan import PlannedStage
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.choose import Goal, draw_pool
+from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_torque
+
+MOVES = 4
+OWN_SEED = 1_000_003  # added to the plan's: the judge is not drawn from the pool of the accused
+
+
+def plan_validation(belief: Belief, options: PlanOptions) -> Planned:
+    """Draw moves of all joints, the first that keep the torque limits.
+
+    Raises
+    ------
+    ConfigError
+        None does.
+    """
+    own = replace(options, seed=options.seed + OWN_SEED)
+    goal = Goal.of(belief, own.seed)
+    shapes = Shapes.over(own.length_s, COARSE_HZ)
+    rng = np.random.default_rng(own.seed)
+    pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * MOVES, rng)
+    check_torque(belief, pool, own)
+    drawn, moves = within_torque(belief, pool.drawn[slice(MOVES)], own)
+    named = [
+        msgspec.structs.replace(move, name=f"validation_{k}", stage="validation")
+        for k, move in enumerate(described(belief, drawn, moves, own), start=1)
+    ]
+    return Planned(named, PlannedStage(duration_s=own.length_s * len(named)))

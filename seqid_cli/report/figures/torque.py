@@ -1,0 +1,329 @@
+"""Measured and predicted torque, and the residual against time, position, velocity, frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+from scipy.stats import gamma
+
+from seqid_cli.model.effects.spectral_lines import (
+    NEIGHBOURHOOD_HZ,
+    Signal,
+    amplitude,
+    strongest_lines,
+)
+from seqid_cli.report.figures.chart import Box, Panel, drawing
+from seqid_cli.report.figures.downsample import extremes, pieces
+from seqid_cli.report.figures.svg import padded
+from seqid_cli.report.torques import Series
+from seqid_cli.report.views import Column, Figure, Key, Table
+from seqid_cli.report.words import number, plural, short_path, unit_text
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Event = tuple[float, float]
+
+WIDE, SMALL = 580.0, 372.0
+_LEFT, _RIGHT = 62.0, 12.0
+_ROWS = 20  # of the tables of time series
+_BINS = 40
+_LEAST = 4  # samples for a bin to show
+_LINES = 5
+_FALSE_ALARMS = 0.01  # per figure
+
+
+@dataclass(frozen=True)
+class Place:
+    """The joint of a torque, and its units."""
+
+    joint: str
+    torque_unit: str
+    position_unit: str
+
+
+def over_time(series: Series, place: Place, events: Sequence[Event], columns: int) -> Figure:
+    """Draw measured and predicted torque of one log above the residual, events shaded."""
+    t = series.t - series.t[0]
+    good = np.isfinite(series.torque) & np.isfinite(series.predicted)
+    good &= np.isfinite(series.residual)
+    end = float(t[-1]) if len(t) > 1 and t[-1] > 0 else 1.0
+    unit, name = place.torque_unit, short_path(series.log)
+    counted = good & series.used & series.sliding
+    shown = counted if np.any(counted) else good
+    rests = good & np.isfinite(series.low) & np.isfinite(series.high)
+    held = [series.low[rests], series.high[rests]]
+    both = np.concatenate([series.torque[good], series.predicted[good], *held])
+    torque = Panel(
+        Box(_LEFT, 26, WIDE - _LEFT - _RIGHT, 164),
+        (0.0, end),
+        _limits(both),
+        y_title=f"torque, {unit_text(unit)}",
+        show_x=False,
+        hover="t|s",
+    )
+    residual = Panel(
+        Box(_LEFT, 220, WIDE - _LEFT - _RIGHT, 84),
+        (0.0, end),
+        _limits(series.residual[shown], zero=True),
+        x_title="time, s",
+        y_title=f"residual, {unit_text(unit)}",
+        y_ticks=3,
+        hover="t|s",
+    )
+    for panel in (torque, residual):
+        for start, stop in events:
+            panel.span(start, stop, "event", f"pushed from {start:.2f} to {stop:.2f} s")
+        for start, stop in _unused(t, series.used):
+            panel.span(start, stop, "unused")
+    for piece in pieces(t, rests):
+        kept = np.union1d(
+            extremes(t[piece], series.low[piece], columns),
+            extremes(t[piece], series.high[piece], columns),
+        )
+        bounds = (series.low[piece][kept].tolist(), series.high[piece][kept].tolist())
+        lower, upper = (list(zip(t[piece][kept].tolist(), x, strict=True)) for x in bounds)
+        torque.band(lower, upper, "faint")
+    for panel, values, style, label in (
+        (torque, series.torque, "measured", "measured"),
+        (torque, series.predicted, "predicted", "predicted"),
+        (residual, series.residual, "residual", "residual"),
+    ):
+        for piece in pieces(t, good):
+            kept = extremes(t[piece], values[piece], columns)
+            points = zip(t[piece][kept].tolist(), values[piece][kept].tolist(), strict=True)
+            panel.line(points, style, name=label, unit=unit_text(unit))
+    title = f"{place.joint}, {name}"
+    text = _described(series, shown, unit)
+    svg = drawing(WIDE, 348, f"Torque of {title} over time", text, [torque, residual])
+    legend = [
+        Key("measured", "measured"),
+        Key("predicted", "predicted"),
+        Key("residual", "residual"),
+    ]
+    legend += [Key("faint", "held at rest")] if np.any(rests) else []
+    legend += [Key("event", "pushed")] if events else []
+    legend += [] if np.all(series.used) else [Key("unused", "not counted")]
+    return Figure(name, svg, legend, _time_table(t, series, good, unit, title), wide=True)
+
+
+def _limits(values: Array, *, zero: bool = False) -> tuple[float, float]:
+    if not len(values):
+        return -1.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    return padded(min(low, 0.0) if zero else low, max(high, 0.0) if zero else high, 0.06)
+
+
+def _unused(t: Array, used: Mask) -> list[Event]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~used, [False]]).astype(np.int8)))
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in list(runs)[:200]]
+
+
+def _described(series: Series, shown: Mask, unit: str) -> str:
+    if not np.any(shown):
+        return "No sample has both a measured and a predicted torque."
+    rms = float(np.sqrt(np.mean(np.square(series.residual[shown]))))
+    low, high = float(series.torque[shown].min()), float(series.torque[shown].max())
+    return (
+        f"Measured torque from {number(low)} to {number(high)} {unit}; the residual has an RMS of "
+        f"{number(rms)} {unit} and reaches {number(float(np.abs(series.residual[shown]).max()))} "
+        f"{unit}."
+    )
+
+
+def _time_table(t: Array, series: Series, good: Mask, unit: str, title: str) -> Table:
+    columns = (
+        Column("from", numeric=True, unit="s"),
+        Column("measured, least", numeric=True, unit=unit_text(unit)),
+        Column("most", numeric=True, unit=unit_text(unit)),
+        Column("predicted, least", numeric=True, unit=unit_text(unit)),
+        Column("most", numeric=True, unit=unit_text(unit)),
+        Column("residual RMS", numeric=True, unit=unit_text(unit)),
+        Column("largest", numeric=True, unit=unit_text(unit)),
+    )
+    rows = []
+    edges = np.linspace(0.0, float(t[-1]), min(_ROWS, len(t)) + 1)
+    starts = np.searchsorted(t, edges[:-1])
+    for at, a, b in zip(edges[:-1], starts, np.append(starts[1:], len(t)), strict=True):
+        inside = slice(int(a), int(b))
+        keep = good[inside]
+        if not np.any(keep):
+            continue
+        measured, predicted = series.torque[inside][keep], series.predicted[inside][keep]
+        rest = series.residual[inside][keep]
+        values = (
+            measured.min(),
+            measured.max(),
+            predicted.min(),
+            predicted.max(),
+            np.sqrt(np.mean(rest**2)),
+            np.abs(rest).max(),
+        )
+        rows.append((f"{at:.2f}", *(number(float(value)) for value in values)))
+    return Table(f"Torque of {title}", columns, rows)
+
+
+def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str) -> Figure | None:
+    """Draw the spread of the residual over position or velocity; None where it is not known."""
+    pairs = [(getattr(s, quantity), s.residual, s.used & s.sliding) for s in logs]
+    kept = [
+        (x[m], r[m])
+        for x, r, used in pairs
+        if x is not None
+        for m in [used & np.isfinite(x) & np.isfinite(r)]
+    ]
+    if not kept or not sum(len(x) for x, _ in kept):
+        return None
+    x, r = np.concatenate([k[0] for k in kept]), np.concatenate([k[1] for k in kept])
+    bins = _binned(x, r)
+    if not bins:
+        return None
+    span = padded(float(x.min()), float(x.max()), 0.02)
+    panel = Panel(
+        Box(_LEFT, 26, SMALL - _LEFT - _RIGHT, 150),
+        span,
+        _limits(r, zero=True),
+        x_title=f"{quantity}, {unit_text(unit)}",
+        y_title=f"residual, {unit_text(place.torque_unit)}",
+        x_ticks=4,
+        hover=f"{quantity}|{unit_text(unit)}",
+    )
+    panel.band([(b[0], b[1]) for b in bins], [(b[0], b[5]) for b in bins], "faint")
+    panel.band([(b[0], b[2]) for b in bins], [(b[0], b[4]) for b in bins], "residual")
+    told = unit_text(place.torque_unit)
+    panel.line([(b[0], b[3]) for b in bins], "residual", name="median", unit=told)
+    title = f"Residual of {place.joint} over {quantity}"
+    text = (
+        f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')} of "
+        f"{quantity}. The median lies between {number(min(b[3] for b in bins))} and "
+        f"{number(max(b[3] for b in bins))} {place.torque_unit}."
+    )
+    svg = drawing(SMALL, 220, title, text, [panel])
+    legend = [Key("residual", "median"), Key("band-residual", "90 %"), Key("faint", "extremes")]
+    heads = (quantity, "least", "5 %", "median", "95 %", "most")
+    columns = [
+        Column(head, numeric=True, unit=unit_text(unit) if not i else told)
+        for i, head in enumerate(heads)
+    ]
+    rows = [tuple(number(value) for value in row) for row in bins]
+    return Figure(f"Residual over {quantity}", svg, legend, Table(title, columns, rows))
+
+
+def _binned(x: Array, r: Array) -> list[tuple[float, float, float, float, float, float]]:
+    low, high = float(x.min()), float(x.max())
+    if not high > low:
+        return []
+    place = np.minimum(((x - low) / (high - low) * _BINS).astype(np.int64), _BINS - 1)
+    order = np.argsort(place, kind="stable")
+    parts = np.split(r[order], np.searchsorted(place[order], np.arange(1, _BINS)))
+    rows = []
+    for k, part in enumerate(parts):
+        if len(part) >= _LEAST:
+            low5, middle, high95 = (float(v) for v in np.quantile(part, [0.05, 0.5, 0.95]))
+            centre = low + (k + 0.5) * (high - low) / _BINS
+            rows.append((centre, float(part.min()), low5, middle, high95, float(part.max())))
+    return rows
+
+
+def spectrum(
+    logs: Sequence[Series], place: Place, cutoff_hz: float | None, columns: int
+) -> Figure | None:
+    """Draw the residual's amplitude spectral density and mark its lines."""
+    signals = [signal for series in logs if (signal := _signal(series)) is not None]
+    if not signals:
+        return None
+    longest = max(signals, key=lambda signal: signal.length_s)
+    top = 0.5 * longest.rate_hz
+    if cutoff_hz is not None:
+        top = min(top, 1.5 * cutoff_hz)
+    f, density = _density(longest)
+    inside = (f > 0.0) & (f <= top) & (density > 0.0)
+    if np.count_nonzero(inside) < 8:
+        return None
+    f, density = f[inside], density[inside]
+    lines = certain_lines(signals, float(top))
+    unit = place.torque_unit
+    panel = Panel(
+        Box(_LEFT, 26, SMALL - _LEFT - _RIGHT, 150),
+        (0.0, float(top)),
+        (10 ** np.floor(np.log10(density.min())), 10 ** np.ceil(np.log10(density.max()))),
+        x_title="frequency, Hz",
+        y_title=f"residual, {unit_text(unit)}/\u221aHz",
+        y_log=True,
+        x_ticks=5,
+        hover="f|Hz",
+    )
+    for line in sorted(lines):
+        panel.upright(line, "line-mark")
+    if cutoff_hz is not None and cutoff_hz < top:
+        panel.upright(cutoff_hz, "limit", "cut-off")
+    kept = extremes(f, np.log10(density), columns)
+    points = zip(f[kept].tolist(), density[kept].tolist(), strict=True)
+    panel.line(points, "residual", name="density", unit=f"{unit_text(unit)}/\u221aHz")
+    found = ", ".join(f"{line:.2f} Hz" for line in sorted(lines)) or "no line"
+    title = f"Spectrum of the residual of {place.joint}"
+    svg = drawing(SMALL, 220, title, f"Lines that stand out: {found}.", [panel])
+    legend = [Key("residual", "density"), *([Key("line-mark", "line")] if lines else [])]
+    table = _lines_table(signals, lines, place)
+    note = f"Lines: {found}" if lines else "No line stands out."
+    return Figure("Spectrum of the residual", svg, legend, table, note)
+
+
+def certain_lines(signals: Sequence[Signal], top_hz: float) -> list[float]:
+    """Return the frequencies (Hz) of lines that noise would show in one report of a hundred.
+
+    The squared amplitude that noise of density S has at one frequency over a time T is
+    exponentially distributed around 2 S / T, so that a sum over logs has a gamma distribution;
+    there are as many chances as independent frequencies, twice for those between them.
+    """
+    longest = max(signals, key=lambda signal: signal.length_s)
+    chances = 2.0 * top_hz * longest.length_s
+    found = []
+    for line in strongest_lines(signals, 0.0, 3 * _LINES):
+        size = sum(_over_noise(signal, line) for signal in signals)
+        if line <= top_hz and chances * float(gamma.sf(size, len(signals))) < _FALSE_ALARMS:
+            found.append(line)
+    return found[:_LINES]
+
+
+def _over_noise(signal: Signal, line: float) -> float:
+    f, density = _density(signal)
+    near = np.abs(f - line) < max(NEIGHBOURHOOD_HZ, 4 * f[1])
+    noise = float(np.median(density[near & (f > 0.0)] ** 2)) if np.any(near & (f > 0.0)) else 0.0
+    return amplitude(signal, line) ** 2 * signal.length_s / max(2.0 * noise, 1e-300)
+
+
+def _signal(series: Series) -> Signal | None:
+    good = series.used & np.isfinite(series.residual)
+    runs = pieces(series.t, good)
+    if not runs:
+        return None
+    run = max(runs, key=lambda part: part.stop - part.start)
+    t, r = series.t[run], series.residual[run]
+    if len(t) < 64 or not t[-1] > t[0]:
+        return None
+    rate = (len(t) - 1) / float(t[-1] - t[0])
+    even = np.linspace(float(t[0]), float(t[-1]), len(t))
+    values: Array = np.interp(even, t, r)
+    return Signal(values, rate, float(t[0]))
+
+
+def _density(signal: Signal) -> tuple[Array, Array]:
+    length = min(len(signal.values), max(256, len(signal.values) // 4))
+    f, power = welch(signal.values, fs=signal.rate_hz, nperseg=length, detrend="constant")
+    return np.asarray(f, dtype=np.float64), np.sqrt(np.asarray(power, dtype=np.float64))
+
+
+def _lines_table(signals: Sequence[Signal], lines: Sequence[float], place: Place) -> Table:
+    columns = (
+        Column("frequency", numeric=True, unit="Hz"),
+        Column("amplitude", numeric=True, unit=unit_text(place.torque_unit)),
+    )
+    longest = max(signals, key=lambda signal: signal.length_s)
+    rows = [(f"{line:.3f}", number(amplitude(longest, line))) for line in sorted(lines)]
+    note = "" if rows else "No frequency stands out of its neighbourhood."
+    return Table(f"Lines in the residual of {place.joint}", columns, rows, note)

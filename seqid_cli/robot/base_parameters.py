@@ -1,0 +1,344 @@
+"""Base parameters: the combinations of standard parameters that the joint torque depends on.
+
+Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia per joint; `pi` (b,)
+base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state. Y is the regressor of
+Eq. 3, H = Y P that of Eq. 4.
+
+Columns of Y are taken one by one in a readable order (first link first, a link's mass
+last, rotors after all links); a column that depends on those before it is dropped and its parameter
+regrouped into theirs. The order reproduces the usual regrouping towards the base (Khalil and
+Dombre, Modeling, Identification and Control of Robots, ch. 9). Columns of the gravity torque come
+first, and the coordinates are then changed so that the gravity parameters are exactly those of the
+gravity torque alone (Eq. 17-18): the remaining columns of H vanish at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.robot.regressor import (
+    PER_LINK,
+    Coupling,
+    columns_by_link,
+    gravity_regressor,
+    link_blocks,
+    rotor_regressor,
+    torque_regressor,
+)
+from seqid_cli.robot.types import Array, Chain, Robot
+
+STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+ROTOR = "Ia"
+
+# A column is dependent where its part outside the span of the others is below this share of it.
+# Geometry finer than 1e-5 rad or 1e-6 m is tidied away on reading, so the gap is wide.
+_DEPENDENT = 1e-8
+_ZERO_COLUMN = 1e-10
+_SNAP = 1e-9
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Base parameters of one robot.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The standard parameter that stands for each base parameter.
+    expression : (b, p) array
+        E: base parameters from standard ones, p = 11 n.
+    representative : (p, b) array
+        P: standard parameters, most of them zero, that give the same torque.
+    gravity : (b,) bool array
+        True for the parameters of the gravity torque; these come first.
+    coupling : {"diagonal", "gyroscopic"}
+        How rotors are coupled to the links that carry them.
+    """
+
+    names: tuple[str, ...]
+    expression: Array
+    representative: Array
+    gravity: NDArray[np.bool_]
+    coupling: Coupling = "diagonal"
+
+    @property
+    def size(self) -> int:
+        """Number of base parameters."""
+        return len(self.names)
+
+    @property
+    def columns(self) -> NDArray[np.intp]:
+        """Indices of the standard parameters that the representative set uses, ascending."""
+        return np.flatnonzero(self.representative.any(axis=1))
+
+    def terms(self, k: int) -> dict[str, float]:
+        """Return base parameter `k` as factors of standard ones, the one that names it first."""
+        names = standard_names(self.expression.shape[1] // (PER_LINK + 1))
+        row = self.expression[k]
+        found = {names[c]: float(row[c]) for c in np.flatnonzero(np.abs(row) > _SNAP)}
+        return {self.names[k]: found.pop(self.names[k]), **found}
+
+    def expression_text(self, k: int) -> str:
+        """Write base parameter `k` as text, for example ``Izz_1 + 0.16*m_2 + 36*Ia_1``."""
+        text = ""
+        for name, factor in self.terms(k).items():
+            sign = "-" if factor < 0 else "+"
+            size = abs(factor)
+            part = name if abs(size - 1.0) < _SNAP else f"{size:.6g}*{name}"
+            text = f"{text} {sign} {part}" if text else f"{'-' * (factor < 0)}{part}"
+        return text
+
+    def unit(self, k: int) -> str:
+        """Return the SI unit of base parameter `k`."""
+        return parameter_unit(self.names[k])
+
+    def joint_index(self, k: int) -> int:
+        """Return the joint (0-based) whose link or rotor base parameter `k` is named after."""
+        return int(self.names[k].rpartition("_")[2]) - 1
+
+
+def parameter_unit(name: str) -> str:
+    """Return the SI unit of the standard parameter `name`, for example kg m of "mx_2"."""
+    kind = name.rpartition("_")[0]
+    if kind == "m":
+        return "kg"
+    return "kg m" if kind in {"mx", "my", "mz"} else "kg m^2"
+
+
+def standard_names(n: int) -> tuple[str, ...]:
+    """Name the 11 n standard parameters: link-major, then rotor inertias.
+
+    Rotor inertias are on the motor side.
+    """
+    links = tuple(f"{kind}_{i}" for i in range(1, n + 1) for kind in STANDARD)
+    return links + tuple(f"{ROTOR}_{i}" for i in range(1, n + 1))
+
+
+def gear_ratios(robot: Robot) -> Array:
+    """Return each joint's gear ratio (n,), 1 where the robot file gives none."""
+    return np.array([joint.gear_ratio or 1.0 for joint in robot.joints])
+
+
+def standard_regressor(
+    robot: Robot,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    coupling: Coupling,
+) -> Array:
+    """Compute the regressor of the standard parameters, rotor inertias last (Eq. 3).
+
+    Parameters
+    ----------
+    robot : Robot
+    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    coupling : {"diagonal", "gyroscopic"}
+
+    Returns
+    -------
+    (N, n, 11 n) array
+    """
+    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    rotors = rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
+    return np.concatenate((Y, rotors), axis=2)
+
+
+def base_regressor(
+    robot: Robot,
+    basis: Basis,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    spare: int = 0,
+    out: Array | None = None,
+    first: int = 0,
+) -> Array:
+    """Compute the regressor H = Y P of the base parameters (Eq. 4).
+
+    Parameters
+    ----------
+    robot : Robot
+    basis : Basis
+    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    spare : int
+        Columns to be filled by the caller; zeros without `out`.
+    out : (n, b + spare, M) array, optional
+        Written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere.
+    first : int
+        Where in `out` the N samples go.
+
+    Returns
+    -------
+    (N, n, b + spare) array
+        Each column contiguous in memory.
+    """
+    whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
+    H = whole[:, :, first : first + len(q)]
+    _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
+    _add_rotors(robot, basis, q, dq, ddq, H)
+    return H.transpose(2, 0, 1)
+
+
+def _fill_links(
+    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array, *, fresh: bool
+) -> None:
+    """Fill H (n, b, N) with the links' columns, block by block."""
+    P = basis.representative[: PER_LINK * robot.n]
+    kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
+    alone = (np.count_nonzero(basis.representative, axis=0) == 1) & P.any(axis=0)
+    if not fresh:
+        H[:, np.flatnonzero(~alone)] = 0.0
+    for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
+        for column, c in enumerate(PER_LINK * i + kept[i]):
+            for k in np.flatnonzero(P[c]):
+                target = H[: i + 1, k, rows]
+                if alone[k]:
+                    np.multiply(block[:, column], P[c, k], out=target)
+                else:
+                    target += P[c, k] * block[:, column]
+
+
+def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array) -> None:
+    """Add the columns of rotors that are parameters to H (n, b, N)."""
+    P = basis.representative[PER_LINK * robot.n :]
+    ratio = gear_ratios(robot)
+    if basis.coupling == "diagonal":
+        for i, k in zip(*np.nonzero(P), strict=True):
+            H[i, k] += ratio[i] ** 2 * ddq[:, i] * P[i, k]
+    elif P.any():
+        rotors = rotor_regressor(robot.chain, q, dq, ddq, ratio, basis.coupling).transpose(2, 1, 0)
+        for i, k in zip(*np.nonzero(P), strict=True):
+            H[:, k] += rotors[i] * P[i, k]
+
+
+def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
+    """Say where `base_regressor` can differ from zero.
+
+    Returns
+    -------
+    (n, b) bool array
+        False where a joint lies behind all links and rotors that a base parameter belongs to.
+    """
+    used = basis.representative != 0.0
+    last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))
+    behind: NDArray[np.intp] = np.where(used, last[:, None], -1).max(axis=0)
+    return np.arange(robot.n)[:, None] <= behind
+
+
+def base_parameters(
+    robot: Robot, *, rotor: Sequence[int], coupling: Coupling = "diagonal"
+) -> Basis:
+    """Find the base parameters of the rigid body and of the rotors to identify.
+
+    Parameters
+    ----------
+    robot : Robot
+    rotor : sequence of int
+        Joints (0-based) whose rotor inertia is a parameter; the others' are known and left out.
+    coupling : {"diagonal", "gyroscopic"}
+
+    Returns
+    -------
+    Basis
+        The same one every time for the same robot; gravity parameters first.
+    """
+    W_gravity, W = _random_regressors(robot, coupling)
+    order = _reading_order(robot.chain)
+    used = order + [PER_LINK * robot.n + i for i in sorted(set(rotor))]
+    floor = _ZERO_COLUMN * float(np.linalg.norm(W[:, : PER_LINK * robot.n], axis=0).max())
+    gravity = _independent(W_gravity, order, floor=floor)
+    rest = [c for c in used if c not in gravity]
+    every = _independent(W, gravity + rest, floor=floor, given=len(gravity))
+    others = sorted(set(every) - set(gravity))
+    E_gravity = _regrouping(W_gravity, gravity, order, floor=floor)
+    E_full = _regrouping(W, gravity + others, used, floor=floor)
+    expression = np.vstack((E_gravity, E_full[len(gravity) :]))
+    representative = np.zeros(expression.T.shape)
+    for k, column in enumerate(gravity + others):
+        representative[column, k] = 1.0
+    representative[gravity, len(gravity) :] = -E_gravity[:, others]
+    names = standard_names(robot.n)
+    return Basis(
+        names=tuple(names[c] for c in gravity + others),
+        expression=expression,
+        representative=representative + 0.0,
+        gravity=np.arange(len(expression)) < len(gravity),
+        coupling=coupling,
+    )
+
+
+def free_basis(robot: Robot) -> Basis:
+    """Return the base parameters with the rotor inertias that the robot file leaves open."""
+    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
+    return base_parameters(robot, rotor=rotor)
+
+
+def _reading_order(chain: Chain) -> list[int]:
+    """Order link columns for keeping; a link's own axis decides among its inertias."""
+    order = []
+    for i in range(chain.n):
+        along = int(np.argmax(np.abs(chain.axis[i])))
+        first, last = [k for k in range(3) if k != along]
+        axes = ("x", "y", "z")
+        diagonal = [f"I{axes[k]}{axes[k]}" for k in (first, along, last)]
+        kinds = ["mx", "my", "mz", diagonal[0], "Ixy", "Ixz", "Iyz", *diagonal[1:], "m"]
+        order += [PER_LINK * i + STANDARD.index(kind) for kind in kinds]
+    return order
+
+
+def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
+    """Stack gravity and full regressors (rows, 11 n) over random states.
+
+    Joint limits play no part: the torque is analytic in the state, so columns that depend linearly
+    in one range do so in all, and a wide range shows it with the widest gap.
+    """
+    rng = np.random.default_rng(0)
+    n = robot.n
+    q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
+    q = q * np.where(robot.chain.prismatic, 1.0, np.pi)
+    Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling=coupling)
+    Y_gravity = np.zeros_like(Y)
+    Y_gravity[:, :, : PER_LINK * n] = gravity_regressor(robot.chain, robot.gravity, q)
+    return Y_gravity.reshape(-1, Y.shape[2]), Y.reshape(-1, Y.shape[2])
+
+
+def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0) -> list[int]:
+    """Choose columns of W, in `order`, independent of those before; the first `given` are taken.
+
+    Columns whose norm is below `floor` are rounding, not torque.
+    """
+    size = np.linalg.norm(W, axis=0)
+    Q = np.empty((len(W), 0))
+    kept: list[int] = []
+    for place, column in enumerate(order):
+        if size[column] <= floor:
+            continue
+        v = W[:, column] / size[column]
+        for _ in range(2):  # once more: the first pass leaves rounding of the large parts
+            v = v - Q @ (Q.T @ v)
+        left = float(np.linalg.norm(v))
+        if place < given or left > _DEPENDENT:
+            kept.append(column)
+            Q = np.column_stack((Q, v / left))
+    return kept
+
+
+def _regrouping(W: Array, kept: Sequence[int], used: Sequence[int], *, floor: float) -> Array:
+    """Solve W[:, kept] E = W for E (len(kept), p), on the `used` columns."""
+    E = np.zeros((len(kept), W.shape[1]))
+    if not len(kept):
+        return E
+    size = np.linalg.norm(W, axis=0)
+    basis = W[:, kept]
+    Q, R = np.linalg.qr(basis / size[kept])
+    E[:, used] = np.linalg.solve(R, Q.T @ W[:, used]) / size[kept][:, None]
+    E[:, kept] = np.eye(len(kept))
+    snapped = np.where(np.abs(E - np.round(E)) < _SNAP, np.round(E), E)
+    worse = np.linalg.norm(basis @ snapped - W, axis=0) > _DEPENDENT * np.maximum(size, floor)
+    return np.where(worse, E, snapped) + 0.0

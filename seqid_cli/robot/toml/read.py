@@ -1,0 +1,196 @@
+"""Reading `robot.toml`: every failure names the file and the key's full path.
+
+Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import msgspec
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.formula import Formula
+from seqid_cli.robot.toml.checks import check_content, nearest
+from seqid_cli.robot.toml.schema import (
+    SCHEMA,
+    SCHEMA_VERSION,
+    AccelerometerEntry,
+    Channels,
+    DhEntry,
+    EffectEntry,
+    ImuEntry,
+    JointEntry,
+    RobotFile,
+    Table,
+)
+
+SIZE_LIMIT = 4 * 2**20  # bytes
+MOST_PARTS = 32  # of a dotted key
+_PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')"
+_DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS}}}")
+
+
+@dataclass(frozen=True)
+class ReadRobotFile:
+    """A robot file that passed its checks: `content` typed, `raw` as it lies on the disk.
+
+    `formulas` are those of its effects.
+    """
+
+    path: Path
+    raw: bytes
+    content: RobotFile
+    formulas: tuple[Formula | None, ...]
+
+
+def read_robot_file(path: Path) -> ReadRobotFile:
+    """Read and check a robot file, apart from checks that need its URDF.
+
+    Parameters
+    ----------
+    path : Path
+        The `robot.toml`.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file and the key's full path.
+    """
+    raw = read_limited(path, "robot file", SIZE_LIMIT)
+    document = _parse(path, raw)
+    _check_schema(path, document)
+    try:
+        content = msgspec.convert(document, RobotFile)
+    except msgspec.ValidationError as problem:
+        raise _explained(path, document, problem) from None
+    except (OverflowError, RecursionError):
+        message = "a number is too large or the nesting too deep"
+        raise ConfigError(message, where=str(path)) from None
+    formulas = check_content(path, content)
+    return ReadRobotFile(path=path, raw=raw, content=content, formulas=formulas)
+
+
+def read_limited(path: Path, what: str, limit: int) -> bytes:
+    """Read the file `path`, called `what` in messages; refuses more than `limit` bytes.
+
+    Raises
+    ------
+    ConfigError
+        Where there is no such file, it cannot be read, or it is larger than `limit`.
+    """
+    where = str(path)
+    try:
+        if path.is_dir():
+            raise ConfigError(f"the {what} is a folder", where=where, hint="Name the file in it.")
+        if path.exists() and not path.is_file():  # a pipe would be waited for without end
+            raise ConfigError(f"the {what} is not a regular file", where=where)
+        with path.open("rb") as file:
+            raw = file.read(limit + 1)
+    except FileNotFoundError:
+        hint = f"In {path.parent} there is: {_beside(path)}."
+        raise ConfigError(f"{what} not found", where=where, hint=hint) from None
+    except (OSError, ValueError) as problem:
+        raise ConfigError(f"the {what} cannot be read: {problem}", where=where) from None
+    if len(raw) > limit:
+        raise ConfigError(
+            f"the {what} is larger than {limit} bytes",
+            where=where,
+            hint=f"Is this really a {what}?",
+        )
+    return raw
+
+
+def _beside(path: Path) -> str:
+    try:
+        names = sorted(p.name for p in path.parent.iterdir() if p.suffix == path.suffix)
+    except OSError:
+        return "nothing, the folder does not exist"
+    return ", ".join(names[:10]) or f"no *{path.suffix} file"
+
+
+def _parse(path: Path, raw: bytes) -> dict[str, object]:
+    try:
+        text = raw.decode("utf-8")
+        if _DEEP_KEY.search(text):  # each part is a table, and the parser keeps the way to each
+            message = f"a key has more than {MOST_PARTS} parts"
+            raise ConfigError(message, where=str(path), hint="Write tables by their names.")
+        return tomllib.loads(text)
+    except UnicodeDecodeError as problem:
+        line = raw.count(b"\n", 0, problem.start) + 1
+        message = f"line {line} is not UTF-8 text"
+        hint = "A robot file is plain text in UTF-8; save it so."
+    except tomllib.TOMLDecodeError as problem:
+        message, hint = f"not valid TOML: {problem}", "Correct that line."
+    except (RecursionError, ValueError) as problem:
+        message, hint = f"not valid TOML: {problem}", "Nesting or number out of range."
+    raise ConfigError(message, where=str(path), hint=hint)
+
+
+def _check_schema(path: Path, document: dict[str, object]) -> None:
+    schema = document.get("schema")
+    hint = f'Write schema = "{SCHEMA}" in the first line.'
+    if schema is None:
+        raise ConfigError("the key 'schema' is missing", where=str(path), hint=hint)
+    match = re.fullmatch(r"seqid/robot@([1-9][0-9]{0,5})", str(schema))
+    if match is None:
+        raise ConfigError(f"schema is {schema!r}, not {SCHEMA!r}", where=str(path), hint=hint)
+    if int(match[1]) > SCHEMA_VERSION:
+        raise ConfigError(
+            f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})",
+            where=str(path),
+            hint="Update seqid.",
+        )
+
+
+_AT = re.compile(r"^(?P<what>.*?)(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)
+_UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`", re.DOTALL)
+_MISSING = re.compile(r"Object missing required field `(?P<key>.*)`", re.DOTALL)
+
+
+def _explained(
+    path: Path, document: dict[str, object], problem: msgspec.ValidationError
+) -> ConfigError:
+    """Turn msgspec's message into one with the key's full path and the nearest known key."""
+    match = cast("re.Match[str]", _AT.match(str(problem)))
+    what, at = match["what"], match["path"] or ""
+    prefix = f"{at}." if at else ""
+    if unknown := _UNKNOWN.match(what):
+        known = _keys_at(at)
+        hint = f"{nearest(unknown['key'], known)}Known here: {', '.join(known)}."
+        message = f"unknown key '{prefix}{unknown['key']}'"
+    elif missing := _MISSING.match(what):
+        message = f"the key '{prefix}{missing['key']}' is missing"
+        hint = f"Add {missing['key']} = ..."
+    else:
+        message = f"{at or 'the document'}: {what[:1].lower()}{what[1:]}".replace("`", "'")
+        hint = "Correct the value."
+    return ConfigError(message + _named(document, at), where=str(path), hint=hint)
+
+
+def _keys_at(at: str) -> tuple[str, ...]:
+    tables: dict[str, type[Table]] = {
+        "": RobotFile,
+        "joint": JointEntry,
+        "joint.dh": DhEntry,
+        "imu": ImuEntry,
+        "imu.accelerometers": AccelerometerEntry,
+        "channels": Channels,
+        "effect": EffectEntry,
+    }
+    table = tables.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile)
+    return table.__struct_fields__
+
+
+def _named(document: dict[str, object], at: str) -> str:
+    """`` (joint 'elbow')`` where `at` points into a table that has a name."""
+    match = re.match(r"(joint|imu|effect)\[(\d+)\]", at)
+    if match is None:
+        return ""
+    entry = cast("list[dict[str, object]]", document[match[1]])[int(match[2])]
+    name = entry.get("name") if isinstance(entry, dict) else None
+    return f" ({match[1]} {name!r})" if isinstance(name, str) else ""

@@ -1,0 +1,93 @@
+"""`robot.toml` as typed data, `seqid/robot@1` (msgspec only)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+SCHEMA = "seqid/robot@1"
+SCHEMA_VERSION = 1
+
+Vector = tuple[float, float, float]
+
+
+class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Base of all tables: an unknown key is an error that names its path."""
+
+
+class DhEntry(Table, frozen=True):
+    """Modified DH parameters of a joint, rad and m."""
+
+    alpha: float
+    a: float
+    d: float
+    theta0: float
+
+
+class JointEntry(Table, frozen=True):
+    """One `[[joint]]`."""
+
+    name: str
+    prismatic: bool = False
+    dh: DhEntry | None = None
+    torque_constant: float | None = None
+    torque_constant_error: float = 0.0
+    gear_ratio: float | None = None
+    rotor_inertia: float | None = None
+    encoder_resolution: float | None = None
+    position_limits: tuple[float, float] | None = None
+    velocity_limit: float | None = None
+
+
+class AccelerometerEntry(Table, frozen=True):
+    """One accelerometer of an `[[imu]]`, in the IMU's own frame."""
+
+    position: Vector
+    axis: Vector
+
+
+class ImuEntry(Table, frozen=True):
+    """One `[[imu]]`."""
+
+    name: str
+    after_joint: str
+    accelerometers: tuple[AccelerometerEntry, ...] = ()
+    gyro: bool = False
+
+
+class Channels(Table, frozen=True):
+    """`[channels]`: names that a log uses instead of the default ones; None means the default.
+
+    `effort` says what it is; torque where it is not said.
+    """
+
+    time: str | None = None
+    position: str | None = None
+    velocity: str | None = None
+    current: str | None = None
+    torque: str | None = None
+    temperature: str | None = None
+    effort: Literal["torque", "current"] | None = None
+
+
+class EffectEntry(Table, frozen=True):
+    """One `[[effect]]`: a formula, or the name of an effect that an installed package offers."""
+
+    name: str
+    joint: str | None = None
+    torque: str | None = None
+    settings: dict[str, tuple[float, float]] = {}
+
+
+class RobotFile(Table, frozen=True):
+    """The whole document."""
+
+    schema: str
+    name: str
+    gravity: Vector
+    joint: tuple[JointEntry, ...]
+    urdf: str | None = None
+    imu: tuple[ImuEntry, ...] = ()
+    effect: tuple[EffectEntry, ...] = ()
+    channels: Channels = Channels()

@@ -1,0 +1,1 @@
+"""The URDF: its text and checks, its joints, and Pinocchio's model of it."""

@@ -1,0 +1,219 @@
+"""Joints of a URDF in the order of its chains, with their limits; text only, no Pinocchio.
+
+Pinocchio refuses revolute and prismatic joints without a complete <limit>, which plays no part in
+the dynamics and which hand-made files lack, and links with the name of a joint, which URDF allows;
+`readable` repairs both.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.urdf.text import MOVABLE, UrdfText
+
+WIDE = "1e9"
+_NUMBERS = {
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity"),
+}
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A movable joint: limits in rad (m), rad/s (m/s), N m (N), None where not given."""
+
+    name: str
+    kind: str
+    lower: float | None
+    upper: float | None
+    velocity: float | None
+    effort: float | None
+
+
+def chains(urdf: UrdfText) -> list[tuple[UrdfJoint, ...]]:
+    """List the chains from the root to each tip, movable joints only.
+
+    Joints that follow another one (mimic) are left out. The order is that of the file; a URDF with
+    a loop, or without a root, has no chain that counts the loop's joints.
+    """
+    elements = {joint.get("name", ""): joint for joint in urdf.root.findall("joint")}
+    children: dict[str, list[str]] = {}
+    below = set()
+    for name, joint in elements.items():
+        child = _link(joint, "child")
+        children.setdefault(_link(joint, "parent"), []).append(name)
+        below.add(child)
+    roots = [link for link in children if link not in below]
+    found: list[tuple[str, ...]] = []
+    for link in roots:
+        found += _paths(link, children, elements)
+    kept = [tuple(n for n in path if _drives(urdf, n)) for path in found]
+    unique = dict.fromkeys(path for path in kept if path)
+    return [tuple(_joint(elements[name]) for name in path) for path in unique]
+
+
+def best_chain(
+    urdf: UrdfText, worth: Callable[[UrdfJoint], float] = lambda joint: 1.0
+) -> tuple[UrdfJoint, ...]:
+    """Return the chain of the largest total worth, the first of equals; empty where none."""
+    return max(chains(urdf), key=lambda chain: sum(map(worth, chain)), default=())
+
+
+def readable(urdf: UrdfText) -> bytes:
+    """Repair parts that readers of URDFs refuse and that play no part in the dynamics.
+
+    Every revolute and prismatic joint that lacks part of its <limit> gets a wide one; a link that
+    shares its name with a joint is renamed. The text is returned as it is where nothing is to do.
+    """
+    root = copy.deepcopy(urdf.root)
+    joints = root.findall("joint")
+    changed = [_limited(joint) for joint in joints]
+    changed.append(_links_renamed(root, {joint.get("name", "") for joint in joints}))
+    return ElementTree.tostring(root) if any(changed) else urdf.raw
+
+
+def _limited(joint: ElementTree.Element) -> bool:
+    """Complete a joint's <limit>; return whether a part was missing."""
+    if joint.get("type") not in ("revolute", "prismatic"):
+        return False
+    limit = joint.find("limit")
+    needed = {"effort": WIDE, "velocity": WIDE}
+    if limit is None:
+        limit = ElementTree.SubElement(joint, "limit")
+        needed = {"lower": f"-{WIDE}", "upper": WIDE, **needed}
+    lacking = {key: value for key, value in needed.items() if key not in limit.attrib}
+    limit.attrib.update(lacking)
+    return bool(lacking)
+
+
+def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
+    """Rename links with the name of a joint; return whether there were any."""
+    links = {link.get("name", "") for link in root.findall("link")}
+    new = {name: f"{name}/link" for name in links & joints}
+    while set(new.values()) & (links | joints):
+        new = {name: f"{text}/" for name, text in new.items()}
+    for link in root.findall("link") if new else ():
+        link.set("name", new.get(link.get("name", ""), link.get("name", "")))
+    for end in root.findall("joint/*") if new else ():
+        if end.tag in ("parent", "child"):
+            end.set("link", new.get(end.get("link", ""), end.get("link", "")))
+    return bool(new)
+
+
+def check_urdf(urdf: UrdfText) -> None:
+    """Check for faults that a reader of URDFs refuses without naming the place.
+
+    Raises
+    ------
+    ConfigError
+        Links named twice, joints between links that are not there, links with two parents, loops,
+        no or several roots, numbers that are none; naming the file, the joint or link.
+    """
+    root = urdf.root
+    links = [link.get("name", "") for link in root.findall("link")]
+    parents: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        _check_joint(joint, links, parents, str(urdf.path))
+    twice = next((name for name in links if links.count(name) > 1), None)
+    if twice is not None:
+        raise _refused(urdf, f"two links are named {twice!r}", "Rename or remove one of them.")
+    if not links:
+        raise _refused(urdf, "it has no links", "Name the URDF that describes the arm.")
+    roots = [name for name in links if name not in parents]
+    if len(roots) != 1:
+        found = f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "a loop, no root"
+        raise _refused(urdf, f"it has {found}", "All links must hang in one tree from one root.")
+
+
+def _check_joint(
+    joint: ElementTree.Element, links: list[str], parents: dict[str, str], where: str
+) -> None:
+    name = joint.get("name", "")
+    for which in ("parent", "child"):
+        if _link(joint, which) not in links:
+            text = f"joint {name!r}: its {which} link {_link(joint, which)!r} is not in the URDF"
+            raise ConfigError(text, where=where, hint="Add the link, or correct its name.")
+    child = _link(joint, "child")
+    if child in parents:
+        text = f"link {child!r} is the child of two joints, {parents[child]!r} and {name!r}"
+        hint = "Links must form a tree: cut loops open, and model the closing joint apart."
+        raise ConfigError(text, where=where, hint=hint)
+    parents[child] = name
+    for tag, keys in _NUMBERS.items():
+        element = joint.find(tag)
+        for key in keys if element is not None else ():
+            text = element.get(key, "") if element is not None else ""
+            if not all(_is_number(word) for word in text.split()):
+                message = f"joint {name!r}: <{tag} {key}={text!r}> is not finite numbers"
+                raise ConfigError(message, where=where, hint="Correct the number in the URDF.")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _refused(urdf: UrdfText, message: str, hint: str) -> ConfigError:
+    return ConfigError(message, where=str(urdf.path), hint=hint)
+
+
+def _drives(urdf: UrdfText, name: str) -> bool:
+    return urdf.types[name] in MOVABLE and name not in urdf.mimics
+
+
+def _paths(
+    link: str, children: Mapping[str, list[str]], elements: Mapping[str, ElementTree.Element]
+) -> list[tuple[str, ...]]:
+    paths: list[tuple[str, ...]] = []
+    stack: list[tuple[str, tuple[str, ...], frozenset[str]]] = [(link, (), frozenset({link}))]
+    while stack:
+        at, path, seen = stack.pop()
+        below = children.get(at, [])
+        if not below:
+            paths.append(path)
+        for name in reversed(below):
+            child = _link(elements[name], "child")
+            if child not in seen:
+                stack.append((child, (*path, name), seen | {child}))
+    return paths
+
+
+def _link(joint: ElementTree.Element, which: str) -> str:
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
+
+
+def _joint(element: ElementTree.Element) -> UrdfJoint:
+    limit = element.find("limit")
+    kind = element.get("type", "")
+    lower, upper = _number(limit, "lower"), _number(limit, "upper")
+    if kind == "continuous" or lower is None or upper is None or lower >= upper:
+        lower = upper = None
+    return UrdfJoint(
+        element.get("name", ""),
+        kind,
+        lower,
+        upper,
+        _positive(_number(limit, "velocity")),
+        _positive(_number(limit, "effort")),
+    )
+
+
+def _number(element: ElementTree.Element | None, key: str) -> float | None:
+    try:
+        value = float((element.get(key) if element is not None else None) or "nan")
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _positive(value: float | None) -> float | None:
+    return value if value is not None and value > 0.0 else None

@@ -1,0 +1,132 @@
+"""URDF to chain and nominal inertials. The only file that touches Pinocchio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.placement import tidy_axis, tidy_position, tidy_rotation
+from seqid_cli.robot.types import Array, Chain
+from seqid_cli.robot.urdf.joints import readable
+from seqid_cli.robot.urdf.text import UrdfText
+
+
+@dataclass(frozen=True)
+class UrdfRobot:
+    """The named joints of a URDF: `nominal` (n, 10), None where it has no inertials."""
+
+    chain: Chain
+    nominal: Array | None
+
+
+def chain_from_urdf(urdf: UrdfText, names: tuple[str, ...], source: Path) -> UrdfRobot:
+    """Build the chain of the joints `names`, all other joints locked at zero and merged.
+
+    Parameters
+    ----------
+    urdf : UrdfText
+    names : tuple of str
+        Movable joints of the URDF, in the order of the robot file.
+    source : Path
+        The robot file, for messages.
+
+    Returns
+    -------
+    UrdfRobot
+        Quarter turns and zeros that the file rounds are exact (see `placement`).
+
+    Raises
+    ------
+    ConfigError
+        Where the URDF is inconsistent, or `names` is not a serial chain in this order.
+    """
+    model = _reduced(_parsed(urdf), names)
+    _check_chain(model, names, urdf, source)
+    axes, prismatic = _axes(model)
+    nominal = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
+    _check_numbers(model, axes, nominal, urdf)
+    chain = Chain(
+        rotation=np.array([tidy_rotation(M.rotation) for M in model.jointPlacements[1:]]),
+        position=np.array([tidy_position(M.translation) for M in model.jointPlacements[1:]]),
+        axis=np.array([tidy_axis(axis) for axis in axes]),
+        prismatic=prismatic,
+    )
+    return UrdfRobot(chain=chain, nominal=nominal if urdf.has_inertia else None)
+
+
+def _parsed(urdf: UrdfText) -> pin.Model:
+    try:
+        return pin.buildModelFromXML(readable(urdf).decode("utf-8"))
+    except (ValueError, RuntimeError, UnicodeDecodeError) as problem:
+        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
+        raise ConfigError(
+            f"not a usable URDF: {reason}",
+            where=str(urdf.path),
+            hint="Check it with `check_urdf` (liburdfdom-tools): one root link, no loops, no link "
+            "or joint named twice, every joint between links that exist.",
+        ) from None
+
+
+def _reduced(model: pin.Model, names: tuple[str, ...]) -> pin.Model:
+    others = [k for k in range(1, model.njoints) if model.names[k] not in names]
+    # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0: neutral knows.
+    return pin.buildReducedModel(model, others, pin.neutral(model))
+
+
+def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, source: Path) -> None:
+    """Raise unless joint k of `names` is the child of joint k - 1."""
+    parent = {model.names[k]: model.names[model.parents[k]] for k in range(1, model.njoints)}
+    order: list[str] = []
+    before = str(model.names[0])
+    while children := [name for name, of in parent.items() if of == before]:
+        if len(children) > 1:
+            raise ConfigError(
+                f"joints {' and '.join(map(repr, children))} are on different branches of "
+                f"{urdf.path.name}",
+                where=str(source),
+                hint="Name the joints of one serial chain only; the others are locked at zero.",
+            )
+        before = children[0]
+        order.append(before)
+    if tuple(order) != names:
+        raise ConfigError(
+            f"the [[joint]] tables are not in chain order: {', '.join(names)}",
+            where=str(source),
+            hint=f"The order in {urdf.path.name} is: {', '.join(order)}.",
+        )
+
+
+def _axes(model: pin.Model) -> tuple[list[Array], np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Read each joint's axis in its own frame, and whether it slides, off its Jacobian."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    axes, prismatic = [], []
+    for k in range(1, model.njoints):
+        jacobian = pin.getJointJacobian(model, data, k, pin.LOCAL)
+        column = np.reshape(jacobian, (6, -1))[:, model.joints[k].idx_v]  # (6,) of one joint
+        linear, angular = column[:3], column[3:]
+        slides = not angular.any()
+        axes.append(np.array(linear if slides else angular))
+        prismatic.append(slides)
+    return axes, np.array(prismatic)
+
+
+def _check_numbers(model: pin.Model, axes: list[Array], nominal: Array, urdf: UrdfText) -> None:
+    for k, axis in enumerate(axes):
+        placement = model.jointPlacements[k + 1]
+        parts = {
+            "axis": axis if axis.any() else np.full(3, np.nan),
+            "origin": placement.homogeneous,
+            "inertial of the link it moves": nominal[k],
+        }
+        for part, values in parts.items():
+            if not np.isfinite(values).all():
+                raise ConfigError(
+                    f"joint {model.names[k + 1]!r}: the {part} is zero or not finite",
+                    where=str(urdf.path),
+                    hint="Correct the number in the URDF.",
+                )

@@ -1,0 +1,123 @@
+"""A URDF as text: all checks of it that need no Pinocchio.
+
+Meshes, visuals and transmissions play no part in the dynamics and are neither read nor required.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.robot.toml.checks import nearest
+from seqid_cli.robot.toml.read import read_limited
+
+SIZE_LIMIT = 64 * 2**20  # bytes
+MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
+XACRO_HINT = "Run `xacro robot.urdf.xacro > robot.urdf` and name the result."
+
+
+@dataclass(frozen=True)
+class UrdfText:
+    """A URDF file that is well-formed: `types` by joint name, and who follows another joint."""
+
+    path: Path
+    raw: bytes
+    root: ElementTree.Element
+    types: dict[str, str]
+    mimics: dict[str, str]
+    has_inertia: bool
+
+    @property
+    def movable(self) -> tuple[str, ...]:
+        """Joints that can move, in the order of the file."""
+        return tuple(name for name, kind in self.types.items() if kind in MOVABLE)
+
+
+def read_urdf_text(path: Path) -> UrdfText:
+    """Read a URDF and check that it is one.
+
+    Raises
+    ------
+    ConfigError
+        Where the file is missing, is a xacro file, is not well-formed XML or not a URDF.
+    """
+    raw = read_limited(path, "URDF", SIZE_LIMIT)
+    where = str(path)
+    if path.suffix == ".xacro" or re.search(rb"<\s*xacro:", _uncommented(raw)):
+        raise ConfigError("this is a xacro file, not a URDF", where=where, hint=XACRO_HINT)
+    if re.search(rb"<!\s*(DOCTYPE|ENTITY)", raw, re.IGNORECASE):
+        raise ConfigError(
+            "the URDF declares XML entities", where=where, hint="Remove the DOCTYPE declaration."
+        )
+    try:
+        root = ElementTree.fromstring(raw)
+    except (ElementTree.ParseError, ValueError, LookupError) as problem:
+        raise ConfigError(f"not well-formed XML: {problem}", where=where) from None
+    if root.tag != "robot":
+        raise ConfigError(
+            f"not a URDF: its outermost element is <{root.tag}>, not <robot>",
+            where=where,
+            hint="SDF and MJCF files have to be converted to URDF.",
+        )
+    return _collected(path, raw, root)
+
+
+def _uncommented(raw: bytes) -> bytes:
+    """Leave out comments, in which xacro leaves its source."""
+    return re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
+
+
+def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
+    joints = root.findall("joint")
+    types: dict[str, str] = {}
+    mimics: dict[str, str] = {}
+    for joint in joints:
+        name = joint.get("name", "")
+        if name in types:
+            raise ConfigError(f"the URDF has two joints named {name!r}", where=str(path))
+        types[name] = joint.get("type", "")
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            mimics[name] = mimic.get("joint", "")
+    return UrdfText(
+        path=path,
+        raw=raw,
+        root=root,
+        types=types,
+        mimics=mimics,
+        has_inertia=root.find("link/inertial") is not None,
+    )
+
+
+def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:
+    """Check that the robot file's joints `names` are movable joints of the URDF.
+
+    Raises
+    ------
+    ConfigError
+        Naming `source`, the key, the joint, and what the URDF has instead.
+    """
+    for k, name in enumerate(names):
+        key, where = f"joint[{k}].name", str(source)
+        known = f"Movable joints of {urdf.path.name}: {', '.join(urdf.movable) or 'none'}."
+        if name not in urdf.types:
+            raise ConfigError(
+                f"{key} {name!r} is no joint of {urdf.path.name}",
+                where=where,
+                hint=f"{nearest(name, urdf.movable)}{known}",
+            )
+        if urdf.types[name] not in MOVABLE:
+            raise ConfigError(
+                f"{key} {name!r} is a {urdf.types[name] or 'typeless'} joint in {urdf.path.name}",
+                where=where,
+                hint=f"Only revolute, continuous and prismatic joints can be driven. {known}",
+            )
+        if name in urdf.mimics:
+            raise ConfigError(
+                f"{key} {name!r} follows joint {urdf.mimics[name]!r} (mimic) in {urdf.path.name}",
+                where=where,
+                hint="Leave it out, it is then locked at zero; or remove <mimic> from the URDF.",
+            )

@@ -8,7 +8,7 @@ is the same wherever it shows, and its size is of the order of the URDF's. The l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -341,8 +341,3 @@ def _postures(robot: Robot) -> Array:
     limits = [j.position_limits or d for j, d in zip(robot.joints, default, strict=True)]
     low, high = np.array(limits).T
     return rng.uniform(low, high, (POSTURES, robot.n))
-
-
-def poor_joints(verdicts: Iterable[Verdict]) -> list[str]:
-    """Return the joints whose verdict is poor."""
-    return list(dict.fromkeys(v.joint for v in verdicts if v.joint and not v.good))

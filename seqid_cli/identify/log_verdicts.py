@@ -41,11 +41,6 @@ def notes_of_logs(findings: Iterable[InspectionFinding], said: Iterable[str] = (
     ]
 
 
-def remedies(findings: Iterable[InspectionFinding]) -> list[str]:
-    """Return what to do about the errors, each once."""
-    return list(dict.fromkeys(f.remedy for f in findings if f.severity == "error"))
-
-
 def _grouped(findings: Iterable[InspectionFinding], severity: str) -> list[list[InspectionFinding]]:
     groups: dict[tuple[str, str, str], list[InspectionFinding]] = {}
     for finding in findings:

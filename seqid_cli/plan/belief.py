@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
-from seqid_cli.identify.rigid.inertia import gravity_prior, slowest_speeds
+from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
+from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.torque import friction_surfaces

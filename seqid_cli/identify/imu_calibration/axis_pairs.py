@@ -141,16 +141,6 @@ def shortest_rotation(b: Array, m: Array) -> Array:
     return R
 
 
-def rotation_covariance(pairs: list[Pair]) -> Array:
-    """Covariance (3, 3) rad^2 of small rotations about the link's axes; huge where unknown."""
-    information = np.zeros((3, 3))
-    for pair in pairs:
-        information += (np.eye(3) - np.outer(pair.link, pair.link)) / pair.sigma**2
-    value, vector = np.linalg.eigh(information)
-    covariance: Array = (vector / np.maximum(value, 1e-3)) @ vector.T
-    return covariance
-
-
 def condition_of(pairs: list[Pair]) -> float:
     """Condition of the directions B of Eq. 37; 0 where they do not span space."""
     s = np.linalg.svd(np.array([p.imu for p in pairs]), compute_uv=False)

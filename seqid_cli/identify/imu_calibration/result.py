@@ -65,7 +65,7 @@ def calibration_of(
         lever=_listed(constants.lever, lever),
         lever_std_errors=_listed(sigma[3:6], lever),
         samples=fit.kept,
-        outliers=fit.set_aside,
+        outliers=fit.outliers,
         holdout=fit.holdout,
         deflections=[
             JointDeflection(

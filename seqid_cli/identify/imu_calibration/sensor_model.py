@@ -9,7 +9,7 @@ the gain g_k, the unit axis s_k and the place r_k in the IMU's frame, R the moun
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -177,8 +177,3 @@ def design(channels: Channels, x: Array, dy: Array) -> Array:
     for a in range(2):
         G[:, own, 7 + 2 * c + 2 * own + a] = sideways[:, :, a]
     return G
-
-
-def with_delay(constants: Constants, delay: float) -> Constants:
-    """The same with another clock offset [s]."""
-    return replace(constants, delay=delay)

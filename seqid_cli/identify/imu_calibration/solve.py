@@ -56,23 +56,82 @@ FIRST_SIZE = 10.0  # rad/s^2 of a node, that joints may deflect by at first
 
 @dataclass(frozen=True)
 class Fit:
-    """The minimum: constants, each segment's own part, and what the errors are made of.
+    """The minimum: constants and their errors.
 
     `covariance` (p, p) of the constants in the order of `Constants.moved`; `prior` (p,) the prior
-    standard deviations; `sigma` (C,) of a low-passed residual; `kept`, `set_aside` count readings.
+    standard deviations; `kept`, `outliers` count readings.
     """
 
     constants: Constants
-    locals_: tuple[Local, ...]
     covariance: Array
     prior: Array
-    sigma: Array
     kept: int
-    set_aside: int
-    rounds: int
+    outliers: int
     converged: bool
     holdout: float | None
     deflections: tuple[Deflection, ...] = ()
+
+
+@dataclass(frozen=True)
+class _State:
+    """Where the fit stands: constants, what is each segment's own, widths of the priors."""
+
+    segments: list[Segment]
+    robot: Robot
+    imu: Imu
+    constants: Constants
+    locals_: list[Local]
+    widths: Widths
+
+    @classmethod
+    def first(cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> _State:
+        count = len(start.bias)
+        locals_ = [Local(s.start, np.zeros(count), np.zeros(len(s.locked))) for s in segments]
+        return cls(segments, robot, imu, start, locals_, first_widths(count))
+
+    def noise_scale(self) -> Array:
+        """Robust standard deviation (C,) of the low-passed residuals."""
+        parts = []
+        for segment, own in zip(self.segments, self.locals_, strict=True):
+            r, good, _ = residual(segment, self.robot, self.imu, self.constants, own)
+            parts.append(np.where(good, r, np.nan))
+        scale = PER_MEDIAN * np.nanmedian(np.abs(np.concatenate(parts)), axis=0)
+        sigma: Array = np.maximum(np.nan_to_num(scale, nan=1.0), 1e-6)
+        return sigma
+
+    def reductions(
+        self, sigma: Array, sizes: Sizes | None, weights: Sequence[Array] | None
+    ) -> list[Reduced]:
+        """The linear equations of each segment with its trajectory taken out."""
+        own_weights: Sequence[Array | None] = weights or [None] * len(self.segments)
+        return [
+            reduced(linearise(s, self.robot, self.imu, self.constants, own, sigma, sizes, w))
+            for s, own, w in zip(self.segments, self.locals_, own_weights, strict=True)
+        ]
+
+    def moved(
+        self, step: Array, share: float, reductions: list[Reduced], inner: list[_Inner]
+    ) -> _State:
+        """The state after a step of the constants.
+
+        Raises
+        ------
+        QualityError
+            If a gain is beyond `FACTOR`, or no number.
+        """
+        constants = self.constants.moved(step)
+        if not np.abs(constants.log_gain).max() < np.log(FACTOR):  # NaN neither
+            raise QualityError(
+                "its readings are not those of a sensor on that link: no gain explains them",
+                hint="Check gravity in the robot file, units and axes of the IMU, after_joint and "
+                "the order of the joints (seqid inspect LOG... -r ROBOT).",
+                where=self.imu.name,
+            )
+        locals_ = [
+            _moved(own, r, step, i, share)
+            for own, r, i in zip(self.locals_, reductions, inner, strict=True)
+        ]
+        return replace(self, constants=constants, locals_=locals_)
 
 
 def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> Fit:
@@ -97,99 +156,40 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
     QualityError
         If no constants of any such sensor explain the readings.
     """
-    found, sizes = _fitted(segments, robot, imu, start, None)
+    found, sizes = _fitted(_State.first(segments, robot, imu, start), None)
     if not any(deflection.sure for deflection in found.deflections):
         return found
-    return _fitted(segments, robot, imu, found.constants, sizes)[0]
+    return _fitted(_State.first(segments, robot, imu, found.constants), sizes)[0]
 
 
-def _fitted(
-    segments: list[Segment], robot: Robot, imu: Imu, start: Constants, sizes: Sizes | None
-) -> tuple[Fit, Sizes]:
+def _fitted(state: _State, sizes: Sizes | None) -> tuple[Fit, Sizes]:
     """Fit with the noise of raw readings, or from sizes on that are renewed in every round."""
-    count = len(start.bias)
-    constants = start
-    locals_ = [Local(s.start, np.zeros(count), np.zeros(len(s.locked))) for s in segments]
-    widths = first_widths(count)
     change, fixed = np.inf, None
     for number in range(ROUNDS):
-        sigma = noise_scale(segments, robot, imu, constants, locals_)
-        robust = sigma if number >= PLAIN_ROUNDS else np.full(count, np.inf)
-        reductions = _reductions(segments, robot, imu, constants, locals_, robust, sizes, fixed)
+        sigma = state.noise_scale()
+        robust = sigma if number >= PLAIN_ROUNDS else np.full(len(sigma), np.inf)
+        reductions = state.reductions(robust, sizes, fixed)
         if number == FREEZE:  # weights that jump to and fro would keep the fit from settling
             fixed = [r.linear.weights for r in reductions]
-        step, information, inner = _solve(reductions, imu, constants, locals_, widths)
+        step, information, inner = _solve(reductions, state)
         covariance = _inverse(information)
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         share = 1.0 if sizes is None or number < FREEZE else 0.5  # whole ones may jump to and fro
-        step = share * _limited(step)
-        constants = constants.moved(step)
-        if not np.abs(constants.log_gain).max() < np.log(FACTOR):  # NaN neither
-            raise QualityError(
-                "its readings are not those of a sensor on that link: no gain explains them",
-                hint="Check gravity in the robot file, units and axes of the IMU, after_joint and "
-                "the order of the joints (seqid inspect LOG... -r ROBOT).",
-                where=imu.name,
-            )
-        locals_ = [
-            _moved(own, r, step, i, share)
-            for own, r, i in zip(locals_, reductions, inner, strict=True)
-        ]
-        widths = _renewed(widths, imu, constants, covariance, locals_, inner)
+        state = state.moved(share * _limited(step), share, reductions, inner)
+        state = replace(state, widths=_renewed(state, covariance, inner))
         if sizes is not None:
             sizes = renewed([r.linear for r in reductions], sizes)
         if number > FREEZE and change < SETTLED:
             break
-    sigma = noise_scale(segments, robot, imu, constants, locals_)
-    reductions = _reductions(segments, robot, imu, constants, locals_, sigma, sizes, None)
+    reductions = state.reductions(state.noise_scale(), sizes, None)
     linear = [r.linear for r in reductions]
-    sizes = renewed(linear, sizes or _first_sizes(imu))
-    settled = change < SETTLED
-    fit = _finished(reductions, imu, constants, locals_, widths, sigma, number + 1, settled)
+    sizes = renewed(linear, sizes or _first_sizes(state.imu))
+    fit = _finished(reductions, state, converged=change < SETTLED)
     return replace(fit, deflections=deflections(linear, sizes)), sizes
 
 
 def _first_sizes(imu: Imu) -> Sizes:
     return Sizes(np.ones(kinds_of(imu).max() + 1), np.full(imu.after_joint + 1, FIRST_SIZE))
-
-
-def _reductions(
-    segments: list[Segment],
-    robot: Robot,
-    imu: Imu,
-    constants: Constants,
-    locals_: list[Local],
-    sigma: Array,
-    sizes: Sizes | None,
-    weights: list[Array] | None,
-) -> list[Reduced]:
-    own_weights: Sequence[Array | None] = weights or [None] * len(segments)
-    linear = [
-        linearise(s, robot, imu, constants, own, sigma, sizes, w)
-        for s, own, w in zip(segments, locals_, own_weights, strict=True)
-    ]
-    return [reduced(x) for x in linear]
-
-
-def noise_scale(
-    segments: list[Segment],
-    robot: Robot,
-    imu: Imu,
-    constants: Constants,
-    locals_: list[Local],
-) -> Array:
-    """Robust standard deviation (C,) of the low-passed residuals."""
-    parts = [
-        np.where(good, r, np.nan)
-        for r, good, _ in (
-            residual(s, robot, imu, constants, own)
-            for s, own in zip(segments, locals_, strict=True)
-        )
-    ]
-    r = np.concatenate(parts)
-    scale = PER_MEDIAN * np.nanmedian(np.abs(r), axis=0)
-    sigma: Array = np.maximum(np.nan_to_num(scale, nan=1.0), 1e-6)
-    return sigma
 
 
 @dataclass(frozen=True)
@@ -201,20 +201,15 @@ class _Inner:
     covariance: Array
 
 
-def _solve(
-    reductions: list[Reduced],
-    imu: Imu,
-    constants: Constants,
-    locals_: list[Local],
-    widths: Widths,
-) -> tuple[Array, Array, list[_Inner]]:
+def _solve(reductions: list[Reduced], state: _State) -> tuple[Array, Array, list[_Inner]]:
     """Step (p,), information (p, p), and the segments' own borders."""
+    widths = state.widths
     prior = prior_of(widths)
     p = len(prior)
-    information = np.diag(prior**-2.0) + gauge_information(imu, len(widths.gain), p)
-    gradient = -values_of(constants) / prior**2
+    information = np.diag(prior**-2.0) + gauge_information(state.imu, len(widths.gain), p)
+    gradient = -values_of(state.constants) / prior**2
     inner = []
-    for r, own in zip(reductions, locals_, strict=True):
+    for r, own in zip(reductions, state.locals_, strict=True):
         weights = own_precision(r.linear.segment, widths)
         Sll = r.S[p:, p:] + np.diag(weights)
         gl = r.g[p:] - weights * np.concatenate([own.bias, own.offset])
@@ -249,17 +244,11 @@ def _moved(own: Local, reduction: Reduced, step: Array, inner: _Inner, share: fl
     )
 
 
-def _renewed(
-    widths: Widths,
-    imu: Imu,
-    constants: Constants,
-    covariance: Array,
-    locals_: list[Local],
-    inner: list[_Inner],
-) -> Widths:
+def _renewed(state: _State, covariance: Array, inner: list[_Inner]) -> Widths:
     """Widths of the priors, per kind of sensor."""
+    constants, locals_, widths = state.constants, state.locals_, state.widths
     c = len(constants.bias)
-    k = channels_of(imu)[2]
+    k = channels_of(state.imu)[2]
     left_open = np.diag(covariance)
     drift = np.array([own.bias for own in locals_])
     drift_open = np.array([np.diag(i.covariance)[:c] for i in inner])
@@ -279,38 +268,22 @@ def _renewed(
     return result
 
 
-def _finished(
-    reductions: list[Reduced],
-    imu: Imu,
-    constants: Constants,
-    locals_: list[Local],
-    widths: Widths,
-    sigma: Array,
-    rounds: int,
-    converged: bool,
-) -> Fit:
-    _, information, inner = _solve(reductions, imu, constants, locals_, widths)
+def _finished(reductions: list[Reduced], state: _State, *, converged: bool) -> Fit:
+    _, information, inner = _solve(reductions, state)
     model = _inverse(information)
     blocks, own_share = [], np.zeros_like(model)
-    for r, own, i in zip(reductions, locals_, inner, strict=True):
-        scores, share = _scores(r, own, i, widths)
+    for r, own, i in zip(reductions, state.locals_, inner, strict=True):
+        scores, share = _scores(r, own, i, state.widths)
         blocks.append(scores)
         own_share += share
-    covariance = _widened(model, np.concatenate(blocks), own_share, widths, imu)
-    left_out = _left_out(reductions, inner, information)
-    outliers = sum(int(r.linear.outliers.sum()) for r in reductions)
-    kept = sum(int(r.linear.used.sum()) for r in reductions)
     return Fit(
-        constants,
-        tuple(locals_),
-        covariance,
-        prior_of(widths),
-        sigma,
-        kept,
-        outliers,
-        rounds,
-        converged,
-        left_out,
+        constants=state.constants,
+        covariance=_widened(model, np.concatenate(blocks), own_share, state.widths, state.imu),
+        prior=prior_of(state.widths),
+        kept=sum(int(r.linear.used.sum()) for r in reductions),
+        outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
+        converged=converged,
+        holdout=_left_out(reductions, inner, information),
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.rigid.inertia import slowest_speeds
+from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.model.torque import TorqueModel, friction_surfaces
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base_parameters import free_basis

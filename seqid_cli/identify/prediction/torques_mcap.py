@@ -39,7 +39,6 @@ _DEFINITION = (
     f"float64[] effort\n{_RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
     f"string frame_id\n{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
-_FLOATS = ("position", "velocity", "effort")
 
 
 class McapTorqueWriter:

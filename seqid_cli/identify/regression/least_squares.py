@@ -9,9 +9,8 @@ memory:
 Each joint has its own factor, so joints are weighted by their noise without another pass, and the
 columns of links that it does not carry, being zero, cost nothing. What comes out depends on the
 rows of a log and on how they are cut into blocks, not on where the log was reduced: signs are fixed
-and blocks merge in their order. Most blocks are reduced in the coordinates of earlier ones of the
-same log (see `factors`). The factors of blocks (about a second of motion each) are kept
-as well, merged pairwise when they become many: what one block says against all others gives
+and blocks merge in their order. The factors of blocks (about a second of motion each) are kept as
+well, merged pairwise when they become many: what one block says against all others gives
 standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
 small.
 """
@@ -24,9 +23,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from seqid_cli.identify.regression.qr_factors import (
-    ENOUGH,
-    Coordinates,
-    Spans,
     by_reflections,
     merged,
     merged_pairs,
@@ -55,7 +51,6 @@ class Accumulator:
     span: int = 1
     filled: int = 1
     _total: Array | None = field(default=None, repr=False, compare=False)
-    _seen: Coordinates | None = field(default=None, repr=False, compare=False)
 
     def add(
         self, H: Array, y: Array, where: Mask | None = None, *, loaded: Mask | None = None
@@ -74,7 +69,7 @@ class Accumulator:
                 H, spans = np.compress(where, H.T, axis=1).T, None
         goes_on = bool(self.blocks) and self.filled < self.span
         if len(y) or not goes_on:
-            factor = self._measured(H, y, not_zero(H, y, loaded, spans), spans)
+            factor = by_reflections(H, y, not_zero(H, y, loaded, spans), spans)
         if goes_on:
             if len(y):
                 self.blocks[-1] = merged(self.blocks[-1], factor)
@@ -85,24 +80,6 @@ class Accumulator:
         self.rows.append(len(y))
         self.filled = 1
         self._bound()
-
-    def _measured(self, H: Array, y: Array, alive: Mask, spans: Spans | None) -> Array:
-        """Factor of new rows; those that earlier ones are no measure for join the measure."""
-        factor = None if self._seen is None else self._seen.reduced(H, y, alive, spans=spans)
-        if factor is not None:
-            return factor
-        factor = by_reflections(H, y, alive, spans)
-        if len(y) >= ENOUGH * np.count_nonzero(alive):
-            seen = self._seen
-            self._seen = Coordinates.of(factor) if seen is None else seen.joined(factor)
-        return factor
-
-    def _reduced(self, H: Array, y: Array, alive: Mask) -> Array:
-        """Factor of rows among which are those of the measure."""
-        factor = None if self._seen is None else self._seen.reduced(H, y, alive, whole=True)
-        if factor is not None:
-            return factor
-        return by_reflections(H, y, alive)
 
     def __add__(self, other: Accumulator) -> Accumulator:
         """The rows of both, those of `other` behind."""
@@ -126,10 +103,7 @@ class Accumulator:
     def total(self) -> Array:
         """Factor of all rows, from the blocks in their order."""
         if self._total is None:
-            size = self.size + 1
-            rows = np.vstack(self.blocks or [np.zeros((0, size))])
-            H, y = rows[:, :-1], rows[:, -1]
-            self._total = self._reduced(H, y, not_zero(H, y))
+            self._total = triangular(np.vstack(self.blocks or [np.zeros((0, self.size + 1))]))
         return self._total
 
     @property

@@ -11,23 +11,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
-from seqid_cli.identify.rigid.parameters import (
-    empty_stage,
-    not_excited,
-    parameters_of,
-    representative_of,
-)
+from seqid_cli.identify.rigid.parameters import empty_stage, rigid_stage
 from seqid_cli.identify.rigid.posterior import (
     Posterior,
     Sensitivity,
-    as_lists,
-    as_matrices,
     constant_moves,
     friction_covariance,
 )
@@ -38,8 +32,6 @@ from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-
-POOR_CONDITION = 300.0
 
 
 def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
@@ -198,18 +190,23 @@ def _joined(parts: list[_TrialRows], size: int) -> Rows:
     )
 
 
-def _stage(robot: Robot, basis: Basis, solution: Solution, rows: GravityRows) -> RigidStage:
+def _stage(
+    robot: Robot,
+    basis: Basis,
+    solution: Solution,
+    rows: GravityRows,
+    *,
+    poor_condition: float = 300.0,
+) -> RigidStage:
+    """The stage; it is poor from a condition number of `poor_condition` on."""
     sensitivity = rows.sensitivity(solution)
     covariance = solution.covariance + rows.acceleration_part(solution)
     covariance += friction_covariance(sensitivity, rows.surfaces, rows.size)
     moves = constant_moves(solution, robot.torque_constant_errors, {})
     posterior = Posterior(covariance, sensitivity, moves)
-    indices = np.arange(rows.size)
-    determined = indices[solution.determined]
-    theta = np.zeros(basis.size)
-    theta[: rows.size] = solution.theta
-    missing = not_excited(basis, solution, indices)
-    notes = []
+    own = np.arange(rows.size)
+    stage = rigid_stage(robot, basis, solution, posterior, own, np.zeros(robot.n))
+    missing, notes = stage.not_excited, []
     if missing:
         notes.append(
             f"not excited by these logs: {'; '.join(missing)}. Move the joints that carry them "
@@ -217,19 +214,7 @@ def _stage(robot: Robot, basis: Basis, solution: Solution, rows: GravityRows) ->
         )
     if rows.skipped:
         notes.append("trials without a friction surface left out: " + ", ".join(set(rows.skipped)))
-    good = not missing and solution.condition < POOR_CONDITION
+    good = not missing and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {rows.size}, condition {solution.condition:.3g}"
-    return RigidStage(
-        parameters=parameters_of(robot, basis, determined, theta, posterior.stated),
-        condition=solution.condition,
-        rank=solution.rank,
-        structural_rank=rows.size,
-        representative=representative_of(basis, theta, np.zeros(robot.n)),
-        covariance=covariance[np.ix_(determined, determined)].tolist(),
-        friction_sensitivity=as_matrices(sensitivity, determined, robot.joint_names),
-        torque_constant_moves=as_lists(moves, determined, robot.joint_names),
-        not_excited=missing,
-        rmse={},
-        verdicts=[Verdict(good=good, reason=reason)],
-        notes=notes,
-    )
+    verdict = Verdict(good=good, reason=reason)
+    return replace(stage, structural_rank=rows.size, verdicts=[verdict], notes=notes)

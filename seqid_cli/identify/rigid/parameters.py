@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.identify.rigid.posterior import Posterior, as_lists, as_matrices
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Index
 
 
@@ -42,6 +44,44 @@ def representative_of(basis: Basis, theta: Array, rotors: Array) -> dict[str, fl
 def not_excited(basis: Basis, solution: Solution, candidates: Index) -> list[str]:
     """Names of parameters among `candidates` that these data do not determine, with expressions."""
     return [basis.expression_text(int(k)) for k in candidates if not solution.determined[int(k)]]
+
+
+def rigid_stage(
+    robot: Robot, basis: Basis, solution: Solution, posterior: Posterior, own: Index, rotors: Array
+) -> RigidStage:
+    """A stage with what a solution tells of the base parameters `own` (indices).
+
+    `rotors` (n,) kg m^2 are the known rotor inertias that the representative has besides.
+    """
+    determined = own[solution.determined[own]]
+    theta = np.zeros(basis.size)
+    theta[: min(len(solution.theta), basis.size)] = solution.theta[: basis.size]
+    names = robot.joint_names
+    return RigidStage(
+        parameters=parameters_of(robot, basis, determined, theta, posterior.stated),
+        condition=solution.condition,
+        rank=solution.rank,
+        structural_rank=basis.size,
+        representative=representative_of(basis, theta, rotors),
+        covariance=posterior.covariance[np.ix_(determined, determined)].tolist(),
+        friction_sensitivity=as_matrices(posterior.friction, determined, names),
+        torque_constant_moves=as_lists(posterior.constants, determined, names),
+        not_excited=not_excited(basis, solution, own),
+    )
+
+
+def residual_share(sigma: float, squares: float, samples: int) -> tuple[float, str]:
+    """Share of a joint's torque that is left, and the words for it.
+
+    Parameters
+    ----------
+    sigma : float
+        RMS residual, N m.
+    squares : float
+        Sum of squares of the measured torque, (N m)^2, over so many `samples`.
+    """
+    share = sigma / max(float(np.sqrt(squares / samples)), 1e-300)
+    return share, f"leaves {percent(share)} of the torque ({sigma:.3g} N m)"
 
 
 def empty_stage(note: str, method: str = "sequential") -> RigidStage:

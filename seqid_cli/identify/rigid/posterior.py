@@ -30,9 +30,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.identify.regression.least_squares import Prior, Solution, whitened
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Matrix, RigidStage
+from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index
 
@@ -189,3 +190,23 @@ def constants_note(robot: Robot) -> list[str]:
         f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
         "file adds their error to the standard errors"
     ]
+
+
+def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:
+    """The gravity stage as rows of unit variance on the base parameters that it determined."""
+    if gravity is None or not gravity.parameters:
+        return None
+    size = int(basis.gravity.sum())
+    rows = whitened(np.array(gravity.covariance))
+    wide = np.zeros((len(rows), basis.size))
+    own = [basis.names.index(parameter.name) for parameter in gravity.parameters]
+    wide[:, own] = rows
+    return Prior(wide, rows @ _gravity_values(gravity, basis, size)[own])
+
+
+def _gravity_values(gravity: RigidStage, basis: Basis, size: int) -> Array:
+    """Base gravity parameters of the stage, undetermined ones at their smallest values."""
+    names = standard_names(basis.expression.shape[1] // 11)
+    phi = np.array([gravity.representative.get(name, 0.0) for name in names])
+    values: Array = (basis.expression @ phi)[:size]
+    return values

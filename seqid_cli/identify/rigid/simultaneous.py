@@ -14,6 +14,7 @@ from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.motion_use import motion_use, source_text
@@ -24,8 +25,8 @@ from seqid_cli.identify.regression.equations import (
     torque_motion,
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
-from seqid_cli.identify.rigid.parameters import not_excited, parameters_of, representative_of
-from seqid_cli.identify.rigid.posterior import Posterior, as_lists, constant_moves, constants_note
+from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
+from seqid_cli.identify.rigid.posterior import Posterior, constant_moves, constants_note
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
@@ -43,14 +44,11 @@ from seqid_cli.params.schema import (
 )
 from seqid_cli.robot.base_parameters import Basis, free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
-from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
 SIGN_SHARE = 0.004  # width of the smoothed sign over the joint's fastest speed
 LEAST_WIDTH = 1e-6  # rad/s, of a joint that never moved
-POOR_SHARE = 0.25
-CLEARLY = 3.0  # standard errors, by which Coulomb friction is below zero
 
 
 def identify_simultaneous(
@@ -239,21 +237,14 @@ class SimultaneousEquations:
 
     def _rigid(self, solution: Solution, posterior: Posterior, cutoff: float | None) -> RigidStage:
         basis, robot = self.basis, self.robot
-        indices = np.arange(basis.size)
-        own = indices[solution.determined[: basis.size]]
-        missing = not_excited(basis, solution, indices)
-        rank = solution.rank - len(self.terms) * sum(joint.samples > 0 for joint in self.joints)
-        return RigidStage(
-            parameters=parameters_of(robot, basis, own, solution.theta, posterior.stated),
-            condition=solution.condition,
-            rank=rank,
-            structural_rank=basis.size,
-            representative=representative_of(
-                basis, solution.theta[: basis.size], known_rotors(robot)
-            ),
-            covariance=solution.covariance[np.ix_(own, own)].tolist(),
-            torque_constant_moves=as_lists(posterior.constants, own, robot.joint_names),
-            not_excited=missing,
+        own = np.arange(basis.size)
+        stage = rigid_stage(robot, basis, solution, posterior, own, known_rotors(robot))
+        missing = stage.not_excited
+        moved = sum(joint.samples > 0 for joint in self.joints)
+        return replace(
+            stage,
+            rank=solution.rank - len(self.terms) * moved,
+            friction_sensitivity={},
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
             method="simultaneous",
             motion={use.log: source_text(use) for use in self.uses},
@@ -263,22 +254,32 @@ class SimultaneousEquations:
             notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
         )
 
-    def _verdicts(self, solution: Solution, missing: list[str]) -> list[Verdict]:
+    def _verdicts(
+        self,
+        solution: Solution,
+        missing: list[str],
+        *,
+        poor_share: float = 0.25,
+        clear_sigma: float = 3.0,
+    ) -> list[Verdict]:
+        """A joint is poor where more than `poor_share` of its torque is left.
+
+        So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
+        """
         verdicts = []
         for j, name in enumerate(self.robot.joint_names):
             samples = self.joints[j].samples
             if not samples:
                 verdicts.append(Verdict(joint=name, good=False, reason="does not move"))
                 continue
-            rms = float(np.sqrt(self.torque_squares[j] / samples))
-            share = float(solution.sigma[j]) / max(rms, 1e-300)
-            reason = f"leaves {percent(share)} of the torque ({solution.sigma[j]:.3g} N m)"
+            left = float(solution.sigma[j]), float(self.torque_squares[j]), samples
+            share, reason = residual_share(*left)
             at = self._own(j).start
             dry, error = float(solution.theta[at]), float(np.sqrt(solution.covariance[at, at]))
-            drives = dry < -CLEARLY * error
+            drives = dry < -clear_sigma * error
             if drives:
                 reason += f"; Coulomb friction of {dry:.3g} N m cannot be: record moves both ways"
-            good = share < POOR_SHARE and not drives
+            good = share < poor_share and not drives
             verdicts.append(Verdict(joint=name, good=good, reason=reason))
         reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
         verdicts.append(Verdict(good=not missing, reason=reason))

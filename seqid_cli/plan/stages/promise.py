@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import RANK_TOLERANCE, whitened
-from seqid_cli.identify.rigid.inertia import gravity_prior
-from seqid_cli.identify.rigid.posterior import sensitivity_of
+from seqid_cli.identify.rigid.posterior import gravity_prior, sensitivity_of
 from seqid_cli.params.results.plan import PlanGrowth, PlannedStage, PredictedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical

@@ -1,4 +1,4 @@
-"""Factors from Gram matrices in the coordinates of earlier rows: as good as by reflections."""
+"""Factors of blocks, merged, are as good as one least squares over all rows."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.regression import least_squares
 from seqid_cli.identify.regression.least_squares import Accumulator
-from seqid_cli.identify.regression.qr_factors import LARGEST, Coordinates, by_reflections, not_zero
+from seqid_cli.identify.regression.qr_factors import by_reflections, not_zero
 
 Array = NDArray[np.float64]
 WIDTH, ROWS, BLOCKS = 24, 400, 12
@@ -44,21 +43,6 @@ def off(R: Array, rows: Array) -> float:
     return float(np.abs(R.T @ R - rows.T @ rows).max())
 
 
-@pytest.fixture
-def reflections(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Lengths of the blocks that were reduced by reflections."""
-    seen: list[int] = []
-
-    def counted(
-        H: Array, y: Array, alive: NDArray[np.bool_], spans: list[tuple[int, int]] | None = None
-    ) -> Array:
-        seen.append(len(y))
-        return by_reflections(H, y, alive, spans)
-
-    monkeypatch.setattr(least_squares, "by_reflections", counted)
-    return seen
-
-
 @pytest.mark.parametrize("power", range(0, 13, 2))
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_the_solution_is_as_good_as_lstsqs(power: int, noise: float) -> None:
@@ -78,18 +62,6 @@ def test_the_solution_is_as_good_as_lstsqs(power: int, noise: float) -> None:
         limit = max(3.0 * apart, 1e-9 * noise * np.sqrt(len(H)))
         assert np.linalg.norm(H @ (solved(found) - by_qr)) <= limit
     assert off(found, np.column_stack([H, y])) < 1e-11
-
-
-@pytest.mark.parametrize("condition", [1.0, 1e3, 1e4])
-def test_all_but_the_first_blocks_are_spared_reflections(
-    condition: float, reflections: list[int]
-) -> None:
-    rng = np.random.default_rng(1)
-    H = conditioned(rng, condition, ROWS * BLOCKS, WIDTH)
-    joint = accumulated(H, H @ np.ones(WIDTH) + 0.1 * rng.normal(size=len(H)))
-    assert reflections == [ROWS]
-    assert joint.total.shape == (WIDTH + 1, WIDTH + 1)
-    assert reflections == [ROWS]
 
 
 @pytest.mark.parametrize("condition", [1.0, 1e3, 1e7])
@@ -208,18 +180,6 @@ def test_what_is_not_a_number_does_not_go_unseen() -> None:
     assert np.isnan(accumulated(H, y).blocks[1]).any()
 
 
-def test_rows_far_larger_than_all_before_are_left_to_reflections() -> None:
-    rng = np.random.default_rng(10)
-    H, y = rng.normal(size=(ROWS, WIDTH)), rng.normal(size=ROWS)
-    alive = not_zero(H, y)
-    seen = Coordinates.of(by_reflections(H, y, alive))
-    assert seen.reduced(H, y, alive) is not None
-    assert seen.reduced(LARGEST * H, y, alive) is None
-    assert seen.reduced(H[:WIDTH], y[:WIDTH], alive) is None
-    fewer = np.where(np.arange(WIDTH) == 3, 0.0, H)
-    assert seen.reduced(fewer, y, not_zero(fewer, y)) is None
-
-
 @pytest.mark.parametrize("starts", [True, False])
 def test_stretches_of_rows_are_picked_as_single_rows_are(starts: bool) -> None:
     rng = np.random.default_rng(11)
@@ -229,7 +189,7 @@ def test_stretches_of_rows_are_picked_as_single_rows_are(starts: bool) -> None:
     memory[3] = np.where(where, 0.0, 1.0)
     H, y = memory.T, rng.normal(size=len(where))
     across, along = Accumulator(WIDTH), Accumulator(WIDTH)
-    for _ in range(2):  # by reflections, then in the coordinates of the first
+    for _ in range(2):
         along.add(H, y, where)
         across.add(np.ascontiguousarray(H), y, where)
     assert along.rows == across.rows

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.gravity import GROUP, GravityRows, _stage
-from seqid_cli.identify.rigid.inertia import gravity_prior
-from seqid_cli.identify.rigid.posterior import friction_covariance
+from seqid_cli.identify.rigid.posterior import friction_covariance, gravity_prior
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor

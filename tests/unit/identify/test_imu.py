@@ -13,7 +13,6 @@ from seqid_cli.errors import UsageError
 from seqid_cli.identify.imu_calibration.axis_pairs import (
     Pair,
     fit_rotation,
-    rotation_covariance,
     shortest_rotation,
 )
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
@@ -76,6 +75,15 @@ def test_it_minimises_the_weighted_sum_of_squares() -> None:
     for _ in range(50):
         turned = Rotation.from_rotvec(1e-3 * rng.standard_normal(3)).as_matrix() @ best
         assert cost(turned) > cost(best)
+
+
+def rotation_covariance(pairs: list[Pair]) -> Array:
+    """Covariance (3, 3) rad^2 of small rotations about the link's axes; huge where unknown."""
+    information = np.zeros((3, 3))
+    for pair in pairs:
+        information += (np.eye(3) - np.outer(pair.link, pair.link)) / pair.sigma**2
+    value, vector = np.linalg.eigh(information)
+    return np.asarray((vector / np.maximum(value, 1e-3)) @ vector.T)
 
 
 def test_reported_errors_are_those_seen() -> None:

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_verdicts, judged
-from seqid_cli.identify.log_verdicts import notes_of_logs, remedies, verdicts_of_logs
+from seqid_cli.identify.log_verdicts import notes_of_logs, verdicts_of_logs
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.inspect.findings.finding import found
@@ -124,4 +124,3 @@ def test_errors_of_logs_are_verdicts_and_warnings_are_notes() -> None:
     assert notes_of_logs(logs) == [
         "a: [torque_saturated] x and 2 more logs: current is at 5 in 3 %"
     ]
-    assert remedies(logs) == [error.remedy]

@@ -142,10 +142,10 @@ def test_the_command_passes_over_long_logs(
     pass_over = streaming.pass_over
 
     def spy(log: SurveyedLog, equations: streaming.Equations) -> object:
-        passed.append(log.path)
+        passed.extend([log.path] if isinstance(log, SurveyedLog) else [])
         return pass_over(log, equations)
 
-    monkeypatch.setattr("seqid_cli.identify.rigid.inertia.pass_over", spy)
+    monkeypatch.setattr("seqid_cli.identify.rigid.inertia_equations.pass_over", spy)
     results = []
     for least in (SAMPLES + 1, SAMPLES):
         monkeypatch.setattr(streaming, "LONG", least)

@@ -26,6 +26,7 @@ from seqid_cli.identify.friction_surface.trials import (
     speed_levels,
 )
 from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.logs.long import Block
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward
@@ -258,6 +259,7 @@ def test_a_short_trial_shows_its_acceleration(slices: int) -> None:
     time = (np.arange(samples) - samples / 2) / rate
     q = np.column_stack([np.zeros(samples), 4.0 * time + 0.5 * push * time**2])
     stretch = Stretch(1, 0, samples, 0, samples, 4.0, (0.0, 0.0))
-    found = _trial(q, np.zeros_like(q), rate, stretch, begin=0, log=0)
+    block = Block(0, q, np.zeros_like(q), np.ones(samples, dtype=bool))
+    found = _trial(block, stretch, rate, 0, None)
     assert len(found.q) == slices
     np.testing.assert_allclose(found.ddq, push, rtol=1e-6)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.regression.least_squares import Prior, Solution, solve
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.regression.least_squares import Prior, Solution, solve
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.bodies.demand import identified

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.identify.common_cutoff import inherited
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
-from seqid_cli.identify.common_cutoff import inherited
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import now, robot_id, tool

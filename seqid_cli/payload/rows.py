@@ -20,10 +20,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.regression.equations import blocks, filtered_regressor
-from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.log_prediction import slides_from
+from seqid_cli.identify.regression.equations import blocks, filtered_regressor
+from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects

@@ -10,6 +10,7 @@ date is identified from its logs by itself, and `seqid trend` gets all files.
 from __future__ import annotations
 
 import argparse
+import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -93,13 +94,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = trend(paths, TrendOptions(by="folder"), output=given.folder / "trend.json")
     named = {Path(change.robot).name for change in found.changes}
     worn = {f"robot_{robot.seed}" for robot in fleet if robot.wear}
-    print(f"worn {sorted(worn)}, named {sorted(named)}")
-    for change in found.changes:
-        print(
-            f"{Path(change.robot).name} {change.stage} {change.name}: {change.kind} since "
-            f"{change.since[:10]}, {change.relative or 0:+.1%}, {change.sigmas or 0:.1f} sigma"
-        )
-    print(f"inflation {found.inflation}, limit {found.limit:.2f}")
+    lines = [f"worn {sorted(worn)}, named {sorted(named)}"]
+    lines += [
+        f"{Path(change.robot).name} {change.stage} {change.name}: {change.kind} since "
+        f"{change.since[:10]}, {change.relative or 0:+.1%}, {change.sigmas or 0:.1f} sigma"
+        for change in found.changes
+    ]
+    lines.append(f"inflation {found.inflation}, limit {found.limit:.2f}")
+    sys.stdout.write("\n".join(lines) + "\n")
     return int(named != worn)
 
 

@@ -183,7 +183,7 @@ def _check(name: str, stage: RigidStage, basis: Basis, robot: Robot) -> None:
 
 
 def whitening(covariance: Array, least: float) -> Array:
-    """Return W with W'W the inverse of the covariance, errors bounded from below."""
+    """Return W (b, b) with W'W the inverse of a covariance (b, b), errors at least `least`."""
     if not len(covariance):
         return np.zeros((0, 0))
     errors = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), least)

@@ -14,8 +14,8 @@ from seqid_cli.params.results.inspection import INSPECTION_SCHEMA, InspectionFil
 from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
 from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
-from seqid_cli.params.schema import SCHEMA, ParameterFile
 from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
+from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 SCHEMA_FOLDER = Path(__file__).parent / "schemas"
 DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {

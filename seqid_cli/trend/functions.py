@@ -10,8 +10,8 @@ from seqid_cli.identify.inputs import Model, model_id, read_models
 from seqid_cli.logs.given import PathLike, listed, optional
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.schema import ParameterFile
 from seqid_cli.params.results.trend import TrendFile
+from seqid_cli.params.schema import ParameterFile
 from seqid_cli.trend.options import TrendOptions
 
 

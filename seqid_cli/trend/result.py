@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.files import replacing, writing
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import ParameterFile
 from seqid_cli.params.results.trend import TREND_SCHEMA, ChangeEntry, SeriesEntry, TrendFile
+from seqid_cli.params.schema import ParameterFile
 from seqid_cli.trend.changes import Change, best_change, limit_of, scatter_of
 from seqid_cli.trend.options import TrendOptions
 from seqid_cli.trend.series import Dated, Series, robots_of, series_of

@@ -25,7 +25,7 @@ from seqid_cli.payload.body import body_of
 from seqid_cli.payload.fit import PayloadFit, fit_payload
 from seqid_cli.payload.options import PayloadOptions
 from seqid_cli.payload.settings import settings_of
-from seqid_cli.robot.base import STANDARD, parameter_unit
+from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.shares import percent
 
 Array = NDArray[np.float64]

@@ -32,7 +32,7 @@ from seqid_cli.model.torque import TorqueModel, sliding
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.base import Basis, free_basis
+from seqid_cli.robot.base_parameters import Basis, free_basis
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Robot
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.base import Struct
-from seqid_cli.params.html import Document
+from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Tool
 

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from seqid_cli.robot.base import STANDARD
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.logs.read import read_recording
@@ -19,6 +18,7 @@ from seqid_cli.params.schema import ParameterFile, RigidStage
 from seqid_cli.payload import PayloadOptions, payload
 from seqid_cli.payload.body import body_of
 from seqid_cli.payload.settings import settings_of
+from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics
 from seqid_cli.robot.types import Robot

@@ -50,6 +50,10 @@ COMMANDS: Mapping[str, Entry] = {
     "refine": Entry("refine", "Add the effects that a model lacks, checked on held-out logs."),
     "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
     "plan": Entry("plan", "Plan what to record next, and the errors that it will give."),
+    "payload": Entry(
+        "payload", "Identify the mass, centre and inertia of what the flange carries."
+    ),
+    "trend": Entry("trend", "Find out what changed over time, beyond its error, on any robot."),
     "report": Entry("report", "Write the results as one HTML page, the verdict first."),
     "export": Entry("export", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
     "compare": Entry("compare", "Compare two results against their standard errors."),

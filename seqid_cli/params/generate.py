@@ -11,8 +11,10 @@ import msgspec
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.results.inspection import INSPECTION_SCHEMA, InspectionFile
+from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
 from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
+from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 SCHEMA_FOLDER = Path(__file__).parent / "schemas"
@@ -22,6 +24,8 @@ DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     DIAGNOSIS_SCHEMA: DiagnosisFile,
     INSPECTION_SCHEMA: InspectionFile,
     PLAN_SCHEMA: PlanFile,
+    PAYLOAD_SCHEMA: PayloadFile,
+    TREND_SCHEMA: TrendFile,
 }
 
 

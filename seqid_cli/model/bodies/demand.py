@@ -42,8 +42,9 @@ class Identified:
     """What the rigid-body stages of a file say.
 
     `values`, `errors` (b,) and `covariance` (b, b) are of the base parameters `rows` of `basis`,
-    the ones that the logs determined; `known` (n,) kg m^2 are rotor inertias of the robot file and
-    `free` lists joints whose rotor inertia was identified.
+    the ones that the logs determined; `moves` (n, b) is the part of these errors that each joint's
+    torque constant has. `known` (n,) kg m^2 are rotor inertias of the robot file and `free` lists
+    joints whose rotor inertia was identified.
     """
 
     basis: Basis
@@ -51,8 +52,15 @@ class Identified:
     values: Array
     errors: Array
     covariance: Array
+    moves: Array
     known: Array
     free: tuple[int, ...]
+
+    @property
+    def held_covariance(self) -> Array:
+        """Covariance (b, b) for torque constants as they are: of torque by the same drives."""
+        held: Array = self.covariance - self.moves.T @ self.moves
+        return held
 
     @property
     def demand(self) -> Demand:
@@ -65,7 +73,7 @@ class Identified:
             E[:, :links],
             E[:, rotors],
             self.values,
-            _whitening(self.covariance, _LEAST_ERROR * max(scale, 1e-12)),
+            whitening(self.covariance, _LEAST_ERROR * max(scale, 1e-12)),
         )
 
     @property
@@ -112,7 +120,7 @@ def identified(stages: Stages, robot: Robot, *, more: Array | None = None) -> Id
         phi = np.concatenate([links.ravel(), rotor])
     if more is not None:
         phi = phi + more
-    found, covariance = _determined(stages, basis, robot)
+    found, covariance, moves = _determined(stages, basis, robot)
     rows = tuple(basis.names.index(parameter.name) for parameter in found)
     known = np.array([joint.rotor_inertia is not None for joint in robot.joints])
     first = PER_LINK * robot.n
@@ -130,13 +138,14 @@ def identified(stages: Stages, robot: Robot, *, more: Array | None = None) -> Id
         values=values[list(rows)],
         errors=np.array([parameter.std_error for parameter in found]),
         covariance=covariance,
+        moves=moves,
         known=np.where(known, phi[first:], 0.0) if stages.inertia else known_rotors(robot),
         free=tuple(int(j) for j in np.flatnonzero(seen)),
     )
 
 
-def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parameter], Array]:
-    """Parameters that the logs determined, inertia's word before gravity's, and covariance."""
+def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parameter], Array, Array]:
+    """Parameters that the logs determined, inertia's word before gravity's, covariance, moves."""
     found: list[Parameter] = []
     blocks: list[Array] = []
     moves: list[Array] = []
@@ -158,8 +167,8 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parame
         part = slice(start, start + len(block))
         covariance[part, part] = block
         start += len(block)
-    common = np.hstack(moves) if moves else np.zeros((0, 0))  # one error per joint in all stages
-    return found, covariance + common.T @ common
+    common = np.hstack(moves) if moves else np.zeros((robot.n, 0))  # one error per joint
+    return found, covariance + common.T @ common, common
 
 
 def _check(name: str, stage: RigidStage, basis: Basis, robot: Robot) -> None:
@@ -173,8 +182,8 @@ def _check(name: str, stage: RigidStage, basis: Basis, robot: Robot) -> None:
             )
 
 
-def _whitening(covariance: Array, least: float) -> Array:
-    """Return W with W'W the inverse of the covariance, errors bounded from below."""
+def whitening(covariance: Array, least: float) -> Array:
+    """Return W (b, b) with W'W the inverse of a covariance (b, b), errors at least `least`."""
     if not len(covariance):
         return np.zeros((0, 0))
     errors = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), least)

@@ -24,7 +24,7 @@ from seqid_cli.commands.render import plain_table
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.scale.executors import cores, processes
-from seqid_cli.scale.fleet import Fleet, judge_fleet
+from seqid_cli.trend.fleet import Fleet, judge_fleet
 from tests.plants.experiments import Trial, friction_trials, inertia_trials
 from tests.plants.friction import SurfaceFriction
 from tests.plants.rigs import two_joint

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import UsageError
 from seqid_cli.params.schema import Parameter, ParameterFile
-from seqid_cli.scale.fleet import judge_fleet, robust_scores
+from seqid_cli.trend.fleet import judge_fleet, robust_scores
 from tests.unit.params.documents import full_file
 from tests.unit.scale import fleet
 

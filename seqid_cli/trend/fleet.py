@@ -28,26 +28,14 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from seqid_cli.errors import UsageError
-from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.params.schema import FrictionJoint, ParameterFile, Stages
+from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robust import gaussian_spread
+from seqid_cli.trend.quantities import Quantity, quantities, speeds_of
 
 Array = NDArray[np.float64]
 
 LEAST_ROBOTS = 4
 LEAST_CHANGE = 0.01  # of a parameter's size: less is of no use to anybody
-POSITIONS = 25
-SPEEDS = 3
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One number that every robot has: a parameter, or the friction of a joint at a speed."""
-
-    stage: str
-    joint: str
-    name: str
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -104,7 +92,8 @@ def judge_fleet(robots: Mapping[str, ParameterFile], *, alpha: float = 0.01) -> 
     """
     _check(robots, alpha)
     names = list(robots)
-    tables = [dict(_quantities(robots[name].stages, _speeds(robots))) for name in names]
+    speeds = speeds_of(robots.values())
+    tables = [dict(quantities(robots[name].stages, speeds)) for name in names]
     shared = [q for q in tables[0] if all(q in table for table in tables)]
     if not shared:
         raise UsageError(
@@ -172,43 +161,6 @@ def _check(robots: Mapping[str, ParameterFile], alpha: float) -> None:
                 where=name,
                 hint="Compare robots of one type.",
             )
-
-
-def _quantities(
-    stages: Stages, speeds: Mapping[str, Array]
-) -> Iterator[tuple[Quantity, tuple[float, float]]]:
-    """Yield what a robot can be compared by, with value and standard error."""
-    for joint, surface in (stages.friction.joints if stages.friction else {}).items():
-        for speed in speeds.get(joint, ()):
-            quantity = Quantity("friction", joint, f"at {speed:.3g} rad/s", surface.unit)
-            yield quantity, _mean_friction(surface, float(speed))
-    for name, stage in (("gravity", stages.gravity), ("inertia", stages.inertia)):
-        for p in stage.parameters if stage else ():
-            yield Quantity(name, p.joint, p.name, p.unit), (p.value, p.std_error)
-
-
-def _speeds(robots: Mapping[str, ParameterFile]) -> dict[str, Array]:
-    """Speeds of each joint that all robots' friction is known at."""
-    found: dict[str, list[tuple[float, float]]] = {}
-    for file in robots.values():
-        for joint, surface in (file.stages.friction.joints if file.stages.friction else {}).items():
-            low, high = surface.speed_range
-            found.setdefault(joint, []).append((max(low, SLIDES * surface.sign_width), high))
-    ends = {j: (max(r[0] for r in own), min(r[1] for r in own)) for j, own in found.items()}
-    return {j: np.linspace(low, high, SPEEDS) for j, (low, high) in ends.items() if low < high}
-
-
-def _mean_friction(joint: FrictionJoint, speed: float) -> tuple[float, float]:
-    """Mean friction over positions and both directions at a speed, and its standard error."""
-    surface = FrictionSurface.from_stage(joint)
-    low, high = joint.position_range
-    q = np.tile(np.linspace(low, high, POSITIONS), 2)
-    v = np.repeat([speed, -speed], POSITIONS)
-    mean = float(np.mean(np.sign(v) * surface.torque(q, v)))
-    row = np.mean(np.sign(v)[:, None] * surface.columns(q, v), axis=0)
-    if surface.covariance.shape != (len(row), len(row)):
-        return mean, 0.0
-    return mean, float(np.sqrt(max(row @ surface.covariance @ row, 0.0)))
 
 
 def _notes(

@@ -1,0 +1,115 @@
+"""`seqid payload`: what the flange carries."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from seqid_cli.commands.job import any_poor, listening, tell_output, tell_remedies
+from seqid_cli.commands.options import (
+    Clock,
+    Cutoff,
+    Logs,
+    MotionSource,
+    Output,
+    Parameters,
+    RobotPath,
+    SkipFailed,
+    Strict,
+    positive,
+)
+from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.commands.show import show_poor, verdict_text
+from seqid_cli.params.results.payload import Measured, PayloadFile
+
+EXAMPLES = (
+    "seqid payload loaded/*.parquet -r robot.toml -p inertia.json -o payload.json",
+    "seqid payload loaded -r robot.toml -p inertia.json --friction-change 0.1 --json",
+)
+
+FrictionChange = Annotated[
+    float,
+    typer.Option(
+        "--friction-change",
+        metavar="SHARE",
+        callback=positive("number"),
+        help="Standard deviation by which friction may differ from the model's, as a share of it.",
+    ),
+]
+
+
+def run(
+    context: typer.Context,
+    logs: Logs,
+    robot: RobotPath,
+    parameters: Parameters,
+    output: Output = None,
+    friction_change: FrictionChange = 0.2,
+    motion: MotionSource = "auto",
+    cutoff: Cutoff = None,
+    time: Clock = "header",
+    skip_failed: SkipFailed = False,
+    strict: Strict = False,
+) -> int:
+    """Identify the mass, centre of mass and inertia of what the flange carries.
+
+    The logs are recorded with the tool or load, the parameter file is of the arm without it. Moves
+    of all joints, some of them slow, tell most. The result is in the frame of the last joint.
+    """
+    with listening(screen_of(context)) as told:
+        from seqid_cli import payload
+
+        options = payload.PayloadOptions(
+            cutoff_hz=cutoff,
+            time_source=time,
+            skip_failed=skip_failed,
+            source=motion,
+            friction_change=friction_change,
+        )
+        file = payload.payload(logs, robot, parameters, options, output=output, on_progress=told)
+    screen = told.screen
+    screen.document(file)
+    _show(screen, file)
+    tell_output(screen, output, robot)
+    poor = any_poor(file.verdicts)
+    if poor:
+        tell_remedies(screen, told.findings)
+    return told.exit_code(untrusted=strict and poor)
+
+
+def _show(screen: Screen, file: PayloadFile) -> None:
+    body = file.payload
+    rows = [_row("mass", body.mass)]
+    rows += [
+        _row(f"centre of mass {axis}", x)
+        for axis, x in zip("xyz", body.center_of_mass, strict=True)
+    ]
+    for i in range(3 if body.inertia else 0):
+        for k in range(i, 3):
+            error = body.inertia_std_errors[i][k]
+            own = Measured(value=body.inertia[i][k], std_error=error, unit="kg m^2")
+            rows.append(_row(f"inertia {'xyz'[i]}{'xyz'[k]}", own))
+    screen.table((f"payload, frame {body.frame}", "value", "std error", "unit"), rows)
+    joints = [
+        (
+            name,
+            number(joint.before),
+            number(joint.after),
+            percent(joint.relative),
+            percent(joint.friction_change),
+        )
+        for name, joint in file.joints.items()
+    ]
+    columns = ("joint", "RMSE without N m", "with N m", "of the torque", "friction differs by")
+    screen.table(columns, joints)
+    for where, text in file.settings.items():
+        screen.result(f"{where}: {text}")
+    show_poor(screen, [verdict for verdict in file.verdicts if verdict.joint], "payload")
+    screen.result(f"payload: {verdict_text(file.verdicts, '')}")
+    for note in file.notes:
+        screen.remark(note)
+
+
+def _row(name: str, measured: Measured) -> tuple[str, ...]:
+    return name, number(measured.value, 4), number(measured.std_error, 2), measured.unit

@@ -1,0 +1,126 @@
+"""`seqid trend`: what changed over time."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
+from seqid_cli.commands.options import Output
+from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.params.results.trend import ChangeEntry, TrendFile
+from seqid_cli.trend.options import By
+
+EXAMPLES = (
+    "seqid trend january.json february.json march.json -o trend.json",
+    "seqid trend cell_*/2026-*.json --by folder --table trend.parquet --json",
+)
+
+
+def _share(value: float) -> float:
+    if not (math.isfinite(value) and 0.0 < value < 1.0):
+        message = f"{value} is not between 0 and 1"
+        raise typer.BadParameter(message)
+    return value
+
+
+Files = Annotated[
+    list[Path],
+    typer.Argument(metavar="PARAMS.json...", help="Parameter files of several dates."),
+]
+Table = Annotated[
+    Path | None,
+    typer.Option("--table", metavar="FILE", help="Where all values go, as Parquet."),
+]
+ByOption = Annotated[
+    By, typer.Option("--by", help="What tells robots apart: the name in their files, or folders.")
+]
+Alpha = Annotated[
+    float,
+    typer.Option(
+        "--alpha",
+        metavar="P",
+        callback=_share,
+        help="Probability that anything of healthy robots is said to change.",
+    ),
+]
+Relative = Annotated[
+    float,
+    typer.Option(
+        "--rtol",
+        metavar="X",
+        callback=_share,
+        help="Least change of a quantity, as a share of its size.",
+    ),
+]
+
+
+def run(
+    context: typer.Context,
+    parameters: Files,
+    output: Output = None,
+    table: Table = None,
+    by: ByOption = "name",
+    alpha: Alpha = 0.01,
+    rtol: Relative = 0.01,
+) -> int:
+    """Find out what changed on one or more robots over time, beyond its error.
+
+    Each file is one date, that of its making. Steps and drifts of friction, parameters and effects
+    are named with robot, joint and date. Exits with 1 when anything changed.
+    """
+    screen = screen_of(context)
+    from seqid_cli import trend
+
+    options = trend.TrendOptions(alpha=alpha, rtol=rtol, by=by)
+    found = trend.trend(parameters, options, output=output, table=table)
+    screen.document(found)
+    _show(screen, found)
+    for note in found.notes:
+        screen.remark(note)
+    for path in (output, table):
+        if path is not None:
+            screen.note(f"written: {path}")
+    return EXIT_UNTRUSTED if found.alarm else EXIT_DONE
+
+
+def _show(screen: Screen, found: TrendFile) -> None:
+    columns = ("robot", "joint", "quantity", "how", "since", "before", "after", "change", "sigmas")
+    shown = found.changes if screen.verbose else _clearest(found.changes)
+    screen.table(columns, [_row(entry) for entry in shown])
+    hidden = len(found.changes) - len(shown)
+    if hidden:
+        screen.note(f"{hidden} more of the same joint and stage (-v shows them)")
+    robots = dict.fromkeys(entry.robot for entry in found.changes)
+    files = f"{len(found.files)} files of {len(found.robots)} robots, {len(found.series)} series"
+    limit = f"limit {found.limit:.3g} standard errors"
+    if robots:
+        screen.result(f"changed: {', '.join(robots)} ({files}; {limit})")
+    else:
+        screen.result(f"nothing changed ({files}; {limit})")
+
+
+def _clearest(changes: list[ChangeEntry]) -> list[ChangeEntry]:
+    """The clearest change of each robot, joint and stage; they are in the order of clearness."""
+    found: dict[tuple[str, str, str], ChangeEntry] = {}
+    for entry in changes:
+        name = entry.name if entry.stage == "effects" else ""
+        found.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
+    return list(found.values())
+
+
+def _row(entry: ChangeEntry) -> tuple[str, ...]:
+    return (
+        entry.robot,
+        entry.joint or "-",
+        f"{entry.stage} {entry.name}",
+        entry.kind,
+        entry.since[:10],
+        number(entry.before, 4),
+        number(entry.after, 4),
+        percent(entry.relative),
+        number(entry.sigmas),
+    )

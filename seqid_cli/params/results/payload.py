@@ -1,0 +1,70 @@
+"""What a robot carries, `seqid/payload@1`."""
+
+from __future__ import annotations
+
+from seqid_cli.params.base import Document, Struct
+from seqid_cli.params.results.prediction import FileId
+from seqid_cli.params.schema import InputLog, Matrix, Parameter, RobotId, Tool, Verdict
+
+PAYLOAD_SCHEMA = "seqid/payload@1"
+
+
+class Measured(Struct, kw_only=True):
+    """A number with its standard error; null where the logs do not determine it."""
+
+    value: float | None
+    std_error: float | None
+    unit: str
+
+
+class CarriedBodyEntry(Struct, kw_only=True):
+    """The body in the axes of the last joint's frame, at its origin.
+
+    `inertia` (3, 3) kg m^2 is about the centre of mass; both matrices are empty where the logs do
+    not determine it. `distance` says by how many standard errors the least-squares estimate is from
+    the nearest body that can exist, which is the one that is given; 0 where it is one.
+    """
+
+    frame: str
+    mass: Measured
+    center_of_mass: list[Measured]
+    inertia: Matrix = []
+    inertia_std_errors: Matrix = []
+    distance: float = 0.0
+
+
+class JointWithPayload(Struct, kw_only=True):
+    """RMS of the torque error where the joint slides, N m, without the body and with it.
+
+    `friction_change` is the share by which its friction was found to differ from the model's.
+    """
+
+    before: float | None
+    after: float | None
+    relative: float | None
+    samples: int
+    friction_change: float
+
+
+class PayloadFile(Document, kw_only=True):
+    """The whole document.
+
+    `parameters` are the ten standard parameters of the body by least squares (inertia about the
+    frame's origin), those that the logs determine, with their `covariance`. `settings` holds, by
+    robot controller, the payload in its own words.
+    """
+
+    schema: str
+    created: str
+    tool: Tool
+    robot: RobotId
+    inputs: list[InputLog]
+    models: list[FileId]
+    payload: CarriedBodyEntry
+    parameters: list[Parameter]
+    covariance: Matrix
+    settings: dict[str, str]
+    joints: dict[str, JointWithPayload]
+    cutoff_origin: str = ""
+    verdicts: list[Verdict] = []
+    notes: list[str] = []

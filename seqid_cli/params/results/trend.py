@@ -1,0 +1,68 @@
+"""What changed over time, `seqid/trend@1`."""
+
+from __future__ import annotations
+
+from seqid_cli.params.base import Document, Struct
+from seqid_cli.params.results.prediction import FileId
+from seqid_cli.params.schema import Tool
+
+TREND_SCHEMA = "seqid/trend@1"
+
+
+class QuantityEntry(Struct, kw_only=True):
+    """One number of a robot: a parameter, or the mean friction of a joint at a speed."""
+
+    robot: str
+    stage: str
+    joint: str
+    name: str
+    unit: str
+
+
+class SeriesEntry(QuantityEntry, kw_only=True):
+    """A quantity over the dates of the files that hold it; `temperatures` degC, of friction."""
+
+    dates: list[str]
+    values: list[float]
+    std_errors: list[float]
+    temperatures: list[float] = []
+
+
+class ChangeEntry(QuantityEntry, kw_only=True):
+    """A quantity that changed.
+
+    `kind` is "step" (from one date to the next), "drift" (in proportion to time), "appeared" or
+    "gone" (an effect that some files hold); `since` is the first date after it. `before` and
+    `after` are the means on both sides of a step, or the ends of a drift; `change` has the
+    `std_error`, the errors' inflation included, and `sigmas` is their ratio. Numbers are null for
+    what appeared or is gone.
+    """
+
+    kind: str
+    since: str
+    before: float | None = None
+    after: float | None = None
+    change: float | None = None
+    std_error: float | None = None
+    sigmas: float | None = None
+    relative: float | None = None
+
+
+class TrendFile(Document, kw_only=True):
+    """The whole document.
+
+    `inflation` is, by stage, the factor by which values of one date after the other scatter beyond
+    their standard errors; `limit` the sigmas from which a change is an `alarm`.
+    """
+
+    schema: str
+    created: str
+    tool: Tool
+    files: list[FileId]
+    robots: list[str]
+    alarm: bool
+    limit: float
+    inflation: dict[str, float]
+    changes: list[ChangeEntry]
+    series: list[SeriesEntry]
+    notes: list[str] = []

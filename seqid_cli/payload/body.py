@@ -1,0 +1,115 @@
+"""From standard parameters with errors to a body: mass, centre of mass, inertia about it.
+
+The estimate need not belong to a body: noise makes an inertia negative, and what the logs do not
+excite is whatever the least squares left. The body that is given is the one with a positive
+semidefinite pseudo-inertia J = L L' nearest to the estimate in its own errors,
+
+    min over L of  (phi(L L') - phi)' C^-1 (phi(L L') - phi)
+
+(L lower triangular 4 by 4; Rucker and Wensing, "Smooth parameterization of rigid-body inertia",
+RA-L 2022). Where the estimate is a body, the two are the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from seqid_cli.model.bodies.demand import whitening
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
+
+Array = NDArray[np.float64]
+
+_LOWER = np.tril_indices(4)
+SMALLEST = 1e-9  # of the largest parameter: no error is smaller
+
+
+@dataclass(frozen=True)
+class CarriedBody:
+    """A body with standard errors, in the axes of the last joint's frame.
+
+    `mass` kg, `center` (3,) m, `inertia` (3, 3) kg m^2 about the centre of mass, None where it is
+    not known. `distance` are the standard errors (chi) between the estimate and the nearest body;
+    zero where it is one.
+    """
+
+    mass: float
+    mass_error: float
+    center: Array
+    center_error: Array
+    inertia: Array | None
+    inertia_error: Array
+    distance: float
+
+
+def body_of(phi: Array, covariance: Array, *, whole: bool = True) -> CarriedBody:
+    """The body nearest to an estimate.
+
+    Parameters
+    ----------
+    phi : (10,) array
+        Standard parameters of positive mass, inertia about the frame's origin.
+    covariance : (10, 10) array
+    whole : bool
+        Whether the inertia is known as well.
+
+    Returns
+    -------
+    CarriedBody
+    """
+    nearest, distance = _nearest(phi, covariance) if whole else (phi, 0.0)
+    values, slopes = _values(nearest), _slopes(nearest)
+    errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", slopes, covariance, slopes), 0.0))
+    inertia = _symmetric(values[4:]) if whole else None
+    moments = (values[1:4], errors[1:4], inertia, _symmetric(errors[4:]))
+    return CarriedBody(float(values[0]), float(errors[0]), *moments, distance)
+
+
+def _symmetric(upper: Array) -> Array:
+    """Matrix (3, 3) of its upper triangle (6,), row by row."""
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = upper
+    return matrix + np.triu(matrix, 1).T
+
+
+def _nearest(phi: Array, covariance: Array) -> tuple[Array, float]:
+    J = pseudo_inertia(phi)
+    if np.linalg.eigvalsh(J)[0] >= 0.0:
+        return phi, 0.0
+    W = whitening(covariance, SMALLEST * float(np.abs(phi).max()))
+    eigen, axes = np.linalg.eigh(J)
+    inside = axes * np.sqrt(np.maximum(eigen, 1e-6 * eigen[-1]))
+    factor = np.asarray(np.linalg.qr(inside.T, mode="r"), dtype=np.float64)
+
+    def parameters(entries: Array) -> Array:
+        L = np.zeros((4, 4))
+        L[_LOWER] = entries
+        return np.asarray(standard_of(L @ L.T))
+
+    def off(entries: Array) -> Array:
+        away: Array = W @ (parameters(entries) - phi)
+        return away
+
+    found = least_squares(off, factor.T[_LOWER], x_scale="jac")
+    return parameters(found.x), float(np.sqrt(2.0 * found.cost))
+
+
+def _slopes(phi: Array) -> Array:
+    """Slopes (10, 10) of mass, centre and inertia (xx, xy, xz, yy, yz, zz) in phi."""
+    step = 1e-6 * np.maximum(np.abs(phi), 1e-3 * np.abs(phi).max())
+    columns = [
+        (_values(phi + d) - _values(phi - d)) / (2.0 * step[k]) for k, d in enumerate(np.diag(step))
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _values(phi: Array) -> Array:
+    m, h = phi[0], phi[1:4]
+    center = h / m
+    xx, xy, yy, xz, yz, zz = phi[4:]
+    origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    inertia = origin - m * (center @ center * np.eye(3) - np.outer(center, center))
+    return np.concatenate([[m], center, inertia[np.triu_indices(3)]])

@@ -1,0 +1,141 @@
+"""Least squares for the body at the flange, and its errors.
+
+Errors come from the logs with the payload (blocks of time, jackknifed), from the parameters of the
+model without it, from friction that may have changed, and from the torque constants, which scale
+the payload as they scale the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import QualityError
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.regression.least_squares import Prior, Solution, solve
+from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.bodies.demand import identified
+from seqid_cli.params.schema import Stages
+from seqid_cli.payload.rows import FRICTION_TERMS, LoadedModel, PayloadRows
+from seqid_cli.robot.regressor import PER_LINK
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+ROUNDS = 3  # with effects that depend on the load; without any, one is exact
+
+
+@dataclass(frozen=True)
+class PayloadFit:
+    """Standard parameters `phi` (10,) of the body in the frame of the last joint.
+
+    `covariance` (10, 10) is with all errors; `determined` (10,) says which the logs give by
+    themselves, `open_directions` (10, k) along which combinations nothing is known. `before`,
+    `after` (n,) N m are the RMS errors of the sliding samples without and with the body, `measured`
+    that of the torque, `friction_change` (n,) by how much friction was found to differ [1].
+    """
+
+    phi: Array
+    covariance: Array
+    determined: NDArray[np.bool_]
+    before: Array
+    after: Array
+    measured: Array
+    samples: Array
+    friction_change: Array
+
+
+def fit_payload(
+    recordings: Callable[[], Iterable[Recording]],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    friction_change: float,
+) -> PayloadFit:
+    """Identify what the logs carry beyond a model.
+
+    Parameters
+    ----------
+    recordings : callable
+        Returns the logs, read anew where the model's effects depend on the load.
+    robot : Robot
+    stages : Stages
+        The model without the payload.
+    options : InertiaOptions
+        Cut-off and source of the motion.
+    friction_change : float
+        Standard deviation of each joint's change of friction [1].
+
+    Raises
+    ------
+    QualityError
+        If no joint slides in these logs.
+    """
+    plain = LoadedModel.of(stages, robot, options)
+    first, solution = _solved(recordings(), plain, stages, friction_change)
+    rows, phi = first, solution.theta[:PER_LINK]
+    for _ in range(ROUNDS - 1 if plain.effects else 0):
+        rows, solution = _solved(recordings(), plain.with_body(phi), stages, friction_change)
+        phi = phi + solution.theta[:PER_LINK]
+    after = np.array(
+        [joint.residual_rms(solution.theta) if joint.samples else 0.0 for joint in rows.joints]
+    )
+    count = np.maximum(first.samples, 1)
+    return PayloadFit(
+        phi=phi,
+        covariance=_covariance(rows, solution, stages, robot)[:PER_LINK, :PER_LINK],
+        determined=solution.determined[:PER_LINK],
+        before=np.sqrt(first.before / count),
+        after=after,
+        measured=np.sqrt(first.measured / count),
+        samples=first.samples,
+        friction_change=solution.theta[PER_LINK::FRICTION_TERMS],
+    )
+
+
+def _solved(
+    recordings: Iterable[Recording], loaded: LoadedModel, stages: Stages, friction_change: float
+) -> tuple[PayloadRows, Solution]:
+    """Rows of the logs and what they say beyond a model."""
+    rows = PayloadRows(loaded)
+    for recording in recordings:
+        rows.add(recording, stages)
+    if not rows.samples.any():
+        raise QualityError(
+            "no joint slides in these logs", hint="Record moves of every joint with the load."
+        )
+    return rows, solve(rows.joints, prior=_prior(rows.size, friction_change))
+
+
+def _prior(size: int, friction_change: float) -> Prior:
+    rows = np.zeros((size - PER_LINK, size))
+    rows[:, PER_LINK:] = np.eye(size - PER_LINK) / friction_change
+    return Prior(rows, np.zeros(len(rows)))
+
+
+def _covariance(rows: PayloadRows, solution: Solution, stages: Stages, robot: Robot) -> Array:
+    """Own errors, those of the model's base parameters, those of the torque constants."""
+    found = identified(stages, robot)
+    weights = [sigma**-2.0 for sigma in solution.sigma]
+    products = sum(
+        (w * cross for w, cross in zip(weights, rows.cross, strict=True)),
+        np.zeros((rows.size, rows.loaded.basis.size)),
+    )
+    gain = -solution.bread @ products[:, list(found.rows)]
+    computed = {
+        j: solution.shares[j] - solution.bread @ sums * w
+        for j, (sums, w) in enumerate(zip(rows.scaled, weights, strict=True))
+    }
+    through = {j: gain @ move for j, move in enumerate(found.moves) if move.any()}
+    moves = constant_moves(solution, robot.torque_constant_errors, computed, through)
+    total: Array = (
+        solution.covariance
+        + gain @ found.held_covariance @ gain.T
+        + moves_covariance(moves, rows.size)
+    )
+    return total

@@ -1,0 +1,68 @@
+"""Identifying a payload as a function: logs with it and a model without it in, the document out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.identify.inputs import Models, imu_stage_for, prepare
+from seqid_cli.identify.keywords import OnProgress
+from seqid_cli.logs.given import Logs, PathLike
+from seqid_cli.params.document import present
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.results.payload import PayloadFile
+from seqid_cli.payload.options import PayloadOptions
+
+if TYPE_CHECKING:
+    from seqid_cli.robot.types import Robot
+
+
+def payload(
+    logs: Logs,
+    robot: PathLike | Robot,
+    parameters: Models,
+    options: PayloadOptions = PayloadOptions(),
+    *,
+    output: PathLike | None = None,
+    on_progress: OnProgress | None = None,
+) -> PayloadFile:
+    """Identify the body that the last link carries.
+
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Moves with the payload; those of the last joints against gravity tell most.
+    robot : path or Robot
+        The robot file.
+    parameters : path or ParameterFile, or a sequence of them
+        The model without the payload.
+    options : PayloadOptions
+    output : path, optional
+        Where the document goes.
+    on_progress : callable, optional
+        Given a `Progress` before and after each log.
+
+    Raises
+    ------
+    SeqidError
+        Where the command would exit with 1 or 2.
+    """
+    inputs = prepare(
+        logs,
+        robot,
+        parameters,
+        options,
+        output=output,
+        needs=imu_stage_for(options.source),
+        on_progress=on_progress,
+    )
+    if not {"gravity", "inertia"} & present(inputs.stages).keys():
+        where = ", ".join(name for name, _ in inputs.models)
+        hint = "Give the result of seqid inertia, or of seqid gravity for slow moves."
+        raise ConfigError("holds no rigid body", where=where, hint=hint)
+    from seqid_cli.payload.result import payload_file
+
+    file = payload_file(inputs, options)
+    if inputs.output is not None:
+        write_json_atomic(inputs.output, file, inputs=inputs.sources)
+    return file

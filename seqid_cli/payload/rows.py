@@ -1,0 +1,158 @@
+"""Rows of the payload equation: torque that the model without the payload leaves.
+
+A body at the flange adds its standard parameters phi (10,) to those of the last link, so that with
+H the regressor of the base parameters (Eq. 4) and E their expression in standard parameters
+
+    tau - tau_model(q, dq, ddq) = H E_n phi + sum_k a_k f_k + e,
+
+E_n the ten columns of E for the last link. Friction may have changed since the model was
+identified: f is the joint's own friction and friction in proportion to its speed, a_k their changes
+as a share, known to be about zero. Effects of the model that depend on the load are evaluated with
+the payload found so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.prediction.log_prediction import slides_from
+from seqid_cli.identify.regression.equations import blocks, filtered_regressor
+from seqid_cli.identify.regression.least_squares import Accumulator
+from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.model.effects.apply import added_torque, scene_of_log
+from seqid_cli.model.effects.fitted import Fitted, fitted_effects
+from seqid_cli.model.friction_samples import sampled_friction
+from seqid_cli.model.torque import TorqueModel, sliding
+from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.base_parameters import Basis, free_basis
+from seqid_cli.robot.regressor import PER_LINK
+from seqid_cli.robot.types import Robot
+
+Array = NDArray[np.float64]
+
+FRICTION_TERMS = 2  # changes of each joint's friction: as it is, and in proportion to the speed
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """The model of a parameter file, with a body `phi` (10,) added to the last link."""
+
+    model: TorqueModel
+    effects: tuple[Fitted, ...]
+    options: InertiaOptions
+    basis: Basis
+
+    @classmethod
+    def of(cls, stages: Stages, robot: Robot, options: InertiaOptions) -> LoadedModel:
+        """Take a file's stages; without a rigid body all mass of the last link is payload."""
+        model = TorqueModel.from_stages(stages, robot)
+        if model.phi is None:
+            model = replace(model, phi=np.zeros((robot.n, PER_LINK)), rotor=np.zeros(robot.n))
+        return cls(model, tuple(fitted_effects(stages, robot)), options, free_basis(robot))
+
+    @cached_property
+    def last_link(self) -> Array:
+        """E_n (p, 10): base parameters from the standard ones of the last link."""
+        n = self.model.robot.n
+        columns: Array = self.basis.expression[:, PER_LINK * (n - 1) : PER_LINK * n]
+        return columns
+
+    def with_body(self, phi: Array) -> LoadedModel:
+        """Add a body to the last link."""
+        assert self.model.phi is not None
+        links = self.model.phi.copy()
+        links[-1] += phi
+        return replace(self, model=replace(self.model, phi=links))
+
+    def torque(self, recording: Recording, motion: Motion) -> Array:
+        """Predicted torque (N, n) N m, filtered like `motion.tau`."""
+        torque = self.model.predict(motion)
+        if self.effects:
+            scene = scene_of_log(recording, self.model.robot, self.model, motion)
+            slowest = slides_from(self.model, self.options)
+            torque = torque + added_torque(scene, recording, self.effects, slowest).torque
+        return torque
+
+
+@dataclass
+class PayloadRows:
+    """Rows of any number of logs, joint by joint.
+
+    `joints` accumulate [H E_n, friction | left over torque]; `cross` (n) of (10 + k, p) are their
+    products with H, `scaled` (n) of (10 + k,) those with torque that a torque constant scales;
+    `before` (n,) and `samples` (n,) are squares and counts of sliding samples.
+    """
+
+    loaded: LoadedModel
+    size: int = field(init=False)
+    joints: list[Accumulator] = field(init=False)
+    cross: list[Array] = field(init=False)
+    scaled: list[Array] = field(init=False)
+    before: Array = field(init=False)
+    measured: Array = field(init=False)
+    samples: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        n, p = self.loaded.model.robot.n, self.loaded.basis.size
+        self.size = PER_LINK + FRICTION_TERMS * n
+        self.joints = [Accumulator(self.size) for _ in range(n)]
+        self.cross = [np.zeros((self.size, p)) for _ in range(n)]
+        self.scaled = [np.zeros(self.size) for _ in range(n)]
+        self.before, self.measured, self.samples = np.zeros(n), np.zeros(n), np.zeros(n)
+
+    def add(self, recording: Recording, stages: Stages) -> None:
+        """Add one log.
+
+        Raises
+        ------
+        InputError
+            If the log carries neither torque nor current.
+        """
+        robot, options = self.loaded.model.robot, self.loaded.options
+        torque_of(recording)
+        encoder = estimate_motion(recording, robot, options.motion)
+        motion = best_motion(recording, robot, stages.imu, encoder, source=options.source)
+        assert motion.tau is not None
+        left = motion.tau - self.loaded.torque(recording, motion)
+        slides = sliding(motion, slides_from(self.loaded.model, options))
+        friction = motion.filtered(sampled_friction(self.loaded.model.surfaces, motion), times=2)
+        every = max(1, int(motion.rate_hz / (options.motion.samples_per_cutoff * motion.cutoff.hz)))
+        for part, H in self._regressors(motion, every):
+            speed = np.abs(motion.dq[part]) / np.maximum(np.abs(motion.dq).max(axis=0), 1e-12)
+            for j in range(robot.n):
+                own = slides[part][:, j]
+                self._add_joint(
+                    j,
+                    H[own, j],
+                    np.column_stack([friction[part][own, j], (friction[part] * speed)[own, j]]),
+                    left[part][own, j],
+                    motion.tau[part][own, j],
+                )
+
+    def _regressors(self, motion: Motion, every: int) -> Iterator[tuple[slice, Array]]:
+        """H of every k-th sample, in blocks of about a second."""
+        for rows in filtered_regressor(motion, self.loaded.model.robot, self.loaded.basis):
+            for block in blocks(rows.motion.samples, rows.motion.rate_hz):
+                thin = slice(block.start, block.stop, every)
+                first = rows.where.start
+                yield slice(first + block.start, first + block.stop, every), rows.H[thin]
+
+    def _add_joint(self, j: int, H: Array, friction: Array, left: Array, tau: Array) -> None:
+        wide = np.zeros((len(H), self.size))
+        wide[:, :PER_LINK] = H @ self.loaded.last_link
+        own = PER_LINK + FRICTION_TERMS * j
+        wide[:, own : own + FRICTION_TERMS] = friction
+        self.joints[j].add(wide, left)
+        self.cross[j] += wide.T @ H
+        self.scaled[j] += wide.T @ (tau - friction[:, 0])
+        self.before[j] += float(left @ left)
+        self.measured[j] += float(tau @ tau)
+        self.samples[j] += len(left)

@@ -1,0 +1,22 @@
+"""What a user may set; kept free of heavy imports for the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+By = Literal["name", "folder"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrendOptions:
+    """When a quantity has changed.
+
+    `alpha` [1] is the probability that any quantity of healthy robots is said to change, `rtol` [1]
+    the least change as a share of the quantity's size. `by` says how robots are told apart: by the
+    name in their files, or by the folder that the files lie in.
+    """
+
+    alpha: float = 0.01
+    rtol: float = 0.01
+    by: By = "name"

@@ -1,0 +1,123 @@
+"""The files of each robot in the order of their dates, and every quantity over them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.params.schema import ParameterFile
+from seqid_cli.trend.options import By
+from seqid_cli.trend.quantities import Quantity, quantities, speeds_of
+
+Array = NDArray[np.float64]
+
+DAY = 86400.0
+
+
+@dataclass(frozen=True)
+class Dated:
+    """A parameter file with its path, the time of it [s] and its date as text."""
+
+    path: str
+    file: ParameterFile
+    time: float
+
+    @property
+    def date(self) -> str:
+        """As the file says it."""
+        return self.file.created
+
+    @classmethod
+    def of(cls, path: str, file: ParameterFile) -> Dated:
+        """Read the date.
+
+        Raises
+        ------
+        ConfigError
+            If the file's date is none.
+        """
+        try:
+            when = datetime.fromisoformat(file.created)
+        except ValueError as error:
+            hint = "Write it as 2026-01-31T12:00:00Z."
+            message = f"$.created: {file.created!r} is no date"
+            raise ConfigError(message, where=path, hint=hint) from error
+        aware = when if when.tzinfo else when.replace(tzinfo=UTC)
+        return cls(path, file, aware.timestamp())
+
+
+@dataclass(frozen=True)
+class Series:
+    """One quantity of one robot: days (T,), values, standard errors, temperatures (NaN: none)."""
+
+    robot: str
+    quantity: Quantity
+    files: tuple[Dated, ...]
+    values: Array
+    errors: Array
+    temperatures: Array
+
+    @property
+    def days(self) -> Array:
+        """Time (T,) in days since the first file."""
+        times = np.array([dated.time for dated in self.files], dtype=np.float64)
+        days: Array = (times - times[0]) / DAY
+        return days
+
+
+def robots_of(files: Sequence[Dated], by: By) -> dict[str, list[Dated]]:
+    """Files by robot, in the order of their dates.
+
+    Raises
+    ------
+    UsageError
+        If no robot has two files, or files of one robot name other joints.
+    """
+    found: dict[str, list[Dated]] = {}
+    for dated in files:
+        folder = str(Path(dated.path).parent)
+        found.setdefault(folder if by == "folder" else dated.file.robot.name, []).append(dated)
+    for name, own in found.items():
+        own.sort(key=lambda dated: dated.time)
+        for dated in own:
+            if dated.file.robot.joints != own[0].file.robot.joints:
+                raise UsageError(
+                    f"has other joints than {own[0].path}, but both are of robot {name!r}",
+                    where=dated.path,
+                    hint="Tell the robots apart by --by folder, or give files of one arm.",
+                )
+    if all(len(own) < 2 for own in found.values()):
+        raise UsageError(
+            "no robot has two parameter files",
+            hint="Give results of several dates; --by folder tells robots of one name apart.",
+        )
+    return found
+
+
+def series_of(robot: str, files: Sequence[Dated]) -> Iterator[Series]:
+    """Every quantity of a robot that two of its files hold at least."""
+    speeds = speeds_of(dated.file for dated in files)
+    tables = [dict(quantities(dated.file.stages, speeds)) for dated in files]
+    for quantity in dict.fromkeys(q for table in tables for q in table):
+        there = [k for k, table in enumerate(tables) if quantity in table]
+        if len(there) < 2:
+            continue
+        pairs = np.array([tables[k][quantity] for k in there])
+        own = tuple(files[k] for k in there)
+        warmth = np.array([_temperature(dated.file, quantity) for dated in own])
+        yield Series(robot, quantity, own, pairs[:, 0], pairs[:, 1], warmth)
+
+
+def _temperature(file: ParameterFile, quantity: Quantity) -> float:
+    """Degrees Celsius of a joint's friction trials; NaN where there are none."""
+    stage = file.stages.friction
+    if quantity.stage != "friction" or stage is None or quantity.joint not in stage.joints:
+        return float("nan")
+    found = stage.joints[quantity.joint].temperature
+    return float("nan") if found is None else found

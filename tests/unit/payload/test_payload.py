@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
+from seqid_cli.motion.motion import estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.params.schema import ParameterFile, RigidStage
+from seqid_cli.payload import PayloadOptions, payload
+from seqid_cli.payload.body import body_of
+from seqid_cli.payload.settings import settings_of
+from seqid_cli.robot.base_parameters import STANDARD
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics
+from seqid_cli.robot.types import Robot
+from tests import ROOT
+from tests.plants.rigs import standard_parameters
+
+Array = NDArray[np.float64]
+
+RIG = ROOT / "sample_logs" / "six_joint"
+NOISE = 0.2  # N m
+BODY = standard_parameters(2.5, (0.02, -0.03, 0.08), (0.05, 0.06, 0.04), np.eye(3))
+ENCODERS = PayloadOptions(source="encoder")
+
+
+@cache
+def arm() -> tuple[Robot, ParameterFile]:
+    """The six-joint arm and the model of a last link of 1 kg alone, without friction."""
+    robot = load_robot(RIG / "robot.toml")
+    link = standard_parameters(1.0, (0.0, 0.0, 0.02), (0.03, 0.03, 0.03), np.eye(3))
+    last = dict(zip(STANDARD, link, strict=True))
+    stage = RigidStage(
+        parameters=[],
+        condition=1.0,
+        rank=0,
+        representative={f"{kind}_6": float(value) for kind, value in last.items()},
+        cutoff_hz=4.0,
+    )
+    return robot, with_stage(None, robot_id(robot), [], inertia=stage)
+
+
+def carrying(body: Array, seed: int = 3) -> Recording:
+    """A recording of the sample robot's motion with the torque of that model and a body."""
+    robot, file = arm()
+    recording = read_recording(RIG / "validation" / "fourier_1.parquet", robot)
+    motion = estimate_motion(recording, robot, MotionOptions(cutoff_hz=4.0))
+    links = np.zeros((robot.n, PER_LINK))
+    assert file.stages.inertia is not None
+    links[-1] = [file.stages.inertia.representative[f"{kind}_6"] for kind in STANDARD] + body
+    state = (motion.q, motion.dq, motion.ddq)
+    torque = inverse_dynamics(robot.chain, robot.gravity, links, *state)
+    noise = NOISE * np.random.default_rng(seed).normal(size=torque.shape)
+    return replace(recording, tau=torque + noise, accelerometers={})
+
+
+def test_mass_centre_and_inertia_come_back_within_their_errors() -> None:
+    robot, file = arm()
+    found = payload(carrying(BODY), robot, file, ENCODERS)
+    assert found.payload.mass.value == pytest.approx(2.5, rel=0.02)
+    values = np.array([parameter.value for parameter in found.parameters])
+    errors = np.array([parameter.std_error for parameter in found.parameters])
+    assert [parameter.name for parameter in found.parameters] == [f"payload_{k}" for k in STANDARD]
+    assert np.all(np.abs(values - BODY) < 4.0 * errors)
+    center = [x.value for x in found.payload.center_of_mass]
+    assert center == pytest.approx([0.02, -0.03, 0.08], abs=0.004)
+    assert [verdict.good for verdict in found.verdicts] == [True]
+
+
+def test_the_errors_are_those_of_repetition() -> None:
+    robot, file = arm()
+    masses = []
+    for seed in range(8):
+        mass = payload(carrying(BODY, seed), robot, file, ENCODERS).payload.mass
+        assert mass.value is not None
+        assert mass.std_error is not None
+        masses.append((mass.value - 2.5) / mass.std_error)
+    assert 0.4 < float(np.sqrt(np.mean(np.square(masses)))) < 1.8
+
+
+def test_nothing_carried_is_a_mass_of_zero_within_its_error() -> None:
+    robot, file = arm()
+    mass = payload(carrying(0.0 * BODY), robot, file, ENCODERS).payload.mass
+    assert mass.value is not None
+    assert mass.std_error is not None
+    assert abs(mass.value) < 4.0 * mass.std_error
+
+
+def test_a_body_taken_off_is_poor() -> None:
+    robot, file = arm()
+    found = payload(carrying(-0.3 * BODY), robot, file, ENCODERS)
+    (verdict,) = [v for v in found.verdicts if not v.joint]
+    assert verdict.good is False
+    assert "swap the two" in verdict.reason
+    assert found.settings == {}
+
+
+def test_a_file_without_a_rigid_body_is_refused() -> None:
+    robot, file = arm()
+    empty = with_stage(None, file.robot, [])
+    with pytest.raises(ConfigError, match="holds no rigid body"):
+        payload(carrying(BODY), robot, empty, ENCODERS)
+
+
+def test_the_nearest_body_has_no_negative_inertia() -> None:
+    covariance = np.diag([0.01, 1e-4, 1e-4, 1e-4, *[1e-3] * 6]) ** 2
+    off = BODY.copy()
+    off[4] -= 0.03
+    found = body_of(off, covariance)
+    assert np.linalg.eigvalsh(pseudo_inertia(off))[0] < 0.0
+    assert found.distance > 3.0
+    assert found.inertia is not None
+    principal = np.linalg.eigvalsh(found.inertia)
+    assert principal[0] > -1e-9
+    assert principal[2] <= principal[0] + principal[1] + 1e-9
+    assert found.mass == pytest.approx(2.5, rel=0.02)
+
+
+def test_a_body_is_left_as_it_is() -> None:
+    found = body_of(BODY, 1e-6 * np.eye(10))
+    assert found.distance == 0.0
+    assert found.center == pytest.approx([0.02, -0.03, 0.08])
+    assert found.inertia is not None
+    assert np.diag(found.inertia) == pytest.approx(2.5 * np.array([0.05, 0.06, 0.04]) ** 2)
+
+
+def test_settings_are_in_the_order_of_each_controller() -> None:
+    inertia = [[1.0, 0.4, 0.5], [0.4, 2.0, 0.6], [0.5, 0.6, 3.0]]
+    found = settings_of(1.5, (0.1, 0.2, 0.3), inertia)
+    urscript = "set_target_payload(1.5, [0.1, 0.2, 0.3], [1, 2, 3, 0.4, 0.5, 0.6])"
+    assert found["urscript"] == urscript
+    assert "{1, 0.4, 0.5, 0.4, 2, 0.6, 0.5, 0.6, 3}" in found["libfranka"]
+    assert "ixx: 1, ixy: 0.4, ixz: 0.5, iyy: 2, iyz: 0.6, izz: 3" in found["ros2"]
+    assert settings_of(1.5, (0.1, 0.2, 0.3), None)["urscript"].startswith("set_payload(")

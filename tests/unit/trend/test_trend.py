@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from msgspec.structs import replace
+
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.params.io import write_json_atomic
+from seqid_cli.params.schema import EffectOfJoint, ParameterFile
+from seqid_cli.trend import TrendOptions, trend
+from tests.unit.params.documents import inertia_file
+
+DATES = 12
+ERROR = 0.01
+
+
+def dated(number: int) -> str:
+    return f"{np.datetime64('2026-01-01') + 7 * number}T08:00:00Z"
+
+
+def history(
+    seed: int, change: np.ndarray | None = None, scatter: float = 1.0
+) -> list[ParameterFile]:
+    """Files of one robot whose gravity parameters scatter; the first one's values change."""
+    rng = np.random.default_rng(seed)
+    files = []
+    for number in range(DATES):
+        file = inertia_file()
+        for stage in (file.stages.gravity, file.stages.inertia):
+            assert stage is not None
+            for k, parameter in enumerate(stage.parameters):
+                parameter.value = 1.25 + scatter * ERROR * float(rng.normal())
+                parameter.std_error = ERROR
+                if change is not None and stage is file.stages.gravity and k == 0:
+                    parameter.value += float(change[number])
+        files.append(replace(file, created=dated(number)))
+    return files
+
+
+def test_a_healthy_robot_gives_no_alarm() -> None:
+    found = [trend(history(seed)) for seed in range(20)]
+    assert [file.alarm for file in found] == [False] * 20
+
+
+def test_a_step_is_named_with_its_date() -> None:
+    change = np.where(np.arange(DATES) >= 7, 0.1, 0.0)
+    (entry, *more) = trend(history(1, change)).changes
+    assert not more
+    assert (entry.stage, entry.kind, entry.since) == ("gravity", "step", dated(7))
+    assert entry.change == pytest.approx(0.1, abs=4 * ERROR)
+    assert entry.std_error == pytest.approx(ERROR * np.sqrt(1 / 7 + 1 / 5), rel=1e-6)
+
+
+def test_a_drift_is_told_from_a_step() -> None:
+    (entry, *more) = trend(history(2, np.linspace(0.0, 0.15, DATES))).changes
+    assert not more
+    assert entry.kind == "drift"
+    assert entry.change == pytest.approx(0.15, abs=0.04)
+
+
+def test_a_change_below_the_share_is_none() -> None:
+    change = np.where(np.arange(DATES) >= 6, 0.1, 0.0)
+    assert trend(history(3, change), TrendOptions(rtol=0.2)).alarm is False
+
+
+def test_scatter_beyond_the_errors_is_seen(tmp_path: Path) -> None:
+    files = []
+    for robot in range(4):
+        for number, file in enumerate(history(10 + robot, scatter=3.0)):
+            path = tmp_path / f"robot_{robot}" / f"{number}.json"
+            path.parent.mkdir(exist_ok=True)
+            write_json_atomic(path, file)
+            files.append(path)
+    found = trend(files, TrendOptions(by="folder"), table=tmp_path / "all.parquet")
+    assert found.alarm is False
+    assert len(found.robots) == 4
+    assert found.inflation["gravity"] == pytest.approx(3.0, rel=0.35)
+    table = pq.read_table(tmp_path / "all.parquet")
+    assert table.num_rows == sum(len(own.values) for own in found.series)
+
+
+def test_friction_that_follows_the_temperature_is_no_change() -> None:
+    files, warm = [], np.linspace(20.0, 40.0, DATES)
+    for number, celsius in enumerate(warm):
+        file = inertia_file()
+        assert file.stages.friction is not None
+        for joint in file.stages.friction.joints.values():
+            size = np.array(joint.positive).size
+            joint.covariance = (1e-8 * np.eye(size)).tolist()
+            cooler = 1.0 - 0.01 * float(celsius - warm[0])
+            joint.positive = (cooler * np.array(joint.positive)).tolist()
+            joint.negative = joint.positive
+            joint.temperature = float(celsius)
+        files.append(replace(file, created=dated(number)))
+    assert trend(files).alarm is False
+    for file in files:
+        assert file.stages.friction is not None
+        for joint in file.stages.friction.joints.values():
+            joint.temperature = None
+    assert {entry.stage for entry in trend(files).changes} == {"friction"}
+
+
+def test_an_effect_that_appears_is_told() -> None:
+    files = history(5)
+    for file in files:
+        file.stages.effects = []
+    late = files[8:]
+    for file in late:
+        file.stages.effects = [EffectOfJoint(effect="backlash", joint="elbow")]
+    (entry,) = trend(files).changes
+    assert (entry.name, entry.joint, entry.kind) == ("backlash", "elbow", "appeared")
+    assert entry.since == dated(8)
+
+
+def test_a_single_file_is_refused() -> None:
+    with pytest.raises(UsageError, match="no robot has two"):
+        trend(history(6)[:1])
+
+
+def test_a_date_that_is_none_is_refused() -> None:
+    files = history(7)
+    with pytest.raises(ConfigError, match="is no date"):
+        trend([files[0], replace(files[1], created="yesterday")])
+
+
+def test_the_document_is_json(tmp_path: Path) -> None:
+    trend(history(8), output=tmp_path / "trend.json")
+    document = json.loads((tmp_path / "trend.json").read_text())
+    assert document["schema"] == "seqid/trend@1"
+    assert document["alarm"] is False

@@ -1,6 +1,6 @@
-"""Checks on results: what no arm can be, and what one stage says against another.
+"""Checks on results: what no arm can be, and whether stages agree.
 
-A stage's own verdicts say how well it fits. Here its result is held against physics and against
+A stage's own verdicts judge its fit. Here its result is held against physics and against
 the stages before: friction takes energy away, the inertia that a drive feels is positive, gravity
 is the same wherever it shows, and its size is of the order of the URDF's. The logs' own errors
 (`seqid inspect`) join in, and a stage is good as a whole only if all of it is.
@@ -44,7 +44,7 @@ LIGHT = 0.05  # of the largest gravity torque: joints that carry less are not co
 FACTOR = 2.5  # that gravity may be off the URDF's inertials
 FALSE_SIGN = -0.3  # times the URDF's gravity: beyond it the sign is another one
 ALIKE = 0.3  # correlation with the URDF's gravity: below it, it points elsewhere
-HELD_NM = 1e-3  # gravity torques below say nothing
+HELD_NM = 1e-3  # gravity torques below show nothing
 
 JUDGED = ("friction", "gravity", "imu", "inertia")
 
@@ -55,7 +55,7 @@ def judged(
     robot: Robot,
     findings: Sequence[InspectionFinding] = (),
 ) -> Stages:
-    """Add to the verdicts of new stages what the logs and physics say.
+    """Add to the verdicts of new stages those by the logs and by physics.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def judged(
         The stages before.
     robot : Robot
     findings : sequence of InspectionFinding
-        What inspection says of the logs that were read.
+        Of the inspection of the logs that were read.
 
     Returns
     -------

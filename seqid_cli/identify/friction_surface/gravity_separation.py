@@ -248,7 +248,7 @@ def _solve(system: _System, *, extended: bool) -> tuple[Array, Array, float]:
 
 
 def _asymmetry(system: _System, friction: float) -> tuple[float, bool]:
-    """Share of friction that depends on direction, and whether it is beyond doubt and size."""
+    """Share of friction that depends on direction, and whether it is large and significant."""
     size = system.columns.shape[1]
     solution, errors, left_both = _solve(system, extended=True)
     _, _, left_plain = _solve(system, extended=False)

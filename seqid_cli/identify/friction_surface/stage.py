@@ -187,7 +187,7 @@ def friction_data(gravity: GravityFit) -> list[SpeedData]:
             friction = direction * (trial.tau - group.torque(trial.q))
             weight = np.full(len(trial.q), trial.weight)
             edges = edges_of(trial.t, trial.seconds)
-            push = direction * trial.doubt * trial.ddq
+            push = direction * trial.inertia_error * trial.ddq
             result.append(SpeedData(trial.speed, direction, trial.q, friction, weight, edges, push))
     return _on_levels(result)
 

@@ -1,4 +1,4 @@
-"""What the friction stage says of one joint: the file's entry, a verdict and notes."""
+"""One joint of the friction stage: the file's entry, a verdict and notes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from seqid_cli.typing import Array
 
 DEFAULT_BETA = 0.05
 FEWEST_SPEEDS = 4
-POOR_DOUBT = 0.15  # of the friction at a speed, beyond which the surface is not to be trusted
+POOR_ERROR = 0.15  # of the friction at a speed, beyond which the surface is not to be trusted
 
 
 @dataclass(frozen=True)
@@ -148,15 +148,15 @@ def _verdict(name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling) 
         return Verdict(joint=name, good=False, reason=reason)
     usual = float(np.sqrt(np.mean([level.friction**2 for level in joint.speeds])))
     u = scaling.u(np.array([level.speed for level in joint.speeds]))
-    doubts = [
+    errors = [
         float(np.hypot(_rms(unseen.at(at).missed), level.std_error))
         / max(level.friction, NEAR_ZERO * usual, 1e-12)
         for at, level in zip(u, joint.speeds, strict=True)
     ]
-    worst = int(np.argmax(doubts))
+    worst = int(np.argmax(errors))
     unit = "m/s" if joint.unit == "N" else "rad/s"
-    at = f"{percent(doubts[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
-    if doubts[worst] > POOR_DOUBT:
+    at = f"{percent(errors[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
+    if errors[worst] > POOR_ERROR:
         reason = (
             f"friction is known to {at} only; record more or longer trials there, or look at what "
             "else moves the torque (seqid diagnose)"

@@ -27,7 +27,7 @@ POOR_DEG = 0.5
 UNDETERMINED_DEG = 5.0
 OPEN_LEVER, OPEN_BIAS, OPEN_RATE = 0.02, 0.2, 0.02  # m, m/s^2, rad/s: standard errors too large
 OPEN_GAIN, OPEN_TILT_DEG, OPEN_DELAY = 0.005, 0.25, 0.005  # -, degrees, s
-PRIOR_SHARE = 0.5  # of a fixed prior's width, beyond which the logs have said nothing
+PRIOR_SHARE = 0.5  # of a fixed prior's width, beyond which the logs have shown nothing
 POOR_HOLDOUT = 1.5
 SAMPLING = 0.01  # of a sample, by which jolts between two rows shift a clock
 FEW = 6
@@ -103,14 +103,14 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class _Known:
-    """Standard errors of each channel's bias, gain and tilt (degrees), and which are told."""
+    """Standard errors of each channel's bias, gain and tilt (degrees), and which are known."""
 
     bias: Array
     gain: Array
     tilt: Array
-    bias_told: Mask
-    gain_told: Mask
-    tilt_told: Mask
+    bias_known: Mask
+    gain_known: Mask
+    tilt_known: Mask
     accelerometers: int
 
 
@@ -125,9 +125,9 @@ def _known(imu: Imu, fit: Fit) -> _Known:
         bias=bias,
         gain=gain,
         tilt=tilt,
-        bias_told=bias < limit,
-        gain_told=(gain < OPEN_GAIN) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
-        tilt_told=(tilt < OPEN_TILT_DEG) & _beyond_prior(tilt, tilt_prior, k),
+        bias_known=bias < limit,
+        gain_known=(gain < OPEN_GAIN) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
+        tilt_known=(tilt < OPEN_TILT_DEG) & _beyond_prior(tilt, tilt_prior, k),
         accelerometers=k,
     )
 
@@ -137,10 +137,10 @@ def _add_sensors(
 ) -> None:
     """Write the channels' own constants into a calibration."""
     axes, constants = channels_of(imu)[0], fit.constants
-    turned = np.where(known.tilt_told[:, None], tilted(axes, constants.tilt), axes)
+    turned = np.where(known.tilt_known[:, None], tilted(axes, constants.tilt), axes)
     gains, k = np.exp(constants.log_gain), known.accelerometers
     for sensor, own in (("accelerometer", slice(0, k)), ("gyro", slice(k, None))):
-        bias, gain, tilt = known.bias_told[own], known.gain_told[own], known.tilt_told[own]
+        bias, gain, tilt = known.bias_known[own], known.gain_known[own], known.tilt_known[own]
         for key, value in (
             ("bias", _listed(constants.bias[own], bias)),
             ("bias_std_errors", _listed(known.bias[own], bias)),
@@ -176,7 +176,7 @@ def _lever_known(sigma: Array, about: Array | None) -> Mask:
 
 
 def _beyond_prior(sigma: Array, prior: Array, accelerometers: int) -> Mask:
-    """Whether the logs say more than a prior of fixed width did; widths of many are found."""
+    """Whether the logs show more than a prior of fixed width did; widths of many are found."""
     found = np.zeros(len(sigma), dtype=bool)
     if accelerometers >= FEW:
         found[:accelerometers] = True
@@ -195,23 +195,23 @@ def _densities(segments: list[Segment]) -> Array:
 
 def _missing(about: Array | None, lever: Mask, known: _Known, *, delay_known: bool) -> list[str]:
     """Say in words what the logs leave open."""
-    said = []
+    missing = []
     if about is not None:
         axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
-        said.append(f"the angle about the link's axis ({axis}) is not determined")
+        missing.append(f"the angle about the link's axis ({axis}) is not determined")
     if not lever.all():
-        names = " and ".join(n for n, told in zip("xyz", lever, strict=True) if not told)
-        said.append(f"the lever along the link's {names} is not determined")
+        names = " and ".join(n for n, there in zip("xyz", lever, strict=True) if not there)
+        missing.append(f"the lever along the link's {names} is not determined")
     k = known.accelerometers
-    kinds = ((known.bias_told, "bias"), (known.gain_told, "scale"), (known.tilt_told, "axis"))
+    kinds = ((known.bias_known, "bias"), (known.gain_known, "scale"), (known.tilt_known, "axis"))
     for own, sensor in ((slice(0, k), "accelerometer"), (slice(k, None), "gyro")):
-        for told, name in kinds:
-            count = int((~told[own]).sum())
+        for determined, name in kinds:
+            count = int((~determined[own]).sum())
             if count:
-                said.append(f"the {name} of {count} {sensor} channel(s) is not determined")
+                missing.append(f"the {name} of {count} {sensor} channel(s) is not determined")
     if not delay_known:
-        said.append("the clock offset to the encoders is not determined")
-    return said
+        missing.append("the clock offset to the encoders is not determined")
+    return missing
 
 
 def verdict_of(robot: Robot, imu: Imu, calibration: ImuCalibration, *, converged: bool) -> Verdict:
@@ -246,7 +246,7 @@ def verdict_of(robot: Robot, imu: Imu, calibration: ImuCalibration, *, converged
 
 
 def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
-    """Return the joint that deflects by most, where one does beyond doubt."""
+    """Return the joint that deflects by most, where one does significantly."""
     sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
     return max(sure, key=lambda d: d.significance, default=None)
 

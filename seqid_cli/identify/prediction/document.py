@@ -123,7 +123,7 @@ def prediction_file(
     names = robot.joint_names
     overall = sliding = none = ErrorSums.none(len(names))
     errors = []
-    told = effect_notes(stages, robot, unexplained=unexplained)
+    effects = effect_notes(stages, robot, unexplained=unexplained)
     with contextlib.ExitStack() as stack:
         writer = stack.enter_context(_torque_writer(torques, names)) if torques else None
         own = slid = none
@@ -151,7 +151,7 @@ def prediction_file(
         logs=errors,
         cutoff_origin=cutoff_origin or "chosen per log",
         verdicts=as_a_whole([*verdicts, *physics_verdicts(stages, robot), *logs.verdicts()]),
-        notes=[*told, *_notes(joints), *logs.notes()],
+        notes=[*effects, *_notes(joints), *logs.notes()],
     )
 
 
@@ -203,6 +203,6 @@ def _verdict(name: str, error: JointError, lacks: Sequence[str]) -> Verdict:
     """A joint is poor where the model lacks something of it, or its error is too large."""
     share, reasons = error.relative_rmse, list(lacks)
     if share is None or share > MAX_RELATIVE_RMSE:
-        limit, told = percent(MAX_RELATIVE_RMSE), "-" if share is None else percent(share)
-        reasons.append(f"the error is {told} of the torque's RMS, above {limit}")
+        limit, left = percent(MAX_RELATIVE_RMSE), "-" if share is None else percent(share)
+        reasons.append(f"the error is {left} of the torque's RMS, above {limit}")
     return Verdict(joint=name, good=not reasons, reason="; ".join(reasons))

@@ -55,15 +55,15 @@ def friction_covariance(
 
 
 def sensitivity_of(stage: RigidStage | None, names: Sequence[str]) -> Sensitivity:
-    """Sensitivity (p, K_j) of a stage's parameters to friction, by joint, as its file says it."""
-    told = stage.friction_sensitivity if stage is not None else {}
-    return {j: np.array(told[name]) for j, name in enumerate(names) if told.get(name)}
+    """Sensitivity (p, K_j) of a stage's parameters to friction, by joint, as its file has it."""
+    known = stage.friction_sensitivity if stage is not None else {}
+    return {j: np.array(known[name]) for j, name in enumerate(names) if known.get(name)}
 
 
 def moves_of(stage: RigidStage | None, names: Sequence[str]) -> Moves:
-    """Moves (p,) of a stage's parameters per error of a torque constant, as its file says."""
-    told = stage.torque_constant_moves if stage is not None else {}
-    return {j: np.array(told[name]) for j, name in enumerate(names) if told.get(name)}
+    """Moves (p,) of a stage's parameters per error of a torque constant, as its file has it."""
+    known = stage.torque_constant_moves if stage is not None else {}
+    return {j: np.array(known[name]) for j, name in enumerate(names) if known.get(name)}
 
 
 def constant_moves(
@@ -146,7 +146,7 @@ class Posterior:
         covariance += friction_covariance(total, surfaces, len(covariance))
         return cls((covariance + covariance.T) / 2, total)
 
-    def with_doubt(self, directions: Array) -> Posterior:
+    def with_error(self, directions: Array) -> Posterior:
         """Add an error along directions (p, d), one standard deviation each."""
         return replace(self, covariance=self.covariance + directions @ directions.T)
 

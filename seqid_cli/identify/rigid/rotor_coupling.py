@@ -10,7 +10,7 @@ friction and gravity included; with k and its standard error s of the fit that l
 It must decide alike at neighbouring cut-offs. A k that is neither near 0 nor near 1 is a sign of
 something else. Where the logs do not decide, the data sheet's model stays (rotors act on their own
 joints alone), and what the other one would change counts as an error of the parameters: it is as
-likely as not, or more where the logs say so.
+likely as not, or more where the logs favour it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LOG_ODDS = 5.0  # that decide: 150 to 1
 class Coupling:
     """The decision: whether the coupling is `used`, and how it came about.
 
-    `share` and `std_error` are those of the fit that leaves it free; `doubt` (p, d) are directions
+    `share` and `std_error` are those of the fit that leaves it free; `errors` (p, d) are directions
     along which the other hypothesis would move the parameters, in standard deviations.
     """
 
@@ -42,7 +42,7 @@ class Coupling:
     decided: bool
     share: float
     std_error: float
-    doubt: Array
+    errors: Array
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -85,7 +85,7 @@ class _Share:
 
 
 def decide(equations: Sequence[Equations]) -> Coupling:
-    """Compare the two hypotheses by what the logs say.
+    """Compare the two hypotheses by the logs.
 
     Parameters
     ----------
@@ -112,8 +112,8 @@ def decide(equations: Sequence[Equations]) -> Coupling:
     # What does not decide does not count against the other hypothesis either.
     likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -LOG_ODDS, LOG_ODDS))))
     without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
-    doubt = np.sqrt(likely) * (coupled - without)[:, None]
-    return Coupling(False, False, value, error, doubt, _open(value, error, near=first.near))
+    errors = np.sqrt(likely) * (coupled - without)[:, None]
+    return Coupling(False, False, value, error, errors, _open(value, error, near=first.near))
 
 
 def _free(equations: Equations) -> _Share | None:
@@ -126,8 +126,8 @@ def _free(equations: Equations) -> _Share | None:
 
 
 def _decided(used: bool) -> tuple[str, ...]:
-    said = "the data show rotors coupled to the links that carry them; used as such"
-    return (said,) if used else ()
+    text = "the data show rotors coupled to the links that carry them; used as such"
+    return (text,) if used else ()
 
 
 def _open(share: float, error: float, *, near: bool) -> tuple[str, ...]:

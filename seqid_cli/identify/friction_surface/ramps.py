@@ -26,9 +26,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array, Index
 
-BEYOND = 2.0  # times noise and usual size: torques of acceleration that are not taken off but out
-FEWEST_WINDOWS = 6  # of a configuration, that determine its inertia
-
 
 @dataclass(frozen=True)
 class SteadyGroup:
@@ -93,7 +90,7 @@ def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:
     return _settled(replace(trial, tau=trial.tau - off), pushed)
 
 
-def _settled(trial: Trial, pushed: Array) -> Trial:
+def _settled(trial: Trial, pushed: Array, *, max_ratio: float = 2.0) -> Trial:
     """Without the slices whose acceleration takes a torque `pushed` (K,) beyond noise and usual.
 
     At the ends a controller settles faster than the path follows: what is taken off is as wrong
@@ -101,7 +98,7 @@ def _settled(trial: Trial, pushed: Array) -> Trial:
     """
     noise = PER_MEDIAN * float(np.median(np.abs(np.diff(trial.tau, 2)))) / np.sqrt(6.0)
     usual = float(np.median(np.abs(pushed)))
-    kept = np.abs(pushed) <= BEYOND * np.hypot(noise, usual)
+    kept = np.abs(pushed) <= max_ratio * np.hypot(noise, usual)
     names = ("q", "dq", "ddq", "tau", "t")
     return replace(trial, **{name: getattr(trial, name)[kept] for name in names})
 
@@ -126,10 +123,12 @@ def _inflation(found: Sequence[_Inertia]) -> float:
     return max(sum(one.trials * one.robust for one in found) / white, 1.0) if white > 0 else 1.0
 
 
-def _inertia_of(robot: Robot, group: list[Trial], surface: FrictionSurface) -> _Inertia | None:
+def _inertia_of(
+    robot: Robot, group: list[Trial], surface: FrictionSurface, *, min_windows: int = 6
+) -> _Inertia | None:
     """d_kk of one configuration; None where its ramps do not determine it."""
     ramps = [_within(trial.ramps, surface) for trial in group]
-    if sum(len(part.q) for part in ramps) < FEWEST_WINDOWS:
+    if sum(len(part.q) for part in ramps) < min_windows:
         return None
     rows, right, cluster = [], [], []
     for number, (trial, part) in enumerate(zip(group, ramps, strict=True)):

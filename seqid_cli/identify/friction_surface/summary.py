@@ -26,7 +26,6 @@ from seqid_cli.typing import Array
 
 DEFAULT_BETA = 0.05
 FEWEST_SPEEDS = 4
-POOR_ERROR = 0.15  # of the friction at a speed, beyond which the surface is not to be trusted
 
 
 @dataclass(frozen=True)
@@ -139,8 +138,13 @@ def _std_error(surface: FrictionSurface, own: list[SpeedData]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
-def _verdict(name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling) -> Verdict:
-    """Good, or poor and why: the speed at which the surface is worst decides."""
+def _verdict(
+    name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling, *, max_error: float = 0.15
+) -> Verdict:
+    """Good, or poor and why: the speed at which the surface is worst decides.
+
+    There its error may be `max_error` of the friction.
+    """
     if joint.held_out_rmse is None:
         reason = (
             f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"
@@ -156,7 +160,7 @@ def _verdict(name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling) 
     worst = int(np.argmax(errors))
     unit = "m/s" if joint.unit == "N" else "rad/s"
     at = f"{percent(errors[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
-    if errors[worst] > POOR_ERROR:
+    if errors[worst] > max_error:
         reason = (
             f"friction is known to {at} only; record more or longer trials there, or look at what "
             "else moves the torque (seqid diagnose)"

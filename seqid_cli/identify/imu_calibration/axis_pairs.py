@@ -25,8 +25,6 @@ from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Mask
 
-WEAKEST = 0.1  # rad/s^2 below which an acceleration shows nothing
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -74,11 +72,16 @@ def _axis_pair(
     own: Mask,
     dw: Array,
     products: Array,
+    *,
+    min_acceleration: float = 0.1,
 ) -> Pair | None:
-    """Eq. 29/32 and 33 for one joint of one log, with the references of Eq. 30 and 31."""
+    """Eq. 29/32 and 33 for one joint of one log, with the references of Eq. 30 and 31.
+
+    None where its acceleration (RMS) is below `min_acceleration` rad/s^2.
+    """
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
-    if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < WEAKEST:
+    if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:
         return None
     direction = direction / np.linalg.norm(direction)
     # The IMU's own acceleration along the axis is less noisy than the encoder's: refine with it.

@@ -29,9 +29,6 @@ from seqid_cli.params.schema import Verdict
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
-# Above this share of the measured torque's RMS, a user should not rely on the prediction.
-MAX_RELATIVE_RMSE = 0.3
-
 
 @dataclass(frozen=True)
 class ErrorSums:
@@ -199,10 +196,16 @@ def _notes(joints: dict[str, JointError]) -> list[str]:
     return [f"never slides in these logs and is not judged: {', '.join(still)}"] if still else []
 
 
-def _verdict(name: str, error: JointError, lacks: Sequence[str]) -> Verdict:
-    """A joint is poor where the model lacks something of it, or its error is too large."""
+def _verdict(
+    name: str, error: JointError, lacks: Sequence[str], *, max_relative_rmse: float = 0.3
+) -> Verdict:
+    """A joint is poor where the model lacks something of it, or its error is too large.
+
+    A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
+    the measured torque.
+    """
     share, reasons = error.relative_rmse, list(lacks)
-    if share is None or share > MAX_RELATIVE_RMSE:
-        limit, left = percent(MAX_RELATIVE_RMSE), "-" if share is None else percent(share)
+    if share is None or share > max_relative_rmse:
+        limit, left = percent(max_relative_rmse), "-" if share is None else percent(share)
         reasons.append(f"the error is {left} of the torque's RMS, above {limit}")
     return Verdict(joint=name, good=not reasons, reason="; ".join(reasons))

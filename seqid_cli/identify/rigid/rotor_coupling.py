@@ -26,9 +26,6 @@ from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
-CONSISTENT = 3.0  # standard errors within which the free share agrees with 0 or 1
-LOG_ODDS = 5.0  # that decide: 150 to 1
-
 
 @dataclass(frozen=True)
 class Coupling:
@@ -78,19 +75,24 @@ class _Share:
         """Logarithm of the odds of 1 against 0."""
         return (self.value**2 - (self.value - 1.0) ** 2) / (2.0 * self.error**2)
 
-    @property
-    def near(self) -> bool:
-        """Whether it agrees with 0 or with 1."""
-        return min(abs(self.value), abs(self.value - 1.0)) < CONSISTENT * self.error
+    def near(self, sigma: float) -> bool:
+        """Whether it agrees with 0 or with 1 within so many standard errors."""
+        return min(abs(self.value), abs(self.value - 1.0)) < sigma * self.error
 
 
-def decide(equations: Sequence[Equations]) -> Coupling:
+def decide(
+    equations: Sequence[Equations], *, max_sigma: float = 3.0, min_log_odds: float = 5.0
+) -> Coupling:
     """Compare the two hypotheses by the logs.
 
     Parameters
     ----------
     equations : sequence of Equations
         With the rows of all logs; the first as they are used, the others at other cut-offs.
+    max_sigma : float
+        Standard errors within which the free share agrees with 0 or 1.
+    min_log_odds : float
+        Logarithm of the odds that decide: 5 are 150 to 1.
 
     Returns
     -------
@@ -103,17 +105,22 @@ def decide(equations: Sequence[Equations]) -> Coupling:
     first = found[0]
     if first is None:
         return Coupling.none(kappa)
-    sure = [share is not None and share.near and abs(share.odds) > LOG_ODDS for share in found]
+    sure = [
+        share is not None and share.near(max_sigma) and abs(share.odds) > min_log_odds
+        for share in found
+    ]
     sides = {share.odds > 0 for share in found if share is not None}
     value, error = first.value, first.error
     if all(sure) and len(sides) == 1:
         used = sides.pop()
         return Coupling(used, True, value, error, np.zeros((kappa, 0)), _decided(used))
     # What does not decide does not count against the other hypothesis either.
-    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -LOG_ODDS, LOG_ODDS))))
+    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -min_log_odds, min_log_odds))))
     without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
     errors = np.sqrt(likely) * (coupled - without)[:, None]
-    return Coupling(False, False, value, error, errors, _open(value, error, near=first.near))
+    return Coupling(
+        False, False, value, error, errors, _open(value, error, near=first.near(max_sigma))
+    )
 
 
 def _free(equations: Equations) -> _Share | None:

@@ -18,6 +18,7 @@ from seqid_cli.identify.friction_surface.summary import (
     DEFAULT_BETA,
     Fit,
     JointFit,
+    constants_note,
     summarise,
 )
 from seqid_cli.identify.friction_surface.trials import (
@@ -28,7 +29,6 @@ from seqid_cli.identify.friction_surface.trials import (
 )
 from seqid_cli.identify.friction_surface.weights import around_medians, weighted
 from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.identify.rigid.posterior import constants_note
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling

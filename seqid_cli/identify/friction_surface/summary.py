@@ -194,3 +194,18 @@ def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> 
             f"({joint.max_abs_error:.3g} {joint.unit})"
         )
     return notes
+
+
+def constants_note(robot: Robot) -> list[str]:
+    """Say which joints' torque constants are taken as exact, if any."""
+    exact = [
+        joint.name
+        for joint in robot.joints
+        if joint.torque_constant is not None and joint.torque_constant_error == 0.0
+    ]
+    if not exact:
+        return []
+    return [
+        f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
+        "file adds their error to the standard errors"
+    ]

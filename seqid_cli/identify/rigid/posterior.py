@@ -34,7 +34,6 @@ from seqid_cli.identify.regression.least_squares import Prior, Solution, whitene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Matrix, RigidStage
 from seqid_cli.robot.base_parameters import Basis, standard_names
-from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index
 
 Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
@@ -175,21 +174,6 @@ def as_lists(
 ) -> dict[str, list[float]]:
     """Moves of the parameters `chosen` for the parameter file."""
     return {names[j]: move[chosen].tolist() for j, move in moves.items()}
-
-
-def constants_note(robot: Robot) -> list[str]:
-    """Say which joints' torque constants are taken as exact, if any."""
-    exact = [
-        joint.name
-        for joint in robot.joints
-        if joint.torque_constant is not None and joint.torque_constant_error == 0.0
-    ]
-    if not exact:
-        return []
-    return [
-        f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
-        "file adds their error to the standard errors"
-    ]
 
 
 def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:

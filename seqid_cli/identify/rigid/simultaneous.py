@@ -17,6 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.friction_surface.summary import constants_note
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.regression.equations import (
     blocks,
@@ -26,7 +27,7 @@ from seqid_cli.identify.regression.equations import (
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
-from seqid_cli.identify.rigid.posterior import Posterior, constant_moves, constants_note
+from seqid_cli.identify.rigid.posterior import Posterior, constant_moves
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding

@@ -1,6 +1,6 @@
 """One low-pass cut-off per identification, and for every later stage that builds on it.
 
-An inertia that is identified below one cut-off holds what the logs say there: friction that lags,
+An inertia that is identified below one cut-off holds what the logs show there: friction that lags,
 elasticity and what else a model leaves out enter it differently elsewhere. So all logs of a stage
 are filtered alike: the scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
 and joints, and the sum is maximised; the slowest rate of the logs limits it. The file carries the
@@ -46,9 +46,9 @@ GRID: Array = np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200)
 
 @dataclass(frozen=True)
 class LogScore:
-    """What one log says of every cut-off of `GRID`, and the highest that it allows [Hz].
+    """Score of every cut-off of `GRID` by one log, and the highest that it allows [Hz].
 
-    `smoothed` is what the log's smoothed motion says.
+    `smoothed` is the score by the log's smoothed motion.
     """
 
     score: Score
@@ -91,7 +91,7 @@ def score_of(
 
 
 def _smoothed(log: Recording, robot: Robot, imu: ImuStage | None, source: str) -> Score | None:
-    """What the smoothed motion says, where that is what will be used."""
+    """Score by the smoothed motion, where that will be used."""
     if imu is None or not imu.imus or source == "encoder":
         return None
     encoder = estimate_motion(log, robot, MotionOptions())
@@ -154,7 +154,7 @@ def identification_options(
         return MotionOptions()
     found: list[LogScore] = []
     for given in logs:
-        # Errors are told when the log is read to be identified from.
+        # Errors are reported when the log is read to be identified from.
         with contextlib.suppress(SeqidError):
             own = _score_of_given(given, robot, imu, source, time_source)
             found += [own] if own is not None else []

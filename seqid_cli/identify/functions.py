@@ -253,7 +253,7 @@ def predict(
 def announcement(
     imu: ImuStage | None, source: str, *, min_length_s: float = 300.0
 ) -> Callable[[Recording], str]:
-    """Return what says that the smoother takes long, for logs of at least `min_length_s` s."""
+    """Return the note that the smoother takes long, for logs of at least `min_length_s` s."""
 
     def announce(log: Recording) -> str:
         length = len(log.t) / log.rate_hz

@@ -1,6 +1,6 @@
-"""Checks on results: what no arm can be, and what one stage says against another.
+"""Checks on results: what no arm can be, and whether stages agree.
 
-A stage's own verdicts say how well it fits. Here its result is held against physics and against
+A stage's own verdicts judge its fit. Here its result is held against physics and against
 the stages before: friction takes energy away, the inertia that a drive feels is positive, gravity
 is the same wherever it shows, and its size is of the order of the URDF's. The logs' own errors
 (`seqid inspect`) join in, and a stage is good as a whole only if all of it is.
@@ -9,6 +9,7 @@ is the same wherever it shows, and its size is of the order of the URDF's. The l
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -33,20 +34,34 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
-CLEAR_SIGMA = 4.0  # standard errors, by which a result must be impossible
-DRIVING_SHARE = 0.03  # of the usual friction, that negative friction must be
-DRIVING_CELLS = 0.02  # of the positions and speeds looked at
-GRID = 33  # positions over a joint's range
-SPEEDS = 9  # over the range of a friction that is a law over speed
-POSTURES = 60  # in which torques are compared
-DISAGREE = 0.25  # of a joint's gravity torque, by which two stages may differ
-LIGHT = 0.05  # of the largest gravity torque: joints that carry less are not compared
-FACTOR = 2.5  # that gravity may be off the URDF's inertials
-FALSE_SIGN = -0.3  # times the URDF's gravity: beyond it the sign is another one
-ALIKE = 0.3  # correlation with the URDF's gravity: below it, it points elsewhere
-HELD_NM = 1e-3  # gravity torques below say nothing
-
 JUDGED = ("friction", "gravity", "imu", "inertia")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a result must keep to.
+
+    A result must be impossible by `clear_sigma` standard errors. Friction drives a joint where it
+    is negative by `driving_share` of the usual friction, in more than `driving_cells` of the
+    positions and speeds looked at. Gravity of two stages may differ by `max_difference` of a
+    joint's gravity torque, and by a factor `max_factor` from the URDF's; below `false_sign` times
+    that its sign is another one, below the correlation `min_correlation` it points elsewhere.
+    Joints with less than `light_share` of the largest gravity torque, or `min_torque` N m, are not
+    compared. They are looked at in so many `positions`, `speeds` and `postures`.
+    """
+
+    clear_sigma: float = 4.0
+    driving_share: float = 0.03
+    driving_cells: float = 0.02
+    max_difference: float = 0.25
+    max_factor: float = 2.5
+    false_sign: float = -0.3
+    min_correlation: float = 0.3
+    light_share: float = 0.05
+    min_torque: float = 1e-3
+    positions: int = 33
+    speeds: int = 9
+    postures: int = 60
 
 
 def judged(
@@ -54,8 +69,10 @@ def judged(
     previous: ParameterFile | None,
     robot: Robot,
     findings: Sequence[InspectionFinding] = (),
+    *,
+    limits: Limits = Limits(),
 ) -> Stages:
-    """Add to the verdicts of new stages what the logs and physics say.
+    """Add to the verdicts of new stages those by the logs and by physics.
 
     Parameters
     ----------
@@ -65,7 +82,8 @@ def judged(
         The stages before.
     robot : Robot
     findings : sequence of InspectionFinding
-        What inspection says of the logs that were read.
+        Of the inspection of the logs that were read.
+    limits : Limits
 
     Returns
     -------
@@ -80,12 +98,16 @@ def judged(
     for name in JUDGED:
         stage = getattr(found, name)
         if stage is not None:
-            own = [*stage.verdicts, *_physics(stage, known, robot), *verdicts_of_logs(findings)]
+            own = [
+                *stage.verdicts,
+                *_physics(stage, known, robot, limits),
+                *verdicts_of_logs(findings),
+            ]
             stages[name] = replace(stage, verdicts=as_a_whole(own))
     return replace(found, **stages)
 
 
-def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
+def physics_verdicts(stages: Stages, robot: Robot, *, limits: Limits = Limits()) -> list[Verdict]:
     """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
 
     Parameters
@@ -93,6 +115,7 @@ def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
     stages : Stages
     robot : Robot
         As it is now: its gear ratios or gravity may not be those of the identification.
+    limits : Limits
 
     Returns
     -------
@@ -100,7 +123,9 @@ def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
         What no arm can be, each reason once per joint.
     """
     there = (stages.friction, stages.gravity, stages.inertia)
-    found = [v for stage in there if stage is not None for v in _physics(stage, stages, robot)]
+    found = [
+        v for stage in there if stage is not None for v in _physics(stage, stages, robot, limits)
+    ]
     return list({(v.joint, v.reason): v for v in found}.values())
 
 
@@ -115,25 +140,27 @@ def as_a_whole(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def _physics(
-    stage: FrictionStage | RigidStage | ImuStage, known: Stages, robot: Robot
+    stage: FrictionStage | RigidStage | ImuStage, known: Stages, robot: Robot, limits: Limits
 ) -> Iterator[Verdict]:
     if isinstance(stage, FrictionStage):
-        yield from friction_verdicts(stage, robot)
+        yield from friction_verdicts(stage, robot, limits)
     elif isinstance(stage, RigidStage) and stage.parameters:
         is_gravity = stage is known.gravity
         if not is_gravity:
-            yield from inertia_verdicts(stage, robot)
+            yield from inertia_verdicts(stage, robot, limits)
             if known.gravity is not None and known.gravity.parameters:
-                yield from _gravity_again(stage, known.gravity, robot)
+                yield from _gravity_again(stage, known.gravity, robot, limits)
         elif known.friction is not None:
-            yield from _gravity_of_trials(stage, known.friction, robot)
-        yield from _against_urdf(stage, robot)
+            yield from _gravity_of_trials(stage, known.friction, robot, limits)
+        yield from _against_urdf(stage, robot, limits)
 
 
-def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
+def friction_verdicts(
+    stage: FrictionStage, robot: Robot, limits: Limits = Limits()
+) -> Iterator[Verdict]:
     """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
     for name, joint in stage.joints.items():
-        drives = _driving(joint)
+        drives = _driving(joint, limits)
         if drives is not None:
             value, error, speed = drives
             reason = (
@@ -142,10 +169,10 @@ def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
                 "is another joint's"
             )
             yield Verdict(joint=name, good=False, reason=reason)
-    yield from _weighed(_measured_gravity(stage, robot), robot)
+    yield from _weighed(_measured_gravity(stage, robot, limits), robot, limits)
 
 
-def _driving(joint: FrictionJoint) -> tuple[float, float, float] | None:
+def _driving(joint: FrictionJoint, limits: Limits) -> tuple[float, float, float] | None:
     """Find friction that drives: the worst value, its standard error and the speed; else None.
 
     The mean of both directions counts: what is the same in both is an offset and takes no energy.
@@ -155,13 +182,13 @@ def _driving(joint: FrictionJoint) -> tuple[float, float, float] | None:
     levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]
     speeds = np.array(levels or [high])
     if joint.parameters:  # a law over speed, of one level alone
-        speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, SPEEDS)
-    q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, GRID), speeds))
+        speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, limits.speeds)
+    q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, limits.positions), speeds))
     value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
     error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
     usual = float(np.sqrt(np.mean(value**2)))
-    drives = (value < -CLEAR_SIGMA * error) & (value < -DRIVING_SHARE * usual)
-    if np.mean(drives) <= DRIVING_CELLS:
+    drives = (value < -limits.clear_sigma * error) & (value < -limits.driving_share * usual)
+    if np.mean(drives) <= limits.driving_cells:
         return None
     worst = int(np.argmin(np.where(drives, value, np.inf)))
     return float(value[worst]), float(error[worst]), float(v[worst])
@@ -170,7 +197,7 @@ def _driving(joint: FrictionJoint) -> tuple[float, float, float] | None:
 Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
 
 
-def _measured_gravity(stage: FrictionStage, robot: Robot) -> Samples:
+def _measured_gravity(stage: FrictionStage, robot: Robot, limits: Limits) -> Samples:
     """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
     found: Samples = {}
     for j, name in enumerate(robot.joint_names):
@@ -180,8 +207,8 @@ def _measured_gravity(stage: FrictionStage, robot: Robot) -> Samples:
             if not group.p_xi or joint is None:
                 continue
             first, last = joint.position_range
-            q = np.linspace(first, last, GRID)
-            full = np.tile(np.array(group.configuration), (GRID, 1))
+            q = np.linspace(first, last, limits.positions)
+            full = np.tile(np.array(group.configuration), (limits.positions, 1))
             full[:, j] = q
             postures.append(full)
             columns = gravity_columns(robot, j, np.array(group.configuration), q)
@@ -192,18 +219,20 @@ def _measured_gravity(stage: FrictionStage, robot: Robot) -> Samples:
 
 
 def _gravity_of_trials(
-    stage: RigidStage, friction: FrictionStage, robot: Robot
+    stage: RigidStage, friction: FrictionStage, robot: Robot, limits: Limits
 ) -> Iterator[Verdict]:
     """Compare the chain's gravity with that of the friction trials, posture by posture."""
     names = robot.joint_names
-    least = max(HELD_NM, LIGHT * float(_largest(robot, stage).max()))
-    for j, (q, measured) in _measured_gravity(friction, robot).items():
+    least = max(
+        limits.min_torque, limits.light_share * float(_largest(robot, stage, limits.postures).max())
+    )
+    for j, (q, measured) in _measured_gravity(friction, robot, limits).items():
         own = _gravity_torque(stage, robot, q)[:, j]
         size = float(np.sqrt(np.mean(measured**2)))
         if size < least:
             continue
         off = float(np.sqrt(np.mean((own - measured) ** 2))) / size
-        if off > DISAGREE:
+        if off > limits.max_difference:
             factor = float(own @ measured) / float(measured @ measured)
             reason = (
                 f"gravity in the friction trials (Eq. 12-15) is not that of the parameters: "
@@ -213,16 +242,18 @@ def _gravity_of_trials(
             yield Verdict(joint=names[j], good=False, reason=reason)
 
 
-def _gravity_again(stage: RigidStage, gravity: RigidStage, robot: Robot) -> Iterator[Verdict]:
+def _gravity_again(
+    stage: RigidStage, gravity: RigidStage, robot: Robot, limits: Limits
+) -> Iterator[Verdict]:
     """Compare the gravity that the inertia logs show with that of the gravity stage."""
-    q = _postures(robot)
+    q = _postures(robot, limits.postures)
     before, after = (_gravity_torque(each, robot, q) for each in (gravity, stage))
     sizes = np.sqrt(np.mean(before**2, axis=0))
     for j, name in enumerate(robot.joint_names):
-        if sizes[j] < max(HELD_NM, LIGHT * float(sizes.max())):
+        if sizes[j] < max(limits.min_torque, limits.light_share * float(sizes.max())):
             continue
         off = float(np.sqrt(np.mean((after[:, j] - before[:, j]) ** 2))) / float(sizes[j])
-        if off > DISAGREE:
+        if off > limits.max_difference:
             reason = (
                 f"gravity in these logs differs from the gravity stage's by {percent(off, 0)} of "
                 "it. Check that the logs are of one robot, in one unit and with the joints in order"
@@ -230,22 +261,24 @@ def _gravity_again(stage: RigidStage, gravity: RigidStage, robot: Robot) -> Iter
             yield Verdict(joint=name, good=False, reason=reason)
 
 
-def inertia_verdicts(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
+def inertia_verdicts(
+    stage: RigidStage, robot: Robot, limits: Limits = Limits()
+) -> Iterator[Verdict]:
     """Judge whether rotors and the inertia that each drive feels are positive."""
     for parameter in stage.parameters:
         positive = parameter.terms and all(
             factor > 0.0 and name.startswith("Ia_") for name, factor in parameter.terms.items()
         )
-        if positive and parameter.value < -CLEAR_SIGMA * parameter.std_error:
+        if positive and parameter.value < -limits.clear_sigma * parameter.std_error:
             reason = (
                 f"{parameter.name} is {parameter.value:.3g} +- {parameter.std_error:.2g}: a rotor "
                 "cannot have negative inertia"
             )
             yield Verdict(joint=parameter.joint, good=False, reason=reason)
-    yield from _felt_inertia(stage, robot)
+    yield from _felt_inertia(stage, robot, limits)
 
 
-def _felt_inertia(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
+def _felt_inertia(stage: RigidStage, robot: Robot, limits: Limits) -> Iterator[Verdict]:
     """The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors."""
     phi, rotor = standard_parameters(stage, robot.n)
     basis = free_basis(robot)
@@ -254,7 +287,7 @@ def _felt_inertia(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
     if len(own) != len(stage.parameters) or np.shape(stage.covariance) != (len(own), len(own)):
         return
     covariance = np.array(stage.covariance)
-    q = _postures(robot)
+    q = _postures(robot, limits.postures)
     standard = np.concatenate([phi.ravel(), rotor])
     for j, name in enumerate(robot.joint_names):
         if stage.rmse and name not in stage.rmse:
@@ -267,8 +300,8 @@ def _felt_inertia(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
         felt = H[:, j] @ standard
         columns = H[:, j] @ basis.representative[:, own]
         error = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", columns, covariance, columns), 0.0))
-        worst = int(np.argmax(felt + CLEAR_SIGMA * error))
-        if felt[worst] < -CLEAR_SIGMA * error[worst]:  # in every posture
+        worst = int(np.argmax(felt + limits.clear_sigma * error))
+        if felt[worst] < -limits.clear_sigma * error[worst]:  # in every posture
             reason = (
                 f"the inertia that its drive feels is at most {felt[worst]:.3g} +- "
                 f"{error[worst]:.2g}: it cannot be negative. Check sign and unit of the torque, "
@@ -277,35 +310,37 @@ def _felt_inertia(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
             yield Verdict(joint=name, good=False, reason=reason)
 
 
-def _against_urdf(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
-    q = _postures(robot)
+def _against_urdf(stage: RigidStage, robot: Robot, limits: Limits) -> Iterator[Verdict]:
+    q = _postures(robot, limits.postures)
     torque = _gravity_torque(stage, robot, q)
-    yield from _weighed({j: (q, torque[:, j]) for j in range(robot.n)}, robot)
+    yield from _weighed({j: (q, torque[:, j]) for j in range(robot.n)}, robot, limits)
 
 
-def _weighed(samples: Samples, robot: Robot) -> Iterator[Verdict]:
+def _weighed(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verdict]:
     """Compare gravity with that of the URDF's inertials, where there are any."""
     if robot.nominal is None or not samples:
         return
-    largest = _largest(robot, None)
+    largest = _largest(robot, None, limits.postures)
     for j, (q, measured) in samples.items():
         still = np.zeros_like(q)
         nominal = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)[:, j]
-        if float(np.abs(nominal).max()) < max(HELD_NM, 2.0 * LIGHT * float(largest.max())):
+        if float(np.abs(nominal).max()) < max(
+            limits.min_torque, 2.0 * limits.light_share * float(largest.max())
+        ):
             continue
         ratio = float(measured @ nominal) / float(nominal @ nominal)
         size = float(np.sqrt(np.mean(measured**2) / np.mean(nominal**2)))
-        if ratio < FALSE_SIGN:
+        if ratio < limits.false_sign:
             reason = (
                 f"gravity is {ratio:.2g} times that of the URDF's inertials: sign of the torque, "
                 "direction of the joint's axis, or direction of gravity in the robot file"
             )
-        elif not 1.0 / FACTOR < size < FACTOR:
+        elif not 1.0 / limits.max_factor < size < limits.max_factor:
             reason = (
                 f"gravity is {size:.2g} times that of the URDF's inertials: unit of the torque, "
                 "torque_constant, gear_ratio"
             )
-        elif ratio < ALIKE * size:
+        elif ratio < limits.min_correlation * size:
             reason = (
                 "gravity over the positions is not that of the URDF's inertials: direction of "
                 "gravity in the robot file, zeros and order of the joints"
@@ -322,9 +357,9 @@ def _gravity_torque(stage: RigidStage, robot: Robot, q: Array) -> Array:
     return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
 
 
-def _largest(robot: Robot, stage: RigidStage | None) -> Array:
+def _largest(robot: Robot, stage: RigidStage | None, postures: int) -> Array:
     """Largest gravity torque (n,), by a stage's parameters or by the URDF's."""
-    q = _postures(robot)
+    q = _postures(robot, postures)
     still = np.zeros_like(q)
     if stage is not None:
         torque = _gravity_torque(stage, robot, q)
@@ -334,10 +369,10 @@ def _largest(robot: Robot, stage: RigidStage | None) -> Array:
     return np.asarray(np.abs(torque).max(axis=0))
 
 
-def _postures(robot: Robot) -> Array:
+def _postures(robot: Robot, count: int) -> Array:
     """Postures (P, n) within the limits, always the same."""
     rng = np.random.default_rng(0)
     default = [(-0.5, 0.5) if joint.prismatic else (-np.pi, np.pi) for joint in robot.joints]
     limits = [j.position_limits or d for j, d in zip(robot.joints, default, strict=True)]
     low, high = np.array(limits).T
-    return rng.uniform(low, high, (POSTURES, robot.n))
+    return rng.uniform(low, high, (count, robot.n))

@@ -16,7 +16,7 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.identify.inputs import Inputs
-from seqid_cli.identify.log_verdicts import notes_of_logs, said, verdicts_of_logs
+from seqid_cli.identify.log_verdicts import as_note, notes_of_logs, verdicts_of_logs
 from seqid_cli.identify.tree import Tree, or_none
 from seqid_cli.inspect.findings.finding import located
 from seqid_cli.inspect.progress import LogNote, Progress
@@ -145,7 +145,7 @@ class LogSet:
         ]
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
-        """Return what the result must say of its logs, but for what it says already (`known`)."""
+        """Return notes on the logs for the result, but for those it has already (`known`)."""
         left = [f"left out: {text}" for text in self.left_out]
         return [*left, *notes_of_logs(self.findings, known)]
 
@@ -154,7 +154,7 @@ class LogSet:
         return verdicts_of_logs(self.findings)
 
     def tell(self, state: Any, **about: Any) -> None:
-        """Tell whoever listens how far it is."""
+        """Report the progress."""
         if self.on_progress is not None:
             count = len(self.read) + len(self.left_out)
             self.on_progress(Progress(state, count, len(self.logs), **about))
@@ -222,7 +222,7 @@ class LogSet:
                 text = f"{about}: {finding.message}" if about else finding.message
                 warn(f"{note.path}: [{finding.code}] {text}")
             elif finding.message in note.warnings:
-                warn(said(finding))
+                warn(as_note(finding))
         known = {finding.message for finding in note.findings}
         for warning in note.warnings:
             if warning not in known:
@@ -240,7 +240,7 @@ class LogSet:
 
 
 def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
-    """Merge what every log says.
+    """Merge the parts of all logs.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
 
 
 def mapped(logs: Iterable[L], part: PartOf[L, P]) -> Iterator[P]:
-    """Yield what every log says, in their order; see `reduced`."""
+    """Yield the parts of all logs, in their order; see `reduced`."""
     if isinstance(logs, LogSet):
         yield from logs.mapped(part)
         return
@@ -274,7 +274,7 @@ def mapped(logs: Iterable[L], part: PartOf[L, P]) -> Iterator[P]:
 
 
 def note_of(log: Recording | SurveyedLog) -> LogNote:
-    """Return what is to be told of a log."""
+    """Return the summary of a log for progress and documents."""
     if isinstance(log, SurveyedLog):
         return LogNote(log.path, log.sha256, log.samples, log.rate_hz, log.warnings, log.partial)
     return LogNote(
@@ -301,7 +301,7 @@ class _Item:
 
 @dataclass(frozen=True)
 class _Done(Generic[P]):
-    """What one log says, and what is to be told of it."""
+    """The part of one log, and its summary."""
 
     note: LogNote
     part: P

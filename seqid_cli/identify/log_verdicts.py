@@ -31,13 +31,13 @@ def verdicts_of_logs(findings: Iterable[InspectionFinding]) -> list[Verdict]:
     return verdicts
 
 
-def notes_of_logs(findings: Iterable[InspectionFinding], said: Iterable[str] = ()) -> list[str]:
-    """Return warnings about the logs in words, but for those `said` already."""
-    known = set(said)
+def notes_of_logs(findings: Iterable[InspectionFinding], known: Iterable[str] = ()) -> list[str]:
+    """Return warnings about the logs in words, but for those `known` already."""
+    given = set(known)
     return [
         (f"{alike[0].joint}: " if alike[0].joint else "") + _text(alike)
         for alike in _grouped(findings, "warning")
-        if alike[0].message not in known
+        if alike[0].message not in given
     ]
 
 
@@ -49,7 +49,7 @@ def _grouped(findings: Iterable[InspectionFinding], severity: str) -> list[list[
     return list(groups.values())
 
 
-def said(finding: InspectionFinding) -> str:
+def as_note(finding: InspectionFinding) -> str:
     """Return a finding in words, as notes have it."""
     return (f"{finding.joint}: " if finding.joint else "") + _text([finding])
 

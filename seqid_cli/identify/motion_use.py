@@ -1,4 +1,4 @@
-"""Where the motion of each log came from and what that gained, as the files say it."""
+"""Source of the motion of each log and its errors, as the files have it."""
 
 from __future__ import annotations
 

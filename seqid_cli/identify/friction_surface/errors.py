@@ -1,4 +1,4 @@
-"""How well a friction surface foretells what it has not seen (Eq. 11).
+"""How well a friction surface predicts speeds that were left out (Eq. 11).
 
 Errors are of averages over `GROUP` neighbouring slices that belong to their trial
 (`surface_weights`): of inner speeds by a surface that was

@@ -1,7 +1,7 @@
 """Step 2 of the friction surface: its entries over position and speed (Eq. 9-10), and its orders.
 
 Both steps together are the generalised least squares of the whole surface, terms of high degree
-held back by what the data say of their size (`surface_prior`). Such a surface may have the paper's
+held back by what the data say of their size (`prior`). Such a surface may have the paper's
 orders (10, 11) and does not swing between the speeds (Runge). Those that are kept are the fewest
 with which it stays the same: within `DEVIATION` of its standard errors.
 """

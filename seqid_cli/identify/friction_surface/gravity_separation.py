@@ -20,10 +20,6 @@ from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index
 
-ASYMMETRY_SHARE = 0.02  # of the friction, below which a direction dependence does not matter
-ASYMMETRY_SIGMA = 6.0
-ENOUGH_PAIRS = 8
-
 
 def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
     """Vector a of Eq. 13 at positions q of one joint, the others locked.
@@ -197,7 +193,7 @@ class _System:
     block: Index
 
 
-def _system(robot: Robot, joint: int, paired: Paired) -> _System:
+def _system(robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8) -> _System:
     """Stack the half-sums: gravity columns per configuration, offset and slope over the speed."""
     rows, extra, right, root, block = [], [], [], [], []
     pairs = sum(len(sums) for _, sums in paired)
@@ -216,7 +212,7 @@ def _system(robot: Robot, joint: int, paired: Paired) -> _System:
             right.append(item.tau)
             root.append(np.full(len(item.q), np.sqrt(item.weight)))
             # Drift and friction errors are shared within a pair; few pairs must be cut up.
-            parts = 1 if pairs >= ENOUGH_PAIRS else 4
+            parts = 1 if pairs >= enough_pairs else 4
             block.append(count + np.arange(len(item.q)) * parts // len(item.q))
             count += parts
     return _System(
@@ -247,8 +243,10 @@ def _solve(system: _System, *, extended: bool) -> tuple[Array, Array, float]:
     return solution, np.sqrt(np.maximum(np.diag(covariance), 0.0)), float(left @ left)
 
 
-def _asymmetry(system: _System, friction: float) -> tuple[float, bool]:
-    """Share of friction that depends on direction, and whether it is beyond doubt and size."""
+def _asymmetry(
+    system: _System, friction: float, *, min_share: float = 0.02, min_sigma: float = 6.0
+) -> tuple[float, bool]:
+    """Share of friction that depends on direction, and whether it is large and significant."""
     size = system.columns.shape[1]
     solution, errors, left_both = _solve(system, extended=True)
     _, _, left_plain = _solve(system, extended=False)
@@ -256,4 +254,4 @@ def _asymmetry(system: _System, friction: float) -> tuple[float, bool]:
     share = float(np.sqrt(np.mean(offset**2)) / max(friction, 1e-12))
     sigma = np.abs(solution[size:]) / np.maximum(errors[size:], 1e-300)
     helps = left_both < 0.97 * left_plain
-    return share, bool(share > ASYMMETRY_SHARE and sigma.max() > ASYMMETRY_SIGMA and helps)
+    return share, bool(share > min_share and sigma.max() > min_sigma and helps)

@@ -1,4 +1,4 @@
-"""How large the terms of a friction surface and the errors of its trials are, as the data say.
+"""Sizes of the terms of a friction surface and of the errors of its trials, from the data.
 
 Slices of trial k, reduced (`surface_data`), are
 
@@ -191,11 +191,11 @@ class Evidence:
         bounds = [(-LIMIT * spread, LIMIT * spread) for spread in self.spread]
         start = np.zeros(len(self.usual))
         found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
-        logs = self._sharpened(np.asarray(found.x, dtype=np.float64))
+        logs = self._polished(np.asarray(found.x, dtype=np.float64))
         return self.sizes(logs), -self(logs)[0]
 
-    def _sharpened(self, logs: Array) -> Array:
-        """The top to the last digits: the likelihood is flat about it, its gradient is not."""
+    def _polished(self, logs: Array) -> Array:
+        """The maximum to the last digits, by Newton's method: the likelihood is flat about it."""
         slope = self(logs)[1]
         steps = STEP * np.eye(len(logs))
         curvature = np.stack([(self(logs + step)[1] - slope) / STEP for step in steps])
@@ -237,13 +237,13 @@ class Evidence:
         shape = (own.z.shape[1], phi.shape[1])
         left = own.z - (own.R @ (phi @ mean.reshape(shape).T)[:, :, None])[:, :, 0]
         four = covariance.reshape(*shape, *shape)
-        doubt = np.einsum("irjs,kr,ks->kij", four, phi, phi, optimize=True)
+        variance = np.einsum("irjs,kr,ks->kij", four, phi, phi, optimize=True)
         white = (normal.inverse @ left[:, :, None])[:, :, 0]
         pulled = (own.R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
-        pulled += np.einsum("kij,kjl,kli->ki", normal.S, doubt, normal.S, optimize=True)
+        pulled += np.einsum("kij,kjl,kli->ki", normal.S, variance, normal.S, optimize=True)
         by_term = np.diagonal(normal.S, axis1=1, axis2=2) - pulled
         by_kind = np.einsum("tp,ktp->k", by_term, sizes.own(own.scaling, own.size, own.speeds))
-        spread = normal.inverse @ own.R @ doubt @ own.R.transpose(0, 2, 1) @ normal.inverse
+        spread = normal.inverse @ own.R @ variance @ own.R.transpose(0, 2, 1) @ normal.inverse
         by_noise = np.trace(normal.inverse - spread, axis1=1, axis2=2).sum() - np.sum(white**2)
         return np.append(by_kind, sizes.noise**2 * by_noise)
 

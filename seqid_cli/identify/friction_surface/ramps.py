@@ -2,14 +2,14 @@
 
 A controller never holds a speed exactly. With one joint moving, the torque of its acceleration is
 d_kk ddq (Eq. 25), d_kk being one number per configuration of the other joints. The ramps up to the
-speed and back down tell it: over windows of them and over the slices of the trial itself,
+speed and back down determine it: over windows of them and over the slices of the trial itself,
 
     tau - f(q, dq) = a(q)' p_xi + d_kk ddq,
 
 with friction f as far as it is known and gravity as in Eq. 12. Friction that is not quite right
-adds to d_kk in one ramp what it takes off in the other. Where nothing tells d_kk it is taken as
-zero, and as uncertain by what the other configurations show. Where they show nothing either, the
-friction surface is told of a `doubt` with which all torque of the trials may be acceleration's.
+adds to d_kk in one ramp what it takes off in the other. Where nothing determines d_kk it is taken
+as zero, and as uncertain by what the other configurations show. Where they show nothing either, its
+error (`inertia_error`) is so large that all torque of the trials may be acceleration's.
 """
 
 from __future__ import annotations
@@ -25,9 +25,6 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array, Index
-
-BEYOND = 2.0  # times noise and usual size: torques of acceleration that are not taken off but out
-FEWEST_WINDOWS = 6  # of a configuration, that tell its inertia
 
 
 @dataclass(frozen=True)
@@ -65,16 +62,16 @@ def without_acceleration(
         One per configuration.
     """
     groups = configurations(list(trials))
-    found = [_told(robot, group, surface) for group in groups]
-    inflation = _inflation([told for told in found if told is not None])
-    known = [told.value for told in found if told is not None]
+    found = [_inertia_of(robot, group, surface) for group in groups]
+    inflation = _inflation([one for one in found if one is not None])
+    known = [one.value for one in found if one is not None]
     usual = float(np.sqrt(np.mean(np.square(known)))) if known else 0.0
     result = []
-    for group, told in zip(groups, found, strict=True):
-        value = 0.0 if told is None else max(told.value, 0.0)
-        error = usual if told is None else told.error(inflation)
-        doubt = error if known else _as_friction(group)
-        steady = [replace(_steady(t, value, surface), doubt=doubt) for t in group]
+    for group, own in zip(groups, found, strict=True):
+        value = 0.0 if own is None else max(own.value, 0.0)
+        error = usual if own is None else own.error(inflation)
+        largest = error if known else _as_friction(group)
+        steady = [replace(_steady(t, value, surface), inertia_error=largest) for t in group]
         result.append(SteadyGroup(steady, value, error))
     return result
 
@@ -93,7 +90,7 @@ def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:
     return _settled(replace(trial, tau=trial.tau - off), pushed)
 
 
-def _settled(trial: Trial, pushed: Array) -> Trial:
+def _settled(trial: Trial, pushed: Array, *, max_ratio: float = 2.0) -> Trial:
     """Without the slices whose acceleration takes a torque `pushed` (K,) beyond noise and usual.
 
     At the ends a controller settles faster than the path follows: what is taken off is as wrong
@@ -101,13 +98,13 @@ def _settled(trial: Trial, pushed: Array) -> Trial:
     """
     noise = PER_MEDIAN * float(np.median(np.abs(np.diff(trial.tau, 2)))) / np.sqrt(6.0)
     usual = float(np.median(np.abs(pushed)))
-    kept = np.abs(pushed) <= BEYOND * np.hypot(noise, usual)
+    kept = np.abs(pushed) <= max_ratio * np.hypot(noise, usual)
     names = ("q", "dq", "ddq", "tau", "t")
     return replace(trial, **{name: getattr(trial, name)[kept] for name in names})
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Inertia:
     """d_kk of one configuration, its variance for white noise and that robust within trials."""
 
     value: float
@@ -116,20 +113,22 @@ class _Told:
     trials: int
 
     def error(self, inflation: float) -> float:
-        """Standard error; few trials do not tell by themselves what they share."""
+        """Standard error; few trials by themselves do not show what they share."""
         return float(np.sqrt(max(self.robust, self.white * inflation)))
 
 
-def _inflation(told: Sequence[_Told]) -> float:
+def _inflation(found: Sequence[_Inertia]) -> float:
     """How many times the variance is that of white noise, by all configurations."""
-    white = sum(t.trials * t.white for t in told)
-    return max(sum(t.trials * t.robust for t in told) / white, 1.0) if white > 0 else 1.0
+    white = sum(one.trials * one.white for one in found)
+    return max(sum(one.trials * one.robust for one in found) / white, 1.0) if white > 0 else 1.0
 
 
-def _told(robot: Robot, group: list[Trial], surface: FrictionSurface) -> _Told | None:
-    """d_kk of one configuration; None where its ramps do not tell it."""
+def _inertia_of(
+    robot: Robot, group: list[Trial], surface: FrictionSurface, *, min_windows: int = 6
+) -> _Inertia | None:
+    """d_kk of one configuration; None where its ramps do not determine it."""
     ramps = [_within(trial.ramps, surface) for trial in group]
-    if sum(len(part.q) for part in ramps) < FEWEST_WINDOWS:
+    if sum(len(part.q) for part in ramps) < min_windows:
         return None
     rows, right, cluster = [], [], []
     for number, (trial, part) in enumerate(zip(group, ramps, strict=True)):
@@ -153,7 +152,7 @@ def _within(ramps: Ramps, surface: FrictionSurface) -> Ramps:
     return Ramps(ramps.q[kept], ramps.dq[kept], ramps.ddq[kept], ramps.tau[kept], ramps.weight)
 
 
-def _first_parameter(A: Array, y: Array, cluster: Index) -> _Told:
+def _first_parameter(A: Array, y: Array, cluster: Index) -> _Inertia:
     """Least squares for the first parameter; the rows of a cluster share errors."""
     bread = np.linalg.pinv(A.T @ A, hermitian=True)
     theta = bread @ (A.T @ y)
@@ -163,4 +162,4 @@ def _first_parameter(A: Array, y: Array, cluster: Index) -> _Told:
     np.add.at(scores, cluster, A * left[:, None])
     robust = count / max(count - 1, 1) * float(np.sum((scores @ bread)[:, 0] ** 2))
     white = float(left @ left) / max(len(y) - A.shape[1], 1) * float(bread[0, 0])
-    return _Told(float(theta[0]), white, robust, count)
+    return _Inertia(float(theta[0]), white, robust, count)

@@ -1,7 +1,7 @@
 """Step 1 of the friction surface: each trial reduced to a polynomial of position (Eq. 8).
 
 With A (K, p) the functions of position at the slices of one trial, W their weights and y the
-friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest say as much of the
+friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest hold as much of the
 surface as the slices do, so speeds and orders can be left out without going back to them. Two
 columns more have what is left of speeding up and of slowing down at the ends of a trial,
 exp(-s / `EDGE_S`), s the time from the end. The last has the torque that one standard error of the
@@ -23,7 +23,7 @@ EDGES = 2  # ends of a trial
 EXTRA = EDGES + 1  # columns beside those of position: the ends, and the inertia's error
 EDGE_S = 0.05  # s, in which what is left of an acceleration falls by e: half a window of its search
 COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
-EMPTY = 1e-12  # of an R factor: a row that says nothing, whose right side is a matter of rounding
+EMPTY = 1e-12  # of an R factor: a row of zeros, whose right side is a matter of rounding
 MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
 
 

@@ -18,6 +18,7 @@ from seqid_cli.identify.friction_surface.summary import (
     DEFAULT_BETA,
     Fit,
     JointFit,
+    constants_note,
     summarise,
 )
 from seqid_cli.identify.friction_surface.trials import (
@@ -28,7 +29,6 @@ from seqid_cli.identify.friction_surface.trials import (
 )
 from seqid_cli.identify.friction_surface.weights import around_medians, weighted
 from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.identify.rigid.posterior import constants_note
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
@@ -187,7 +187,7 @@ def friction_data(gravity: GravityFit) -> list[SpeedData]:
             friction = direction * (trial.tau - group.torque(trial.q))
             weight = np.full(len(trial.q), trial.weight)
             edges = edges_of(trial.t, trial.seconds)
-            push = direction * trial.doubt * trial.ddq
+            push = direction * trial.inertia_error * trial.ddq
             result.append(SpeedData(trial.speed, direction, trial.q, friction, weight, edges, push))
     return _on_levels(result)
 

@@ -1,4 +1,4 @@
-"""What the friction stage says of one joint: the file's entry, a verdict and notes."""
+"""One joint of the friction stage: the file's entry, a verdict and notes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from seqid_cli.typing import Array
 
 DEFAULT_BETA = 0.05
 FEWEST_SPEEDS = 4
-POOR_DOUBT = 0.15  # of the friction at a speed, beyond which the surface is not to be trusted
 
 
 @dataclass(frozen=True)
@@ -139,8 +138,13 @@ def _std_error(surface: FrictionSurface, own: list[SpeedData]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
-def _verdict(name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling) -> Verdict:
-    """Good, or poor and why: the speed at which the surface is worst decides."""
+def _verdict(
+    name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling, *, max_error: float = 0.15
+) -> Verdict:
+    """Good, or poor and why: the speed at which the surface is worst decides.
+
+    There its error may be `max_error` of the friction.
+    """
     if joint.held_out_rmse is None:
         reason = (
             f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"
@@ -148,15 +152,15 @@ def _verdict(name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling) 
         return Verdict(joint=name, good=False, reason=reason)
     usual = float(np.sqrt(np.mean([level.friction**2 for level in joint.speeds])))
     u = scaling.u(np.array([level.speed for level in joint.speeds]))
-    doubts = [
+    errors = [
         float(np.hypot(_rms(unseen.at(at).missed), level.std_error))
         / max(level.friction, NEAR_ZERO * usual, 1e-12)
         for at, level in zip(u, joint.speeds, strict=True)
     ]
-    worst = int(np.argmax(doubts))
+    worst = int(np.argmax(errors))
     unit = "m/s" if joint.unit == "N" else "rad/s"
-    at = f"{percent(doubts[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
-    if doubts[worst] > POOR_DOUBT:
+    at = f"{percent(errors[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
+    if errors[worst] > max_error:
         reason = (
             f"friction is known to {at} only; record more or longer trials there, or look at what "
             "else moves the torque (seqid diagnose)"
@@ -190,3 +194,18 @@ def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> 
             f"({joint.max_abs_error:.3g} {joint.unit})"
         )
     return notes
+
+
+def constants_note(robot: Robot) -> list[str]:
+    """Say which joints' torque constants are taken as exact, if any."""
+    exact = [
+        joint.name
+        for joint in robot.joints
+        if joint.torque_constant is not None and joint.torque_constant_error == 0.0
+    ]
+    if not exact:
+        return []
+    return [
+        f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
+        "file adds their error to the standard errors"
+    ]

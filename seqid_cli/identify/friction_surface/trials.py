@@ -63,8 +63,8 @@ class Trial:
     `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
     acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
     where every joint stood, the moving one at the middle of its range. `celsius` is the mean of the
-    joint's temperature, NaN where none was logged; `doubt` kg m^2 is the standard error of the
-    inertia whose torque was taken off.
+    joint's temperature, NaN where none was logged; `inertia_error` kg m^2 is the standard error of
+    the inertia whose torque was taken off.
     """
 
     joint: int
@@ -80,7 +80,7 @@ class Trial:
     seconds: float  # of a slice
     log: int = 0  # which one
     celsius: float = np.nan
-    doubt: float = 0.0
+    inertia_error: float = 0.0
 
     @property
     def speed(self) -> float:

@@ -18,16 +18,12 @@ from scipy.stats import binned_statistic, median_abs_deviation
 from seqid_cli.identify.friction_surface.reduction import SpeedData
 from seqid_cli.typing import Array
 
-TUKEY = 4.685  # scales, beyond which a slice has no weight: 95 % efficient for normal errors
-BINS = 24  # of position, in which trials are compared before there is a surface
-LEAST = 1e-9  # of the usual friction, below which no scatter is believed
 
-
-def around_medians(data: Sequence[SpeedData]) -> list[Array]:
+def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
     """Distances (K,) N m of slices from medians over positions and over trials."""
     middles = [item.friction - np.median(item.friction) for item in data]
     q, values = np.concatenate([item.q for item in data]), np.concatenate(middles)
-    middle, edges, _ = binned_statistic(q, values, "median", BINS)
+    middle, edges, _ = binned_statistic(q, values, "median", bins)
     centres = 0.5 * (edges[1:] + edges[:-1])
     known = np.isfinite(middle)
     off = [
@@ -37,7 +33,9 @@ def around_medians(data: Sequence[SpeedData]) -> list[Array]:
     return [each - np.median(each) for each in off]
 
 
-def weighted(data: Sequence[SpeedData], distances: Sequence[Array]) -> list[SpeedData]:
+def weighted(
+    data: Sequence[SpeedData], distances: Sequence[Array], *, min_scatter: float = 1e-9
+) -> list[SpeedData]:
     """Weight the slices anew.
 
     Parameters
@@ -46,6 +44,8 @@ def weighted(data: Sequence[SpeedData], distances: Sequence[Array]) -> list[Spee
         Trials; their weights are samples.
     distances : sequence of (K,) arrays
         Of every slice from the surface, N m.
+    min_scatter : float
+        Of the usual friction, below which no scatter is believed.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def weighted(data: Sequence[SpeedData], distances: Sequence[Array]) -> list[Spee
         none where a slice does not belong to its trial.
     """
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
-    scales = np.array([max(_scale(own), LEAST * level, 1e-300) for own in distances])
+    scales = np.array([max(_scale(own), min_scatter * level, 1e-300) for own in distances])
     variances = scales**2 * np.array([float(np.median(item.weight)) for item in data])
     usual = float(np.median(variances))
     return [
@@ -67,6 +67,7 @@ def _scale(distances: Array) -> float:
     return float(median_abs_deviation(distances, scale="normal"))
 
 
-def _biweight(ratio: Array) -> Array:
-    weight: Array = np.clip(1.0 - (ratio / TUKEY) ** 2, 0.0, None) ** 2
+def _biweight(ratio: Array, *, max_ratio: float = 4.685) -> Array:
+    """Tukey's weights; 95 % efficient for normal errors."""
+    weight: Array = np.clip(1.0 - (ratio / max_ratio) ** 2, 0.0, None) ** 2
     return weight

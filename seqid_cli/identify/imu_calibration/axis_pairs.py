@@ -1,7 +1,7 @@
 """Directions of joint axes as an IMU and as the encoders see them (Eq. 29-38).
 
 While one joint rotates and the others stand still, the direction of an IMU's angular acceleration
-is that joint's axis (Eq. 29, 32), and the encoders say what it is in the frame of the link that
+is that joint's axis (Eq. 29, 32), and the encoders give it in the frame of the link that
 carries the IMU (Eq. 33). k such pairs give the rotation R b_k = m_k (Eq. 34-37) by weighted least
 squares over proper rotations; Eq. 38 followed by the projection onto rotations is the same where
 the axes span space, and unlike Eq. 38 this also works where they span only a plane. The paper
@@ -25,8 +25,6 @@ from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Mask
 
-WEAKEST = 0.1  # rad/s^2 below which an acceleration says nothing
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -40,7 +38,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Trials:
-    """What one log says about one IMU's axes; `density` rad/s^2/sqrt(Hz) of its acceleration."""
+    """Directions of one IMU's axes in one log; `density` rad/s^2/sqrt(Hz) of its acceleration."""
 
     pairs: list[Pair]
     density: float
@@ -74,11 +72,16 @@ def _axis_pair(
     own: Mask,
     dw: Array,
     products: Array,
+    *,
+    min_acceleration: float = 0.1,
 ) -> Pair | None:
-    """Eq. 29/32 and 33 for one joint of one log, with the references of Eq. 30 and 31."""
+    """Eq. 29/32 and 33 for one joint of one log, with the references of Eq. 30 and 31.
+
+    None where its acceleration (RMS) is below `min_acceleration` rad/s^2.
+    """
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
-    if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < WEAKEST:
+    if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:
         return None
     direction = direction / np.linalg.norm(direction)
     # The IMU's own acceleration along the axis is less noisy than the encoder's: refine with it.

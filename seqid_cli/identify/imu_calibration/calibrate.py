@@ -3,7 +3,7 @@
 Directions of joint axes give a first mounting in closed form (`imu_pairs`, Eq. 38). A joint least
 squares on the raw readings then finds, with the joints' motion, everything at once: mounting and
 lever, biases, gains and axes of the sensors, and the offset of their clock (`imu_fit`). Gravity,
-centripetal and tangential accelerations say more than the axes alone: two parallel axes a known
+centripetal and tangential accelerations show more than the axes alone: two parallel axes a known
 distance apart, or a single one that is not vertical, settle the angle about them. What the logs
 leave open is named and never written as a number.
 """
@@ -142,7 +142,7 @@ def _gather(
     number: int,
     options: MotionOptions,
 ) -> float:
-    """Take from one log what it says of each IMU; returns the cut-off [Hz]."""
+    """Take from one log what it has of each IMU; returns the cut-off [Hz]."""
     motion = estimate_motion(recording, robot, options)
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz)
     for imu in robot.imus:

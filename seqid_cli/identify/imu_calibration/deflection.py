@@ -1,4 +1,4 @@
-"""How far the joints before an IMU deflect: accelerations of a link that no encoder tells.
+"""How far the joints before an IMU deflect: accelerations of a link that no encoder shows.
 
 Per node the residual of the C readings is r = A a + e: e the noise of the readings, a (n,) the
 accelerations by which the joints deflect, both white within the low-pass's band. With r and A over
@@ -12,7 +12,7 @@ of a node (b), the variance of a low-passed unit noise:
 Each round multiplies v_j and k by the root of the ratio of both terms' slopes, which never lessens
 L (Zhou, Hu, Zhou, Lange: MM algorithms for variance components models, 2019).
 
-Links also jolt faster than the log's rate; that aliases, and no encoder tells of it either. The
+Links also jolt faster than the log's rate; that aliases, and no encoder shows it either. The
 same likelihood of the raw readings' roughness, near the Nyquist rate, gives the jolts' size.
 """
 
@@ -29,7 +29,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.typing import Array
 
 ROUNDS = 40
-BEYOND = 1.5  # times the jolts' size, which roughness tells of the band no better
+BEYOND = 1.5  # times the jolts' size, better than which roughness does not know the band
 SIGNIFICANT = 5.0  # standard deviations of a deflection's likelihood beyond the jolts'
 LEAST = 1e-3  # rad/s^2 of a node: of a smaller size nothing depends
 
@@ -44,13 +44,13 @@ class Deflection:
 
     @property
     def sure(self) -> bool:
-        """Whether it is beyond doubt."""
+        """Whether it is significant."""
         return self.significance > SIGNIFICANT
 
 
 @dataclass(frozen=True)
 class Rows:
-    """What all nodes say, by kind of sensor (G).
+    """Sums over all nodes, by kind of sensor (G).
 
     `B` (N, G, n, n), `u` (N, G, n), the share (N,) of a node that each counts; `squares` (G,) and
     `count` (N, G) of readings.
@@ -109,8 +109,8 @@ def likeliest(rows: Rows, sizes: Sizes, least: Array | float = LEAST) -> Sizes:
     found = Sizes(sizes.noise, np.maximum(sizes.deflection, np.maximum(least, LEAST)))
     for _ in range(ROUNDS):
         slopes = _slopes(rows, found)
-        told = slopes.count > 0.0  # not a gyro's, whose raw readings hold no jolts
-        ratio = np.where(told, slopes.squares / np.where(told, slopes.count, 1.0), 1.0)
+        known = slopes.count > 0.0  # not a gyro's, whose raw readings hold no jolts
+        ratio = np.where(known, slopes.squares / np.where(known, slopes.count, 1.0), 1.0)
         noise = found.noise * np.sqrt(ratio)
         spread = found.deflection * np.sqrt(np.sqrt(slopes.pull / np.maximum(slopes.room, 1e-300)))
         found = Sizes(np.maximum(noise, 1e-12), np.maximum(spread, np.maximum(least, LEAST)))
@@ -133,11 +133,11 @@ def _slopes(rows: Rows, sizes: Sizes) -> _Slopes:
     x = (M @ _over(rows.u, k)[:, :, None])[:, :, 0]  # the accelerations, given the residuals
     Bx = (rows.B @ x[:, None, :, None])[..., 0]
     own = np.einsum("ngi,ni->g", Bx - 2.0 * rows.u, x)
-    told = np.einsum("ngij,nji->ng", rows.B, M) / k
+    fitted = np.einsum("ngij,nji->ng", rows.B, M) / k
     room = rows.share @ (1.0 / v - np.diagonal(M, axis1=1, axis2=2) / v**2)
     return _Slopes(
         squares=np.maximum(rows.squares + own, 1e-300) / k**2,
-        count=rows.share @ (rows.count - told) / k,
+        count=rows.share @ (rows.count - fitted) / k,
         pull=np.sum((x / v) ** 2, axis=0),
         room=room,
     )

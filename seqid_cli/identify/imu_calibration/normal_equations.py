@@ -59,7 +59,7 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Seen:
-    """What rows r (N, C) say of accelerations, by kind of sensor (G).
+    """Sums of rows r (N, C) over accelerations, by kind of sensor (G).
 
     `B` (N, G, n, n) = A'A and `u` (N, G, n) = A'r; `A` (N, C, n) are the slopes in the
     accelerations of all joints before the IMU, both over the noise that raw readings show;
@@ -250,7 +250,7 @@ def _jolt(segment: Segment, by_ddq: Array) -> float:
 def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
     """Scale rows (N, C, b) to unit noise, the joints' deflection included.
 
-    A link moves otherwise than the encoder before its gear tells where the gear bends or has play,
+    A link moves otherwise than the encoder before its gear shows where the gear bends or has play,
     and jolts faster than the log's rate alias. Either is in all channels an acceleration that the
     encoders do not know of; its covariance A A', A = `scaled` (N, C, n) over the readings' noise,
     has few directions, and so has its inverse's root.

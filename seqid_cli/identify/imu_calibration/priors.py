@@ -70,7 +70,7 @@ def own_precision(segment: Segment, widths: Widths) -> Array:
 
 
 def gauge_information(imu: Imu, count: int, p: int) -> Array:
-    """Hold the accelerometers' common turn where only the mounting can say what it is."""
+    """Hold the accelerometers' common turn where only the mounting shows it."""
     out = np.zeros((p, p))
     if layout(imu).acceleration:
         return out

@@ -8,6 +8,7 @@ import numpy as np
 
 from seqid_cli.identify.imu_calibration.axis_pairs import Pair, best_references, condition_of
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
+from seqid_cli.identify.imu_calibration.priors import FEW
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import (
     MOTION,
@@ -23,15 +24,6 @@ from seqid_cli.params.schema import ImuCalibration, JointDeflection, Verdict
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Mask
 
-POOR_DEG = 0.5
-UNDETERMINED_DEG = 5.0
-OPEN_LEVER, OPEN_BIAS, OPEN_RATE = 0.02, 0.2, 0.02  # m, m/s^2, rad/s: standard errors too large
-OPEN_GAIN, OPEN_TILT_DEG, OPEN_DELAY = 0.005, 0.25, 0.005  # -, degrees, s
-PRIOR_SHARE = 0.5  # of a fixed prior's width, beyond which the logs have said nothing
-POOR_HOLDOUT = 1.5
-SAMPLING = 0.01  # of a sample, by which jolts between two rows shift a clock
-FEW = 6
-
 
 def calibration_of(
     robot: Robot,
@@ -40,13 +32,20 @@ def calibration_of(
     segments: list[Segment],
     pairs: list[Pair],
     density: float | None,
+    *,
+    max_delay_error_s: float = 0.005,
+    sampling: float = 0.01,
 ) -> ImuCalibration:
-    """Calibration of one IMU as the parameter file has it."""
+    """Calibration of one IMU as the parameter file has it.
+
+    A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
+    between two samples shift a clock by `sampling` of their period.
+    """
     constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
     about, worst = _open_direction(fit.covariance[:3, :3])
     lever = _lever_known(sigma[3:6], about)
-    delay_error = float(np.hypot(sigma[6], SAMPLING * segments[0].readings.period))
-    delay_known = delay_error < OPEN_DELAY
+    delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))
+    delay_known = delay_error < max_delay_error_s
     known = _known(imu, fit)
     off = np.array([np.linalg.norm(constants.R @ p.imu - p.link) for p in pairs])
     calibration = ImuCalibration(
@@ -103,31 +102,40 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class _Known:
-    """Standard errors of each channel's bias, gain and tilt (degrees), and which are told."""
+    """Standard errors of each channel's bias, gain and tilt (degrees), and which are known."""
 
     bias: Array
     gain: Array
     tilt: Array
-    bias_told: Mask
-    gain_told: Mask
-    tilt_told: Mask
+    bias_known: Mask
+    gain_known: Mask
+    tilt_known: Mask
     accelerometers: int
 
 
-def _known(imu: Imu, fit: Fit) -> _Known:
+def _known(
+    imu: Imu,
+    fit: Fit,
+    *,
+    max_bias: float = 0.2,
+    max_rate: float = 0.02,
+    max_gain: float = 0.005,
+    max_tilt_deg: float = 0.25,
+) -> _Known:
+    """Which constants are known: standard errors up to so many m/s^2, rad/s, 1 and degrees."""
     axes, _, k = channels_of(imu)
     c, sigma = len(axes), np.sqrt(np.diag(fit.covariance))
     bias, gain = sigma[7 : 7 + c], sigma[7 + c : 7 + 2 * c]
     tilt = np.degrees(np.sqrt(np.mean(sigma[7 + 2 * c :].reshape(c, 2) ** 2, axis=1)))
     tilt_prior = np.degrees(fit.prior[7 + 2 * c :: 2])
-    limit = np.where(np.arange(c) < k, OPEN_BIAS, OPEN_RATE)
+    limit = np.where(np.arange(c) < k, max_bias, max_rate)
     return _Known(
         bias=bias,
         gain=gain,
         tilt=tilt,
-        bias_told=bias < limit,
-        gain_told=(gain < OPEN_GAIN) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
-        tilt_told=(tilt < OPEN_TILT_DEG) & _beyond_prior(tilt, tilt_prior, k),
+        bias_known=bias < limit,
+        gain_known=(gain < max_gain) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
+        tilt_known=(tilt < max_tilt_deg) & _beyond_prior(tilt, tilt_prior, k),
         accelerometers=k,
     )
 
@@ -137,10 +145,10 @@ def _add_sensors(
 ) -> None:
     """Write the channels' own constants into a calibration."""
     axes, constants = channels_of(imu)[0], fit.constants
-    turned = np.where(known.tilt_told[:, None], tilted(axes, constants.tilt), axes)
+    turned = np.where(known.tilt_known[:, None], tilted(axes, constants.tilt), axes)
     gains, k = np.exp(constants.log_gain), known.accelerometers
     for sensor, own in (("accelerometer", slice(0, k)), ("gyro", slice(k, None))):
-        bias, gain, tilt = known.bias_told[own], known.gain_told[own], known.tilt_told[own]
+        bias, gain, tilt = known.bias_known[own], known.gain_known[own], known.tilt_known[own]
         for key, value in (
             ("bias", _listed(constants.bias[own], bias)),
             ("bias_std_errors", _listed(known.bias[own], bias)),
@@ -153,34 +161,36 @@ def _add_sensors(
             setattr(calibration, f"{sensor}_{key}", value)
 
 
-def _open_direction(covariance: Array) -> tuple[Array | None, float]:
+def _open_direction(covariance: Array, *, max_deg: float = 5.0) -> tuple[Array | None, float]:
     """Axis about which the mounting is open, if any, and the standard error in degrees."""
     value, vector = np.linalg.eigh(covariance)
     worst = np.degrees(np.sqrt(value))
-    if worst[2] <= UNDETERMINED_DEG:
+    if worst[2] <= max_deg:
         return None, float(worst[2])
     axis = vector[:, 2] * np.sign(vector[np.argmax(np.abs(vector[:, 2])), 2])
     return axis, float(worst[1])
 
 
-def _lever_known(sigma: Array, about: Array | None) -> Mask:
+def _lever_known(sigma: Array, about: Array | None, *, max_error_m: float = 0.02) -> Mask:
     """Which of the lever's components the logs give.
 
     Where the angle about an axis is open, so is where the IMU sits around it.
     """
-    known = sigma < OPEN_LEVER
+    known = sigma < max_error_m
     if about is None:
         return known
     near: Mask = np.linalg.norm(np.cross(np.eye(3), about), axis=1) < 0.1
     return known & near
 
 
-def _beyond_prior(sigma: Array, prior: Array, accelerometers: int) -> Mask:
-    """Whether the logs say more than a prior of fixed width did; widths of many are found."""
+def _beyond_prior(
+    sigma: Array, prior: Array, accelerometers: int, *, max_share: float = 0.5
+) -> Mask:
+    """Whether the logs show more than a prior of fixed width did; widths of many are found."""
     found = np.zeros(len(sigma), dtype=bool)
     if accelerometers >= FEW:
         found[:accelerometers] = True
-    return found | (sigma < PRIOR_SHARE * prior)
+    return found | (sigma < max_share * prior)
 
 
 def _listed(values: Array, known: Mask) -> list[float | None]:
@@ -195,27 +205,39 @@ def _densities(segments: list[Segment]) -> Array:
 
 def _missing(about: Array | None, lever: Mask, known: _Known, *, delay_known: bool) -> list[str]:
     """Say in words what the logs leave open."""
-    said = []
+    missing = []
     if about is not None:
         axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
-        said.append(f"the angle about the link's axis ({axis}) is not determined")
+        missing.append(f"the angle about the link's axis ({axis}) is not determined")
     if not lever.all():
-        names = " and ".join(n for n, told in zip("xyz", lever, strict=True) if not told)
-        said.append(f"the lever along the link's {names} is not determined")
+        names = " and ".join(n for n, there in zip("xyz", lever, strict=True) if not there)
+        missing.append(f"the lever along the link's {names} is not determined")
     k = known.accelerometers
-    kinds = ((known.bias_told, "bias"), (known.gain_told, "scale"), (known.tilt_told, "axis"))
+    kinds = ((known.bias_known, "bias"), (known.gain_known, "scale"), (known.tilt_known, "axis"))
     for own, sensor in ((slice(0, k), "accelerometer"), (slice(k, None), "gyro")):
-        for told, name in kinds:
-            count = int((~told[own]).sum())
+        for determined, name in kinds:
+            count = int((~determined[own]).sum())
             if count:
-                said.append(f"the {name} of {count} {sensor} channel(s) is not determined")
+                missing.append(f"the {name} of {count} {sensor} channel(s) is not determined")
     if not delay_known:
-        said.append("the clock offset to the encoders is not determined")
-    return said
+        missing.append("the clock offset to the encoders is not determined")
+    return missing
 
 
-def verdict_of(robot: Robot, imu: Imu, calibration: ImuCalibration, *, converged: bool) -> Verdict:
-    """Whether the mounting can be trusted, and why not."""
+def verdict_of(
+    robot: Robot,
+    imu: Imu,
+    calibration: ImuCalibration,
+    *,
+    converged: bool,
+    max_deg: float = 0.5,
+    max_holdout: float = 1.5,
+) -> Verdict:
+    """Whether the mounting can be trusted, and why not.
+
+    It is known to better than `max_deg` degrees, and a log that is left out is predicted to
+    `max_holdout` times the noise.
+    """
     worst = calibration.std_error_deg
     reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
     angle = [text for text in calibration.not_determined if text.startswith("the angle")]
@@ -225,10 +247,10 @@ def verdict_of(robot: Robot, imu: Imu, calibration: ImuCalibration, *, converged
         if _planar(robot, imu.after_joint):
             reason += ", and does not matter: every joint before the IMU turns about that axis"
             missing = False
-    good = worst < POOR_DEG and not missing
+    good = worst < max_deg and not missing
     if not converged:
         good, reason = False, reason + "; the fit has not settled"
-    if calibration.holdout is not None and calibration.holdout > POOR_HOLDOUT:
+    if calibration.holdout is not None and calibration.holdout > max_holdout:
         good = False
         reason += f"; a log left out is predicted to {calibration.holdout:.2g} times the noise"
     bends = deflecting(calibration)
@@ -246,7 +268,7 @@ def verdict_of(robot: Robot, imu: Imu, calibration: ImuCalibration, *, converged
 
 
 def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
-    """Return the joint that deflects by most, where one does beyond doubt."""
+    """Return the joint that deflects by most, where one does significantly."""
     sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
     return max(sure, key=lambda d: d.significance, default=None)
 

@@ -137,7 +137,7 @@ class _State:
 def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> Fit:
     """Refine the constants from a start nearby.
 
-    Where what is left says that a joint deflects, all is fitted once more with the accelerations
+    Where the residual shows that a joint deflects, all is fitted once more with the accelerations
     by which it does as noise.
 
     Parameters
@@ -359,7 +359,7 @@ def _left_out(reductions: list[Reduced], inner: list[_Inner], information: Array
 
 
 def without(information: Array, own: Array, gradient: Array) -> Array:
-    """Step (p,) from one log's gradient by what the others tell, where they tell enough."""
+    """Step (p,) from one log's gradient by the others' information, where there is enough."""
     factor = np.linalg.cholesky(information)
     inner = np.linalg.solve(factor, np.linalg.solve(factor, own).T)
     share, directions = np.linalg.eigh(0.5 * (inner + inner.T))

@@ -29,9 +29,6 @@ from seqid_cli.params.schema import Verdict
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
-# Above this share of the measured torque's RMS, a user should not rely on the prediction.
-MAX_RELATIVE_RMSE = 0.3
-
 
 @dataclass(frozen=True)
 class ErrorSums:
@@ -123,7 +120,7 @@ def prediction_file(
     names = robot.joint_names
     overall = sliding = none = ErrorSums.none(len(names))
     errors = []
-    told = effect_notes(stages, robot, unexplained=unexplained)
+    effects = effect_notes(stages, robot, unexplained=unexplained)
     with contextlib.ExitStack() as stack:
         writer = stack.enter_context(_torque_writer(torques, names)) if torques else None
         own = slid = none
@@ -151,7 +148,7 @@ def prediction_file(
         logs=errors,
         cutoff_origin=cutoff_origin or "chosen per log",
         verdicts=as_a_whole([*verdicts, *physics_verdicts(stages, robot), *logs.verdicts()]),
-        notes=[*told, *_notes(joints), *logs.notes()],
+        notes=[*effects, *_notes(joints), *logs.notes()],
     )
 
 
@@ -199,10 +196,16 @@ def _notes(joints: dict[str, JointError]) -> list[str]:
     return [f"never slides in these logs and is not judged: {', '.join(still)}"] if still else []
 
 
-def _verdict(name: str, error: JointError, lacks: Sequence[str]) -> Verdict:
-    """A joint is poor where the model lacks something of it, or its error is too large."""
+def _verdict(
+    name: str, error: JointError, lacks: Sequence[str], *, max_relative_rmse: float = 0.3
+) -> Verdict:
+    """A joint is poor where the model lacks something of it, or its error is too large.
+
+    A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
+    the measured torque.
+    """
     share, reasons = error.relative_rmse, list(lacks)
-    if share is None or share > MAX_RELATIVE_RMSE:
-        limit, told = percent(MAX_RELATIVE_RMSE), "-" if share is None else percent(share)
-        reasons.append(f"the error is {told} of the torque's RMS, above {limit}")
+    if share is None or share > max_relative_rmse:
+        limit, left = percent(max_relative_rmse), "-" if share is None else percent(share)
+        reasons.append(f"the error is {left} of the torque's RMS, above {limit}")
     return Verdict(joint=name, good=not reasons, reason="; ".join(reasons))

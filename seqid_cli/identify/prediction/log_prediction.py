@@ -1,4 +1,4 @@
-"""Measured and predicted torque of a log or of a part of it, and what is to be said of it."""
+"""Measured and predicted torque of a log or of a part of it, and notes on it."""
 
 from __future__ import annotations
 

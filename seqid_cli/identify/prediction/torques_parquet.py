@@ -1,4 +1,4 @@
-"""Measured, predicted and residual torque as Parquet, with what it is looked at over."""
+"""Measured, predicted and residual torque as Parquet, with position and velocity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOTION = ("position", "velocity")
 
 
 class TorqueWriter:
-    """Writes `t`, `log`, torques of each joint, then what they are looked at over.
+    """Writes `t`, `log`, torques of each joint, then position and velocity.
 
     Of a joint: measured, predicted and residual torque, whether it slides, and at rest (else null)
     the bounds of what the model allows. Then `used` (whether the errors count the sample), and

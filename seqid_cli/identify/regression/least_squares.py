@@ -10,7 +10,7 @@ Each joint has its own factor, so joints are weighted by their noise without ano
 columns of links that it does not carry, being zero, cost nothing. What comes out depends on the
 rows of a log and on how they are cut into blocks, not on where the log was reduced: signs are fixed
 and blocks merge in their order. The factors of blocks (about a second of motion each) are kept as
-well, merged pairwise when they become many: what one block says against all others gives
+well, merged pairwise when they become many: the moves of the estimate without one block give
 standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
 small.
 """
@@ -153,9 +153,9 @@ class Prior:
 class Solution:
     """Weighted least squares over all joints.
 
-    `determined` (p,) is False for parameters that these data cannot tell from others; their values
-    are one choice among many (the smallest) and must not be reported. `left_open` (p, p - rank) are
-    the directions along which nothing is known.
+    `determined` (p,) is False for parameters that these data do not distinguish from others; their
+    values are one choice among many (the smallest) and must not be reported. `left_open`
+    (p, p - rank) are the directions along which nothing is known.
     """
 
     theta: Array
@@ -189,7 +189,7 @@ def solve(
         Rounds of reweighting by residual RMS.
     independent : float
         Share of the samples that count as independent beside the prior: low-passed noise does not
-        say more where there are more samples of it.
+        count more where there are more samples of it.
 
     Returns
     -------

@@ -29,7 +29,6 @@ from scipy.special import sici
 
 from seqid_cli.typing import Array, Index
 
-LONGER = 4.0  # log lengths, whose inverse is the lowest frequency of slow noise
 STIFFNESS = (1e-9, 1e-7, 1e-5)  # of V's mean variance, added until it can be factored
 LEAST = 1e-6  # of a strength, against that of white noise: none
 
@@ -108,12 +107,15 @@ def _by_log(rows: Rows) -> list[Index]:
     return np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
 
 
-def _shapes(rows: Rows, at: Index) -> _Shape:
-    """W's diagonal, T and F of the rows of one log."""
+def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> _Shape:
+    """W's diagonal, T and F of the rows of one log.
+
+    The lowest frequency of 1/f noise is one over so many `lengths` of the log.
+    """
     t, trial = rows.t[at], rows.trial[at]
     common = (trial[:, None] == trial[None, :]).astype(np.float64)
     longest = max(float(np.ptp(t)), float(rows.seconds[at].max()))
-    low = 1.0 / (LONGER * longest)
+    low = 1.0 / (lengths * longest)
     high = np.maximum(1.0 / (2.0 * rows.seconds[at]), 2.0 * low)
     return at, 1.0 / rows.weight[at], common, _flicker(t, low, high)
 

@@ -195,7 +195,7 @@ def _add_part(
 
 
 def survey_of(log: Recording | SurveyedLog) -> Survey:
-    """What a log's positions tell of its noise steps and its cut-off."""
+    """Noise steps and cut-off by a log's positions."""
     if isinstance(log, Recording):
         return Survey.of(log.q, log.rate_hz)
     assert log.survey is not None

@@ -17,8 +17,6 @@ from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
 
-TOLD = 0.5  # standard errors by which a parameter must move to be named
-
 
 def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidStage:
     """Put the parameters of an inertia stage among those that bodies can have.
@@ -44,9 +42,9 @@ def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidSta
     """
     found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
     nearest = nearest_bodies(robot, found)
-    told = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
+    moved = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
     parameters = [
-        replace(p, value=told[p.name].exported) if p.name in told else p for p in stage.parameters
+        replace(p, value=moved[p.name].exported) if p.name in moved else p for p in stage.parameters
     ]
     phi = np.concatenate([nearest.links.ravel(), nearest.rotor])
     names = standard_names(robot.n)
@@ -54,14 +52,15 @@ def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidSta
         stage,
         parameters=parameters,
         representative={name: float(x) for name, x in zip(names, phi, strict=True) if x != 0.0},
-        notes=[*stage.notes, _note(list(told.values()), exact=nearest.exact)],
+        notes=[*stage.notes, _note(list(moved.values()), exact=nearest.exact)],
     )
 
 
-def _note(deviations: list[Deviation], *, exact: bool) -> str:
+def _note(deviations: list[Deviation], *, exact: bool, min_move: float = 0.5) -> str:
+    """Name the parameters that moved by `min_move` standard errors or more."""
     if exact:
         return "physically consistent as identified: bodies with these parameters exist"
     moved = [(d.name, d.std_errors or 0.0) for d in deviations]
-    named = [f"{name} by {by:+.1f}" for name, by in moved if abs(by) >= TOLD]
-    said = ", ".join(named) or f"none by more than {TOLD:g}"
-    return f"made physically consistent; moved, in standard errors: {said}"
+    named = [f"{name} by {by:+.1f}" for name, by in moved if abs(by) >= min_move]
+    text = ", ".join(named) or f"none by more than {min_move:g}"
+    return f"made physically consistent; moved, in standard errors: {text}"

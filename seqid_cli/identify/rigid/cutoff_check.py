@@ -28,8 +28,6 @@ from seqid_cli.params.schema import RigidStage, Verdict
 from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
-CLEAR = 4.0  # standard errors of a difference between two cut-offs, from which it is said
-MATTERS = 3.0  # stated standard errors, by which a parameter must differ to make the verdict poor
 FLAT = 1e-9  # of a covariance's largest eigenvalue, below which a direction is not known
 
 Result = tuple[Solution, Posterior]
@@ -39,16 +37,21 @@ Result = tuple[Solution, Posterior]
 class CutoffCheck:
     """What neighbouring cut-offs show.
 
-    `doubt` (p, d) are directions of error, one standard deviation each; `said` names parameters by
-    their place with the multiple of the cut-off and the difference in stated standard errors.
+    `errors` (p, d) are directions of error, one standard deviation each; `differences` are
+    parameters by their place with the multiple of the cut-off and the difference in stated standard
+    errors.
     """
 
-    doubt: Array
-    said: tuple[tuple[int, float, float], ...] = ()
+    errors: Array
+    differences: tuple[tuple[int, float, float], ...] = ()
 
 
 def cutoff_check(
-    own: Result, near: Mapping[float, Result], surfaces: Sequence[FrictionSurface | None]
+    own: Result,
+    near: Mapping[float, Result],
+    surfaces: Sequence[FrictionSurface | None],
+    *,
+    clear_sigma: float = 4.0,
 ) -> CutoffCheck:
     """Compare an estimate with those of the same logs at neighbouring cut-offs.
 
@@ -60,21 +63,23 @@ def cutoff_check(
         By multiple of the cut-off.
     surfaces : sequence of FrictionSurface or None
         Friction with its covariance.
+    clear_sigma : float
+        Standard errors of a difference, from which it is reported.
     """
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
-    doubts, said = [], []
+    excess, differences = [], []
     for factor, other in near.items():
         d, V = _difference(own, other, surfaces)
         if V is None:
             continue
         known = own[0].determined & other[0].determined
-        doubts.append(np.where(known, d, 0.0) * _excess(d[known], V[np.ix_(known, known)]))
+        excess.append(np.where(known, d, 0.0) * _excess(d[known], V[np.ix_(known, known)]))
         error = np.sqrt(np.maximum(np.diag(V), 0.0))
-        for k in np.flatnonzero(known & (np.abs(d) > CLEAR * error)):
-            said.append((int(k), factor, float(d[k] / max(stated[k], 1e-300))))
-    directions = np.array(doubts).T / np.sqrt(max(len(doubts), 1)) if doubts else None
-    return CutoffCheck(np.zeros((size, 0)) if directions is None else directions, tuple(said))
+        for k in np.flatnonzero(known & (np.abs(d) > clear_sigma * error)):
+            differences.append((int(k), factor, float(d[k] / max(stated[k], 1e-300))))
+    errors = np.array(excess).T / np.sqrt(len(excess)) if excess else np.zeros((size, 0))
+    return CutoffCheck(errors, tuple(differences))
 
 
 def _difference(
@@ -100,16 +105,21 @@ def _excess(d: Array, V: Array) -> float:
     return float(np.sqrt(max(0.0, 1.0 - float(kept.sum()) / W))) if W > 0 else 0.0
 
 
-def with_cutoff_check(stage: RigidStage, check: CutoffCheck, basis: Basis) -> RigidStage:
-    """A stage that says which of its parameters depend on the cut-off; poor where that matters."""
+def with_cutoff_check(
+    stage: RigidStage, check: CutoffCheck, basis: Basis, *, poor_sigma: float = 3.0
+) -> RigidStage:
+    """The stage with a note on the parameters that depend on the cut-off.
+
+    Its verdict is poor where one of them does by `poor_sigma` stated standard errors.
+    """
     own = {p.name for p in stage.parameters}
-    told = [(basis.names[k], at, by) for k, at, by in check.said if basis.names[k] in own]
-    if not told:
+    named = [(basis.names[k], at, by) for k, at, by in check.differences if basis.names[k] in own]
+    if not named:
         return stage
-    text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in told)
+    text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named)
     note = f"parameters that depend on the cut-off, in stated standard errors: {text}"
     stage = replace(stage, notes=[*stage.notes, note])
-    if all(abs(by) < MATTERS for *_, by in told):
+    if all(abs(by) < poor_sigma for *_, by in named):
         return stage
     reason = (
         f"{note}. Noise of the encoders' acceleration or something that the model lacks; use "

@@ -11,9 +11,6 @@ from seqid_cli.robot.base_parameters import Basis, base_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-STATES = 120
-STRUCTURAL = 1e-6  # singular value of scaled rows, over the largest, that is not rounding
-
 
 def missing_pairs(robot: Robot, basis: Basis, left_open: Array) -> list[list[str]]:
     """Choose pairs greedily until every base parameter is seen, and none that the others make idle.
@@ -58,14 +55,16 @@ def _without_idle(seen: Sequence[Array], left: Array, most: int) -> list[int]:
     return kept
 
 
-def _pair_regressor(robot: Robot, basis: Basis, pair: tuple[int, int]) -> Array:
+def _pair_regressor(
+    robot: Robot, basis: Basis, pair: tuple[int, int], *, states: int = 120
+) -> Array:
     """Rows of the two moving joints in random states with all others locked at random angles."""
     rng = np.random.default_rng(0)
-    q = rng.uniform(-2.5, 2.5, (STATES, robot.n))
+    q = rng.uniform(-2.5, 2.5, (states, robot.n))
     dq, ddq = np.zeros_like(q), np.zeros_like(q)
     moving = list(pair)
-    dq[:, moving] = rng.normal(size=(STATES, 2))
-    ddq[:, moving] = 3 * rng.normal(size=(STATES, 2))
+    dq[:, moving] = rng.normal(size=(states, 2))
+    ddq[:, moving] = 3 * rng.normal(size=(states, 2))
     H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
     return H.reshape(-1, basis.size)
 
@@ -75,8 +74,11 @@ def _orthonormal(directions: Array) -> Array:
     return np.asarray(np.linalg.qr(directions)[0])
 
 
-def _still_open(H: Array, left: Array) -> Array:
-    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
+def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
+    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see.
+
+    Singular values below `min_share` of the largest are rounding.
+    """
     _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
     largest = float(np.linalg.norm(H, 2))
-    return np.asarray(left @ Vt[int(np.sum(s > STRUCTURAL * largest)) :].T)
+    return np.asarray(left @ Vt[int(np.sum(s > min_share * largest)) :].T)

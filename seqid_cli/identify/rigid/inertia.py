@@ -65,7 +65,7 @@ def identify_inertia(
     Returns
     -------
     RigidStage
-        Parameters in kg m^2 (others where gravity could not tell them), with a verdict per joint.
+        Parameters in kg m^2 (others where gravity leaves them open), with a verdict per joint.
 
     Raises
     ------
@@ -174,13 +174,13 @@ def _stage(equations: InertiaEquations, near: Mapping[float, InertiaEquations]) 
     coupling = decide([equations, *near.values()]) if equations.rotors.any() else nothing
     fixed = equations.with_coupling(float(coupling.used))
     solution, posterior = equations.solved(fixed)
-    posterior = posterior.with_doubt(coupling.doubt)
+    posterior = posterior.with_error(coupling.errors)
     there = {
         factor: other.solved(other.with_coupling(float(coupling.used)))
         for factor, other in near.items()
     }
     check = cutoff_check((solution, posterior), there, equations.surfaces)
-    posterior = posterior.with_doubt(check.doubt).with_doubt(equations.imu_moves(solution.theta))
+    posterior = posterior.with_error(check.errors).with_error(equations.imu_moves(solution.theta))
     stage = _described(equations, solution, posterior, fixed, coupling)
     return with_cutoff_check(stage, check, equations.basis)
 
@@ -249,7 +249,7 @@ def _verdicts(
 
 
 def _left_open(missing: list[str], pairs: list[list[str]]) -> list[str]:
-    """Say which parameters the logs leave open, and which moves would tell them."""
+    """Say which parameters the logs leave open, and which moves would determine them."""
     notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
     if pairs:
         text = ", ".join(" + ".join(pair) for pair in pairs)

@@ -181,11 +181,11 @@ class InertiaEquations:
         free = joints[0].size > self.basis.size
         prior, through, inherited = gravity_prior(self.stages.gravity, self.basis), {}, {}
         if prior is not None and self.stages.gravity is not None:
-            told = sensitivity_of(self.stages.gravity, self.robot.joint_names)
+            to_friction = sensitivity_of(self.stages.gravity, self.robot.joint_names)
             rows = whitened(np.array(self.stages.gravity.covariance))
-            through = {j: rows @ S for j, S in told.items()}
-            told_moves = moves_of(self.stages.gravity, self.robot.joint_names)
-            inherited = {j: rows @ M for j, M in told_moves.items()}
+            through = {j: rows @ S for j, S in to_friction.items()}
+            known_moves = moves_of(self.stages.gravity, self.robot.joint_names)
+            inherited = {j: rows @ M for j, M in known_moves.items()}
         if free and prior is not None:
             prior = _wider(prior)
         share = self.independent_share
@@ -225,5 +225,5 @@ def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
 
 
 def _wider(prior: Prior) -> Prior:
-    """The same prior with a column of zeros behind: it says nothing about the coupling."""
+    """The same prior with a column of zeros behind: it knows nothing of the coupling."""
     return Prior(np.hstack([prior.A, np.zeros((len(prior.A), 1))]), prior.b)

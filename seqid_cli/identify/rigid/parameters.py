@@ -49,7 +49,7 @@ def not_excited(basis: Basis, solution: Solution, candidates: Index) -> list[str
 def rigid_stage(
     robot: Robot, basis: Basis, solution: Solution, posterior: Posterior, own: Index, rotors: Array
 ) -> RigidStage:
-    """A stage with what a solution tells of the base parameters `own` (indices).
+    """A stage with what a solution determines of the base parameters `own` (indices).
 
     `rotors` (n,) kg m^2 are the known rotor inertias that the representative has besides.
     """
@@ -85,7 +85,7 @@ def residual_share(sigma: float, squares: float, samples: int) -> tuple[float, s
 
 
 def empty_stage(note: str, method: str = "sequential") -> RigidStage:
-    """A stage with nothing to identify on this robot, which says so."""
+    """A stage with nothing to identify on this robot, with a note."""
     return RigidStage(parameters=[], condition=0.0, rank=0, method=method, notes=[note])
 
 

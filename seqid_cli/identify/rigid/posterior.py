@@ -34,7 +34,6 @@ from seqid_cli.identify.regression.least_squares import Prior, Solution, whitene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Matrix, RigidStage
 from seqid_cli.robot.base_parameters import Basis, standard_names
-from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index
 
 Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
@@ -55,15 +54,15 @@ def friction_covariance(
 
 
 def sensitivity_of(stage: RigidStage | None, names: Sequence[str]) -> Sensitivity:
-    """Sensitivity (p, K_j) of a stage's parameters to friction, by joint, as its file says it."""
-    told = stage.friction_sensitivity if stage is not None else {}
-    return {j: np.array(told[name]) for j, name in enumerate(names) if told.get(name)}
+    """Sensitivity (p, K_j) of a stage's parameters to friction, by joint, as its file has it."""
+    known = stage.friction_sensitivity if stage is not None else {}
+    return {j: np.array(known[name]) for j, name in enumerate(names) if known.get(name)}
 
 
 def moves_of(stage: RigidStage | None, names: Sequence[str]) -> Moves:
-    """Moves (p,) of a stage's parameters per error of a torque constant, as its file says."""
-    told = stage.torque_constant_moves if stage is not None else {}
-    return {j: np.array(told[name]) for j, name in enumerate(names) if told.get(name)}
+    """Moves (p,) of a stage's parameters per error of a torque constant, as its file has it."""
+    known = stage.torque_constant_moves if stage is not None else {}
+    return {j: np.array(known[name]) for j, name in enumerate(names) if known.get(name)}
 
 
 def constant_moves(
@@ -146,7 +145,7 @@ class Posterior:
         covariance += friction_covariance(total, surfaces, len(covariance))
         return cls((covariance + covariance.T) / 2, total)
 
-    def with_doubt(self, directions: Array) -> Posterior:
+    def with_error(self, directions: Array) -> Posterior:
         """Add an error along directions (p, d), one standard deviation each."""
         return replace(self, covariance=self.covariance + directions @ directions.T)
 
@@ -175,21 +174,6 @@ def as_lists(
 ) -> dict[str, list[float]]:
     """Moves of the parameters `chosen` for the parameter file."""
     return {names[j]: move[chosen].tolist() for j, move in moves.items()}
-
-
-def constants_note(robot: Robot) -> list[str]:
-    """Say which joints' torque constants are taken as exact, if any."""
-    exact = [
-        joint.name
-        for joint in robot.joints
-        if joint.torque_constant is not None and joint.torque_constant_error == 0.0
-    ]
-    if not exact:
-        return []
-    return [
-        f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
-        "file adds their error to the standard errors"
-    ]
 
 
 def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:

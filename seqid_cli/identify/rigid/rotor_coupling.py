@@ -10,7 +10,7 @@ friction and gravity included; with k and its standard error s of the fit that l
 It must decide alike at neighbouring cut-offs. A k that is neither near 0 nor near 1 is a sign of
 something else. Where the logs do not decide, the data sheet's model stays (rotors act on their own
 joints alone), and what the other one would change counts as an error of the parameters: it is as
-likely as not, or more where the logs say so.
+likely as not, or more where the logs favour it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,12 @@ from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
-CONSISTENT = 3.0  # standard errors within which the free share agrees with 0 or 1
-LOG_ODDS = 5.0  # that decide: 150 to 1
-
 
 @dataclass(frozen=True)
 class Coupling:
     """The decision: whether the coupling is `used`, and how it came about.
 
-    `share` and `std_error` are those of the fit that leaves it free; `doubt` (p, d) are directions
+    `share` and `std_error` are those of the fit that leaves it free; `errors` (p, d) are directions
     along which the other hypothesis would move the parameters, in standard deviations.
     """
 
@@ -42,7 +39,7 @@ class Coupling:
     decided: bool
     share: float
     std_error: float
-    doubt: Array
+    errors: Array
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -78,19 +75,24 @@ class _Share:
         """Logarithm of the odds of 1 against 0."""
         return (self.value**2 - (self.value - 1.0) ** 2) / (2.0 * self.error**2)
 
-    @property
-    def near(self) -> bool:
-        """Whether it agrees with 0 or with 1."""
-        return min(abs(self.value), abs(self.value - 1.0)) < CONSISTENT * self.error
+    def near(self, sigma: float) -> bool:
+        """Whether it agrees with 0 or with 1 within so many standard errors."""
+        return min(abs(self.value), abs(self.value - 1.0)) < sigma * self.error
 
 
-def decide(equations: Sequence[Equations]) -> Coupling:
-    """Compare the two hypotheses by what the logs say.
+def decide(
+    equations: Sequence[Equations], *, max_sigma: float = 3.0, min_log_odds: float = 5.0
+) -> Coupling:
+    """Compare the two hypotheses by the logs.
 
     Parameters
     ----------
     equations : sequence of Equations
         With the rows of all logs; the first as they are used, the others at other cut-offs.
+    max_sigma : float
+        Standard errors within which the free share agrees with 0 or 1.
+    min_log_odds : float
+        Logarithm of the odds that decide: 5 are 150 to 1.
 
     Returns
     -------
@@ -103,17 +105,22 @@ def decide(equations: Sequence[Equations]) -> Coupling:
     first = found[0]
     if first is None:
         return Coupling.none(kappa)
-    sure = [share is not None and share.near and abs(share.odds) > LOG_ODDS for share in found]
+    sure = [
+        share is not None and share.near(max_sigma) and abs(share.odds) > min_log_odds
+        for share in found
+    ]
     sides = {share.odds > 0 for share in found if share is not None}
     value, error = first.value, first.error
     if all(sure) and len(sides) == 1:
         used = sides.pop()
         return Coupling(used, True, value, error, np.zeros((kappa, 0)), _decided(used))
     # What does not decide does not count against the other hypothesis either.
-    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -LOG_ODDS, LOG_ODDS))))
+    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -min_log_odds, min_log_odds))))
     without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
-    doubt = np.sqrt(likely) * (coupled - without)[:, None]
-    return Coupling(False, False, value, error, doubt, _open(value, error, near=first.near))
+    errors = np.sqrt(likely) * (coupled - without)[:, None]
+    return Coupling(
+        False, False, value, error, errors, _open(value, error, near=first.near(max_sigma))
+    )
 
 
 def _free(equations: Equations) -> _Share | None:
@@ -126,8 +133,8 @@ def _free(equations: Equations) -> _Share | None:
 
 
 def _decided(used: bool) -> tuple[str, ...]:
-    said = "the data show rotors coupled to the links that carry them; used as such"
-    return (said,) if used else ()
+    text = "the data show rotors coupled to the links that carry them; used as such"
+    return (text,) if used else ()
 
 
 def _open(share: float, error: float, *, near: bool) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.friction_surface.summary import constants_note
 from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.regression.equations import (
     blocks,
@@ -26,7 +27,7 @@ from seqid_cli.identify.regression.equations import (
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
-from seqid_cli.identify.rigid.posterior import Posterior, constant_moves, constants_note
+from seqid_cli.identify.rigid.posterior import Posterior, constant_moves
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
@@ -47,8 +48,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
-SIGN_SHARE = 0.004  # width of the smoothed sign over the joint's fastest speed
-LEAST_WIDTH = 1e-6  # rad/s, of a joint that never moved
 
 
 def identify_simultaneous(
@@ -101,8 +100,10 @@ def identify_simultaneous(
     return equations.stages(options)
 
 
-def sign_width(motions: Iterable[Motion], n: int) -> Array:
+def sign_width(motions: Iterable[Motion], n: int, *, share: float = 0.004) -> Array:
     """Speeds (n,) over which friction changes its sign, by the log in which each joint is fastest.
+
+    They are `share` of the speed there.
 
     A log that moves a joint hardly, as others shake it, does not say how fast it slides.
     """
@@ -112,7 +113,7 @@ def sign_width(motions: Iterable[Motion], n: int) -> Array:
         usual = np.quantile(speed, 0.99, axis=0)
         usual = np.where(usual > 0, usual, speed.max(axis=0))  # it moved for a moment only
         fastest = np.maximum(fastest, usual)
-    return SIGN_SHARE * fastest
+    return share * fastest
 
 
 def _speed(motion: Motion) -> Array:
@@ -222,7 +223,7 @@ class SimultaneousEquations:
             rmse=sigma,
             position_range=[float(x) for x in self.position[j]],
             speed_range=[0.0, fast],
-            sign_width=max(float(self.width[j]), LEAST_WIDTH),
+            sign_width=max(float(self.width[j]), 1e-6),
             directional=directional,
             positive=[(ahead @ values).tolist()],
             negative=[(back @ values).tolist()],

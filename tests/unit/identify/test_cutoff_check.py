@@ -48,21 +48,21 @@ def checked(seed: int, *, shrunk: float) -> CutoffCheck:
 
 def test_noise_alone_is_not_said_and_adds_little() -> None:
     found = [checked(seed, shrunk=0.0) for seed in range(40)]
-    assert sum(bool(check.said) for check in found) <= 1
+    assert sum(bool(check.differences) for check in found) <= 1
     stated = np.sqrt(np.diag(pair(0, shrunk=0.0)[0][1].covariance))
-    added = np.mean([np.sum(check.doubt**2, axis=1) for check in found], axis=0)
+    added = np.mean([np.sum(check.errors**2, axis=1) for check in found], axis=0)
     assert (added < 0.1 * stated**2).all()
 
 
 def test_a_parameter_that_depends_on_the_cutoff_is_named_and_its_error_grows() -> None:
     for seed in range(5):
         check = checked(seed, shrunk=0.1)
-        assert [k for k, *_ in check.said] == [0]
-        _, factor, by = check.said[0]
+        assert [k for k, *_ in check.differences] == [0]
+        _, factor, by = check.differences[0]
         assert factor == 0.7
         assert by < -3.0
-        assert abs(check.doubt[0, 0]) > 0.12  # of the 2 / 1.1 - 2 that it differs by
-        assert (np.abs(check.doubt[1:, 0]) < 0.03).all()
+        assert abs(check.errors[0, 0]) > 0.12  # of the 2 / 1.1 - 2 that it differs by
+        assert (np.abs(check.errors[1:, 0]) < 0.03).all()
 
 
 def test_the_stage_is_poor_where_the_difference_matters() -> None:

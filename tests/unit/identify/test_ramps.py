@@ -104,11 +104,11 @@ def test_where_no_ramp_tells_anything_all_torque_may_be_that_of_acceleration() -
     given = trials_of(robot, wobble=0.01)
     blind = [replace(trial, ramps=Ramps.none()) for trial in given]
     (told,), (unknown,) = (without_acceleration(robot, t, surface()) for t in (given, blind))
-    assert all(trial.doubt == told.std_error for trial in told.trials)
+    assert all(trial.inertia_error == told.std_error for trial in told.trials)
     assert unknown.inertia == 0.0
     for trial in unknown.trials:
-        assert trial.doubt >= INERTIA
-        pushed = max(trial.doubt * np.sqrt(np.mean(t.ddq**2)) for t in unknown.trials)
+        assert trial.inertia_error >= INERTIA
+        pushed = max(trial.inertia_error * np.sqrt(np.mean(t.ddq**2)) for t in unknown.trials)
         assert pushed > 0.5 * np.median(np.abs(trial.tau))
 
 

@@ -92,6 +92,7 @@ CHOSEN = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", CHOSEN, ids=[name_of(path) for path in CHOSEN])
 def test_findings_on_recorded_logs_are_true(path: Path) -> None:
     expected = TRUE.get(name_of(path), set())

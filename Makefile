@@ -85,11 +85,11 @@ bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchma
 
 .PHONY: fuzz
 fuzz: $(DEV) ## read damaged logs for FUZZ_SECONDS
-	$(BIN)/python -m tests.unit.logs.fuzz --seconds $(FUZZ_SECONDS)
+	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS)
 
 .PHONY: fleet
 fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)
-	$(BIN)/python -m tests.unit.scale.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
+	$(BIN)/python -m tests.studies.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
 
 # ---- sample logs
 

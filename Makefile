@@ -42,12 +42,15 @@ $(DEV): pyproject.toml | $(BIN)/python
 
 # ---- checks
 
+# A file stays with one worker: what its tests share is made once.
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+
 .PHONY: test test-all docs-test lint types
 test: $(DEV) ## run the tests, apart from those that take long
-	$(BIN)/python -m pytest -n $(WORKERS) -m 'not slow'
+	$(PYTEST) -m 'not slow'
 
 test-all: $(DEV) ## run every test
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(PYTEST)
 
 docs-test: $(DEV) ## run every command of the documents, also those that take minutes
 	SEQID_DOCS=1 $(BIN)/python -m pytest tests/unit/docs

@@ -69,6 +69,7 @@ def test_every_speed_of_the_friction_logs_is_used_both_ways(rig: Rig) -> None:
         assert pairs.count((1, 1)) >= 12 - missing
 
 
+@pytest.mark.slow
 def test_friction_residuals_are_the_torque_noise(six_joint: Rig) -> None:
     """Slices average the noise; what is left is below the noise of one sample."""
     for name, joint in six_joint.friction.joints.items():

@@ -19,8 +19,6 @@ from seqid_cli.identify import RigidOptions, inertia
 from seqid_cli.scale.executors import dask_cluster
 from tests import ROOT
 
-pytestmark = pytest.mark.slow
-
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),

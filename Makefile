@@ -42,12 +42,15 @@ $(DEV): pyproject.toml | $(BIN)/python
 
 # ---- checks
 
+# A file stays with one worker: what its tests share is made once.
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+
 .PHONY: test test-all docs-test lint types
 test: $(DEV) ## run the tests, apart from those that take long
-	$(BIN)/python -m pytest -n $(WORKERS) -m 'not slow'
+	$(PYTEST) -m 'not slow'
 
 test-all: $(DEV) ## run every test
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(PYTEST)
 
 docs-test: $(DEV) ## run every command of the documents, also those that take minutes
 	SEQID_DOCS=1 $(BIN)/python -m pytest tests/unit/docs
@@ -85,11 +88,11 @@ bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchma
 
 .PHONY: fuzz
 fuzz: $(DEV) ## read damaged logs for FUZZ_SECONDS
-	$(BIN)/python -m tests.unit.logs.fuzz --seconds $(FUZZ_SECONDS)
+	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS)
 
 .PHONY: fleet
 fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)
-	$(BIN)/python -m tests.unit.scale.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
+	$(BIN)/python -m tests.studies.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
 
 # ---- sample logs
 

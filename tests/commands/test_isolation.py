@@ -44,6 +44,7 @@ def test_the_whole_way_keeps_to_itself(tmp_path: Path) -> None:
     assert "FORBIDDEN" not in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [

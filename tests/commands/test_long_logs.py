@@ -28,7 +28,7 @@ from tests.plants.robotfile import robot_toml
 from tests.unit.discover.long_logs import RIG, LongCase, long_case
 
 Array = NDArray[np.float64]
-pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
 PUSHED = 30.0
 MOST = 68_000

@@ -36,6 +36,8 @@ from tests.plants.robots.seven_joint import (
 )
 from tests.unit.logs.writers import joint_messages, write_messages
 
+pytestmark = pytest.mark.slow
+
 LOGS = {"a.mcap": 12_000, "b.mcap": 3_000}  # samples; the first is long
 T0 = 1_700_000_000_000_000_000
 JITTER_S = 2e-5

@@ -22,6 +22,7 @@ from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, ImuStage, Parameter, RigidStage, Stages
+from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
 
@@ -32,7 +33,7 @@ SAMPLES = ROOT / "sample_logs"
 
 def sample_robot(name: str) -> Robot:
     """One of the sample robots."""
-    return sample_robot(name)
+    return load_robot(SAMPLES / name / "robot.toml")
 
 
 @cache

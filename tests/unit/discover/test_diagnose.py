@@ -35,6 +35,8 @@ from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.robots.two_joint import friction_surface
 from tests.plants.trials import run_drill
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 OPTIONS = DiscoverOptions()

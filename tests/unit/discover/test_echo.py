@@ -26,6 +26,8 @@ from tests.plants.simulate import simulate
 from tests.plants.trajectories import fourier
 from tests.unit.discover.drawn_logs import recording
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 SECONDS, LOGS, EVERY, JOINTS = 30.0, 2, 2, 2

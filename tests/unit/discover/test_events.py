@@ -61,6 +61,7 @@ def many_rows() -> list[Rows]:
     return [rows_of(related_scenes(seed, logs=3, seconds=16.0)) for seed in range(4)]
 
 
+@pytest.mark.slow
 def test_clean_noise_has_no_event_in_200_runs(many_rows: list[Rows]) -> None:
     found = [
         find_events(many_rows[k % 4], scaled_residual(many_rows[k % 4], k)) for k in range(200)

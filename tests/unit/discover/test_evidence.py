@@ -15,6 +15,8 @@ from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from tests.unit.discover.test_diagnose import OPTIONS, clean, given, humped_diagnosis, plain
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 ELBOW = 1
 

@@ -26,7 +26,7 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.unit.discover.long_logs import BEGUN, LongCase, long_case
 
 Array = NDArray[np.float64]
-pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
 OPTIONS = DiscoverOptions()
 MOST = 68_000  # as MOST_VALUES counts: a good half of the log

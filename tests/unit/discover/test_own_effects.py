@@ -16,6 +16,8 @@ from tests.plants.injections_friction import clear
 from tests.studies.undeclared_cases import declared, outside
 from tests.studies.undeclared_logs import Logs, logs_of, stages_of
 
+pytestmark = pytest.mark.slow
+
 CASE = next(
     case
     for case in outside()

@@ -23,6 +23,8 @@ from seqid_cli.robot.file import load_robot
 from tests import ROOT
 from tests.plants.robots.sample import sample_robot
 
+pytestmark = pytest.mark.slow
+
 DATA = ROOT / ".." / "shared" / "data"
 SAMPLES = ROOT / "sample_logs"
 PENDULUM, TX40, UR10E = "dfki_simple_pendulum", "staubli_tx40", "ur10e_innopolis"

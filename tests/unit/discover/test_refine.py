@@ -80,6 +80,7 @@ def before() -> ParameterFile:
     return identified(first_logs())
 
 
+@pytest.mark.slow
 def test_what_came_late_leaves_the_file_as_it_is(
     before: ParameterFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,6 +109,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert any("doubtful" in note for note in doubtful.notes)
 
 
+@pytest.mark.slow
 def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
     logs = {stage: [sprung(x) for x in logs] for stage, logs in first_logs().items()}
     file = identified(logs)
@@ -223,6 +225,7 @@ def test_every_sample_is_left_out_once() -> None:
             assert np.count_nonzero(np.diff(own.astype(int)) == 1) + own[0] == 1
 
 
+@pytest.mark.slow
 def test_models_of_folds_have_not_seen_what_they_predict(before: ParameterFile) -> None:
     """Torque that is put into one stretch alone changes the model of the other folds only."""
     logs = changed("fourier", "trapezoids")
@@ -245,6 +248,7 @@ def test_models_of_folds_have_not_seen_what_they_predict(before: ParameterFile) 
     assert values[0][0] != values[1][0]
 
 
+@pytest.mark.slow
 def test_logs_too_short_to_leave_blocks_out_decide_nothing(before: ParameterFile) -> None:
     log = changed("fourier")[0]
     short = log.t < log.t[0] + 5.0

@@ -23,7 +23,7 @@ from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages
 from tests.unit.discover.long_logs import LongCase, long_case
 
-pytestmark = pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 OPTIONS = DiscoverOptions(max_effects=1)
 MOST = 68_000
 HUMP = ("stribeck", 1, 1.0)

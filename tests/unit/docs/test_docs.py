@@ -35,6 +35,9 @@ from tests.unit.docs.kitchen import (
 from tests.unit.docs.markdown import PAGES, ROOT, Block, Step, anchors, blocks, links, steps
 
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
+# Pages whose commands `make test` runs: the way of a user who has read no more.
+FIRST = ("README.md", "docs/tutorial.md")
+RUN = [n if n in FIRST else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
 FULL = bool(os.environ.get("SEQID_DOCS"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 SIX = SAMPLES / "six_joint"
@@ -132,7 +135,7 @@ def _check_module(step: Step) -> None:
         assert not word.startswith("--") or f'"{word}"' in source, f"{step}: no {word}"
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", RUN)
 def test_commands_do_what_the_page_says(name: str, kitchen: Kitchen) -> None:
     folder = prepared(kitchen, name)
     said: list[str] = []
@@ -209,7 +212,7 @@ def _check_shown(step: Step, said: list[str]) -> None:
         assert ok, f"{step}\ndoes not say: {line}\nbut:\n" + "\n".join(said)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", RUN)
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_python_runs(name: str, kitchen: Kitchen) -> None:

@@ -23,7 +23,9 @@ def six_joint() -> Rig:
     return sample_rig("six_joint")
 
 
-@pytest.fixture(params=["one_joint", "two_joint", "six_joint"])
+@pytest.fixture(
+    params=["one_joint", "two_joint", pytest.param("six_joint", marks=pytest.mark.slow)]
+)
 def rig(request: pytest.FixtureRequest) -> Rig:
     """Each of the rigs."""
     found: Rig = request.getfixturevalue(request.param)

@@ -71,6 +71,7 @@ def errors_of(robot: Robot, seed: int) -> tuple[Array, Array, Array]:
     return error, alone + np.diag(friction_covariance(sensitivity, [surface], 2)), alone
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_said_with_frictions_part_and_larger_than_said_without() -> None:
     robot = robot_of("one", one_joint())
     found = [errors_of(robot, seed) for seed in range(SEEDS)]

@@ -16,6 +16,8 @@ from seqid_cli.identify.imu_calibration.result import deflecting, verdict_of
 from seqid_cli.params.schema import EffectOfJoint, ImuCalibration, ImuStage, Stages
 from tests.studies.imu_mounting import DEFLECTING, Case, calibrated, instruments, scene_of, scored
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 STIFF, ELASTIC, BACKLASH = (

@@ -48,6 +48,7 @@ def found(case: Case, seed: int) -> dict[str, ImuCalibration]:
     return stage.imus
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [COARSE, FINE], ids=lambda case: case.label)
 def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
     """Four instruments: mounting, offset, gains and biases, all within their standard errors."""
@@ -62,6 +63,7 @@ def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
     assert all(score.holdout < 1.2 for score in seen)
 
 
+@pytest.mark.slow
 def test_an_offset_of_twenty_milliseconds_is_found_to_a_fraction_of_a_sample() -> None:
     for imu in instruments(scene(PLANAR), 0):
         calibration = found(PLANAR, 0)[imu.name]
@@ -72,6 +74,7 @@ def test_an_offset_of_twenty_milliseconds_is_found_to_a_fraction_of_a_sample() -
         )
 
 
+@pytest.mark.slow
 def test_what_a_planar_arm_does_not_show_has_no_number() -> None:
     """The first link's angle about the vertical axis and its lever; levers along the axes."""
     first, second = (found(PLANAR, 0)[name] for name in ("imu_a", "imu_b"))
@@ -83,6 +86,7 @@ def test_what_a_planar_arm_does_not_show_has_no_number() -> None:
     assert not any(text.startswith("the angle about") for text in second.not_determined)
 
 
+@pytest.mark.slow
 def test_a_gyro_is_calibrated_with_its_triad() -> None:
     imu = instruments(scene(GYRO), 0)[1]
     calibration = found(GYRO, 0)["imu_b"]
@@ -100,6 +104,7 @@ def test_a_gyro_is_calibrated_with_its_triad() -> None:
     assert np.abs(score.z_turn).max() < 4.0
 
 
+@pytest.mark.slow
 def test_calibrated_readings_are_those_of_a_better_instrument() -> None:
     """In the calibration's frame, which differs from the simulated one by the common tilt."""
     own = scene(GYRO)

@@ -49,17 +49,20 @@ def array() -> AccelerometerArray:
     return next(x for x in draw(CASE).plant.imus if x.name == "imu_b")
 
 
+@pytest.mark.slow
 def test_a_joint_that_hunts_is_an_unknown_and_one_that_stands_is_locked(folder: Path) -> None:
     assert segment(folder, HUNTING).moving == (0, 1)
     assert segment(folder, STILL).moving == (0,)
     assert segment(folder, STILL).locked == (1,)
 
 
+@pytest.mark.slow
 def test_a_hunting_joint_jerks_as_those_do_that_push_it(folder: Path) -> None:
     jerk = segment(folder, HUNTING).jerk
     assert jerk[1] == jerk[0] > 100.0
 
 
+@pytest.mark.slow
 def test_the_lever_and_the_scales_hold(calibration: ImuCalibration) -> None:
     """With joint 2 taken for locked the lever is 1.1 mm off at 0.15 mm, the scales 0.4 %."""
     lever = np.array(calibration.lever[:2], dtype=float)
@@ -69,6 +72,7 @@ def test_the_lever_and_the_scales_hold(calibration: ImuCalibration) -> None:
     assert np.abs(scales - 1.0).max() < 5e-4
 
 
+@pytest.mark.slow
 def test_the_error_of_accelerations_is_that_of_the_lever(calibration: ImuCalibration) -> None:
     """Perfect sensors: acceleration by the whole array goes with its lever about the joint."""
     lever = np.array(calibration.lever[:2], dtype=float)

@@ -6,37 +6,27 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_verdicts, judged
 from seqid_cli.identify.log_verdicts import notes_of_logs, verdicts_of_logs
-from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.inspect.findings.finding import found
-from seqid_cli.logs.read import read_recordings
 from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
-from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.unit.inspect.faults import SAMPLES
-
-RIG = SAMPLES / "one_joint"
-ORDERS = FrictionOptions(position_order=4, velocity_order=6)
+from tests.plants.robots.sample import Rig
 
 
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot(RIG / "robot.toml")
+@pytest.fixture
+def robot(one_joint: Rig) -> Robot:
+    return one_joint.robot
 
 
-@pytest.fixture(scope="module")
-def friction(robot: Robot) -> FrictionStage:
-    logs = list(read_recordings(sorted((RIG / "friction").glob("*")), robot))
-    return identify_friction(logs, robot, options=ORDERS)
+@pytest.fixture
+def friction(one_joint: Rig) -> FrictionStage:
+    return one_joint.friction
 
 
-@pytest.fixture(scope="module")
-def gravity(robot: Robot, friction: FrictionStage) -> RigidStage:
-    logs = list(read_recordings(sorted((RIG / "gravity").glob("*")), robot))
-    return identify_gravity(logs, robot, Stages(friction=friction))
+@pytest.fixture
+def gravity(one_joint: Rig) -> RigidStage:
+    return one_joint.gravity
 
 
 def poor(verdicts: list[Verdict]) -> list[str]:

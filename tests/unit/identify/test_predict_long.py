@@ -127,6 +127,7 @@ def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
     return found
 
 
+@pytest.mark.slow
 def test_effects_are_told_part_by_part(
     folder: Path, robot: Robot, stages: Stages, all_local: list[FittedEffect]
 ) -> None:
@@ -147,6 +148,7 @@ def test_effects_are_told_part_by_part(
     assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
 
 
+@pytest.mark.slow
 def test_effects_that_remember_are_held(
     robot: Robot, stages: Stages, all_local: list[FittedEffect]
 ) -> None:

@@ -23,6 +23,8 @@ from tests.plants.robots.sample import rmse
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import Reference, hold, join, sweeps, together, zigzag
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 RATE = 250.0

@@ -15,6 +15,8 @@ from seqid_cli.robot.file import load_robot
 from tests import ROOT
 from tests.plants.robots.sample import rmse
 
+pytestmark = pytest.mark.slow
+
 DATA = ROOT / ".." / "shared" / "data"
 
 # RMS torque errors on the held-out log, N m, that least squares outside this project reached.

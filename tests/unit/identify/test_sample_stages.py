@@ -69,6 +69,7 @@ def test_every_speed_of_the_friction_logs_is_used_both_ways(rig: Rig) -> None:
         assert pairs.count((1, 1)) >= 12 - missing
 
 
+@pytest.mark.slow
 def test_friction_residuals_are_the_torque_noise(six_joint: Rig) -> None:
     """Slices average the noise; what is left is below the noise of one sample."""
     for name, joint in six_joint.friction.joints.items():
@@ -88,7 +89,9 @@ def within(rig: Rig, stage: RigidStage, sigmas: float) -> list[bool]:
     return [abs(p.value - rig.true_value(p)) < sigmas * p.std_error for p in stage.parameters]
 
 
-@pytest.mark.parametrize(("name", "count"), [("one_joint", 2), ("six_joint", 10)])
+@pytest.mark.parametrize(
+    ("name", "count"), [("one_joint", 2), pytest.param("six_joint", 10, marks=pytest.mark.slow)]
+)
 def test_gravity_parameters_are_the_true_ones(
     name: str, count: int, request: pytest.FixtureRequest
 ) -> None:
@@ -127,6 +130,7 @@ def test_inertia_of_the_papers_rigs_is_within_a_percent(
     assert all(within(rig, stage, 4.0))
 
 
+@pytest.mark.slow
 def test_ninety_five_percent_of_the_six_joint_parameters_are_within_three_sigma(
     six_joint: Rig,
 ) -> None:
@@ -135,6 +139,7 @@ def test_ninety_five_percent_of_the_six_joint_parameters_are_within_three_sigma(
     assert np.mean(good) >= 0.95
 
 
+@pytest.mark.slow
 def test_six_joint_inertia_has_full_rank_and_says_where_motion_came_from(six_joint: Rig) -> None:
     stage = six_joint.inertia
     assert stage.rank == stage.structural_rank == 36
@@ -147,6 +152,7 @@ def test_six_joint_inertia_has_full_rank_and_says_where_motion_came_from(six_joi
     assert len(names) == 36
 
 
+@pytest.mark.slow
 def test_covariances_are_those_of_the_standard_errors(six_joint: Rig) -> None:
     for stage in (six_joint.gravity, six_joint.inertia):
         covariance = np.array(stage.covariance)
@@ -155,6 +161,7 @@ def test_covariances_are_those_of_the_standard_errors(six_joint: Rig) -> None:
         assert np.linalg.eigvalsh(covariance).min() > -1e-12 * np.trace(covariance)
 
 
+@pytest.mark.slow
 def test_imu_mountings_are_found_within_a_third_of_a_degree(six_joint: Rig) -> None:
     assert set(six_joint.imu.imus) == {"imu_a", "imu_b"}
     for name, found in six_joint.imu.imus.items():
@@ -181,6 +188,7 @@ def test_a_mounting_about_parallel_axes_is_called_undetermined(two_joint: Rig) -
     assert "does not matter" in two_joint.imu.verdicts[0].reason
 
 
+@pytest.mark.slow
 def test_one_step_is_worse_than_step_by_step_on_new_motions(six_joint: Rig) -> None:
     sequential = rmse(six_joint.predictions(six_joint.stages))
     simultaneous = rmse(six_joint.predictions(six_joint.simultaneous))
@@ -197,6 +205,7 @@ def test_imus_do_better_than_the_coarse_encoder_alone(two_joint: Rig) -> None:
     assert set(encoder.motion.values()) == {"encoder"}
 
 
+@pytest.mark.slow
 def test_a_prediction_is_used_away_from_the_ends(six_joint: Rig) -> None:
     for found in six_joint.predictions(six_joint.stages):
         assert found.tau.shape == found.predicted.shape == found.sliding.shape
@@ -210,6 +219,7 @@ def one_pair(rig: Rig, *names: str) -> RigidStage:
     return rig.inertia_of([log for log in rig.logs("inertia") if log.path.stem in names])
 
 
+@pytest.mark.slow
 def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) -> None:
     stage = one_pair(six_joint, "elbow__wrist_1")
     assert stage.rank < stage.structural_rank == 36
@@ -240,6 +250,7 @@ def rank_of_pairs(rig: Rig, pairs: list[list[str]]) -> int:
     return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6))
 
 
+@pytest.mark.slow
 def test_the_missing_pairs_would_give_full_rank_and_none_is_idle(six_joint: Rig) -> None:
     own = ["elbow", "wrist_1"]
     missing = one_pair(six_joint, "__".join(own)).missing_pairs

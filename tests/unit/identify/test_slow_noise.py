@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from tests.plants.sensors import noise
+
+pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 

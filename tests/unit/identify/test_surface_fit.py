@@ -180,6 +180,7 @@ def drawn(sizes: Sizes, rng: np.random.Generator) -> Array:
     return D
 
 
+@pytest.mark.slow
 def test_the_sizes_of_terms_and_errors_are_found() -> None:
     """Those with which data were drawn, to a third, in the geometric mean of eight sets."""
     rng = np.random.default_rng(7)
@@ -192,6 +193,7 @@ def test_the_sizes_of_terms_and_errors_are_found() -> None:
         assert abs(log) < np.log(4 / 3), name
 
 
+@pytest.mark.slow
 def test_standard_errors_hold() -> None:
     """Of surfaces drawn from the prior, errors of trials and sizes estimated as well."""
     rng = np.random.default_rng(18)
@@ -218,6 +220,7 @@ def known_surface(m: int, l: int) -> Array:
     return D
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("m", "l"), [(0, 1), (2, 1), (3, 2), (5, 3)])
 def test_orders_of_a_known_surface_are_never_too_low(m: int, l: int) -> None:
     for seed in range(4):
@@ -229,6 +232,7 @@ def test_orders_of_a_known_surface_are_never_too_low(m: int, l: int) -> None:
         assert fit.deviation(found) <= DEVIATION
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("m", "l"), [(0, 1), (2, 1)])
 def test_orders_that_are_not_needed_are_left_out(m: int, l: int) -> None:
     found = []

@@ -52,9 +52,15 @@ def name_of(path: Path) -> str:
     return f"{path.parent.name}/{path.stem}"
 
 
+FOLDERS = [(rig, stage) for rig in RIGS for stage in STAGES if (SAMPLES / rig / stage).is_dir()]
+
+
 @pytest.mark.parametrize(
     ("rig", "stage"),
-    [(rig, stage) for rig in RIGS for stage in STAGES if (SAMPLES / rig / stage).is_dir()],
+    [
+        pytest.param(*one, marks=[pytest.mark.slow] if one[0] == "six_joint" else [])
+        for one in FOLDERS
+    ],
 )
 def test_sample_logs_are_good(rig: str, stage: str) -> None:
     robot = sample_robot(rig)
@@ -92,6 +98,7 @@ CHOSEN = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", CHOSEN, ids=[name_of(path) for path in CHOSEN])
 def test_findings_on_recorded_logs_are_true(path: Path) -> None:
     expected = TRUE.get(name_of(path), set())

@@ -22,6 +22,8 @@ from tests.unit.inspect import planting as p
 from tests.unit.inspect.faults import write_columns
 from tests.unit.inspect.planting import Columns, Plant
 
+pytestmark = pytest.mark.slow
+
 RATE_HZ, EVERY = 1000.0, 10
 COUNTS = {21: 1000, 24: 2**16}  # per turn of the joint, by the arm's seed
 SECONDS = 9.0

@@ -33,7 +33,10 @@ ROBOTS: dict[str, Robot] = {
         channels=Channels(time="t", position=POSITION, velocity=VELOCITY, current=CURRENT),
     ),
 }
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the recorded data are not here")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not DATA.is_dir(), reason="the recorded data are not here"),
+]
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -34,7 +34,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name",
+    ["friction", *(pytest.param(n, marks=pytest.mark.slow) for n in CASES if n != "friction")],
+)
 def test_processes_change_no_bit(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from seqid_cli.errors import UsageError
 from seqid_cli.params.schema import Parameter, ParameterFile
 from seqid_cli.trend.fleet import judge_fleet, robust_scores
+from tests.studies import fleet
 from tests.unit.params.documents import full_file
-from tests.unit.scale import fleet
 
 FILE = full_file()
 SPREAD, ERROR = 0.03, 0.01  # of parameters of size 1

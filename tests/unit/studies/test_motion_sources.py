@@ -8,7 +8,7 @@ import pytest
 from seqid_cli.params.schema import Parameter, RigidStage
 from tests.plants.robots.identified import HeldOut
 from tests.studies import motion_sources
-from tests.studies.motion_sources import Found, cells, largest, rows_of, table_of
+from tests.studies.motion_sources import Found, cells, largest
 
 
 def parameter(name: str, unit: str) -> Parameter:
@@ -26,16 +26,6 @@ def test_a_row_says_cutoffs_medians_coverage_and_held_out_errors() -> None:
     held_out = HeldOut(np.ones(2), np.array([0.5, 0.25]), np.ones(2), (20.0, 5.0, 5.0))
     row = cells(Found(np.array([1.0, -2.0, 9.0]), np.array([1.0, 1.0, 2.0]), held_out))
     assert row == ["5.0, 20", "2.0", "1.0", "67 %", "0.50, 0.25"]
-
-
-def test_one_source_of_one_robot() -> None:
-    (row,) = rows_of("one_joint", ["encoder"])
-    assert row[:2] == ["one_joint", "encoder"]
-    assert len(row) == 12
-    assert row[7] == "10"
-    assert float(row[3]) < 1.0
-    text = table_of([row])
-    assert text.count("| one_joint | encoder |") == 2
 
 
 def test_its_document_has_its_place() -> None:

@@ -1,9 +1,8 @@
-"""The tables' arithmetic, the bound against textbook cases, and a quick run of what is quick."""
+"""The tables' arithmetic, the bound against textbook cases."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.params.schema import Parameter
-from tests.plants.experiments import friction_trials
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
 from tests.plants.robots.identified import noise_floor, summed
@@ -31,7 +29,6 @@ from tests.studies.bound import (
     surface_of,
     whittle,
 )
-from tests.studies.noise_floor import Case, outcome
 from tests.studies.tables import number, placed, rms, share_within, spread, table
 from tests.studies.variants import another
 
@@ -216,21 +213,3 @@ def test_true_value_follows_the_expression() -> None:
 def test_recorded_robots_are_left_out_where_they_are_missing(tmp_path: Path) -> None:
     text = recorded.study(tmp_path)
     assert text.count("left out") == len(recorded.CASES)
-
-
-def test_one_joint_tables_are_complete(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One rig of each encoder, fewer speeds: every cell is filled but the spread over rigs."""
-    fewer = partial(friction_trials, speeds=6, lowest=0.15)
-    monkeypatch.setattr(one_joint_study, "friction_trials", fewer)
-    text = one_joint_study.study(1)
-    rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert len(rows) == 4 * 2 + 8 + 12 + 8 + 6
-    for row in rows[2:10]:
-        assert all(cell.strip() for cell in row.split("|")[1:-1])
-
-
-@pytest.mark.parametrize("motion", ["does not come back", "comes back"])
-def test_the_noise_floor_holds_what_a_coarse_encoder_makes(motion: str) -> None:
-    found = outcome(Case("one joint", "white", "coarse", motion, 500))
-    assert found.inside.all()
-    assert abs(float(found.ratio[0]) - 1.0) < 0.25

@@ -1,9 +1,8 @@
-"""The study of undeclared effects: what is kept, its tables, and real cases."""
+"""The study of undeclared effects: what is kept, and its tables."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,38 +10,19 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from seqid_cli.discover.diagnosis import diagnose
-from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.diagnosis import DiagnosisFile
-from seqid_cli.params.schema import ClosedLoop, ParameterFile, RefinementRound, Stages
-from seqid_cli.robot.types import Robot
 from tests.studies import __main__ as program
-from tests.studies import undeclared, undeclared_refine, undeclared_run
+from tests.studies import undeclared, undeclared_run
 from tests.studies.undeclared_cases import (
     Condition,
-    built,
     matrix,
     quick,
 )
-from tests.studies.undeclared_logs import errors, excess, logs_of, stages_of
-from tests.studies.undeclared_run import Choice, Record, key_of, latest, read, run, run_case
-from tests.studies.undeclared_score import score
+from tests.studies.undeclared_run import Choice, Record, key_of, latest, read, run
 from tests.studies.undeclared_tables import judged, reliability, tables
 from tests.unit.studies.test_undeclared import diagnosis, finding
 
-SHORT = 8.0  # s, of the logs of the cheap cases
-
-
 # ---- the store
-
-
-def stub(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> DiagnosisFile:
-    return diagnosis(finding("spring", robot.joint_names[1]))
-
-
-def broken(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> DiagnosisFile:
-    raise ValueError("no such luck")
 
 
 def record(condition: Condition, found: DiagnosisFile | None, *, more: float = 0.5) -> Record:
@@ -181,79 +161,3 @@ def test_backlash_is_counted_apart() -> None:
     assert "| backlash, RMSE half above | - | - | 100 % of 1 |" in text
     assert "| backlash, less than that | - | - | 0 % of 1 |" in text
     assert "all of these" not in text
-
-
-# ---- real cases, short
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("study")
-
-
-def short(*effects: tuple[str, int, float]) -> Condition:
-    sensors = "no periodic motion"
-    return Condition("catalogue", "two", 1, effects, sensors=sensors, seconds=SHORT)
-
-
-def test_a_failure_is_a_result(cache: Path) -> None:
-    found = run_case(short(), cache, "now", broken)
-    assert found.diagnosis is None
-    assert found.error == "ValueError: no such luck"
-
-
-def test_logs_come_back_from_the_cache_and_without_the_effect(cache: Path) -> None:
-    """The effect changes the torque, not the motion's plan; its excess is its own joint's."""
-    # Shorter logs leave the other joint's viscous friction open, which goes on beyond their speeds.
-    case = replace(short(("spring", 1, 1.0)), seconds=1.5 * SHORT)
-    first, again, bare = logs_of(case, cache), logs_of(case, cache), logs_of(case.without(0), cache)
-    assert [r.path.name for r in first.training] == ["moves", "zigzag"]
-    for one, two, other in zip(first.training, again.training, bare.training, strict=True):
-        assert one.sha256 == two.sha256 != other.sha256
-        assert one.start == other.start
-        assert one.tau is not None
-        np.testing.assert_array_equal(one.tau, two.tau)
-        np.testing.assert_array_equal(one.q, two.q)
-    own = errors(first.held_out, first.robot, stages_of(case, cache))
-    more = excess(case, 0, cache, own)
-    assert more[1] > 1.0 > 0.5 > abs(more[0])
-
-
-@pytest.mark.parametrize("effects", [(), (("quadratic_drag", 0, 1.0),)], ids=str)
-def test_diagnosis_of_real_logs(effects: tuple[tuple[str, int, float], ...], cache: Path) -> None:
-    """One kind is found, and nothing where there is nothing."""
-    case = Condition("catalogue", "two", 1, effects, seconds=14.0)
-    logs, options = logs_of(case, cache), DiscoverOptions()
-    found = diagnose(logs.training[:3], logs.robot, stages_of(case, cache), options=options)
-    _, truths = built(case)
-    judgement = score(found, truths)
-    assert judgement.right if truths else judgement.quiet
-    assert not judgement.sure_and_wrong
-
-
-def test_refinement_is_compared_with_the_arm_without_the_effect(cache: Path) -> None:
-    """A refinement that changes nothing leaves the error, one that loses its stages fails."""
-    case = short(("spring", 1, 1.0))
-
-    def idle(
-        training: Sequence[Recording],
-        held_out: Sequence[Recording],
-        robot: Robot,
-        file: ParameterFile,
-        earlier: object,
-    ) -> tuple[Stages, ClosedLoop]:
-        assert {log.sha256 for log in file.inputs} == {r.sha256 for r in training}
-        tried = RefinementRound(
-            effect="spring",
-            joint="elbow",
-            accepted=False,
-            training_gain=0.0,
-            training_interval=[-0.1, 0.1],
-        )
-        return file.stages, ClosedLoop(rounds=[], refused=[tried])
-
-    found = undeclared_refine.refine_case(case, cache, "now", idle)
-    assert found.after == found.before
-    assert (found.added, found.refused) == ((), ("spring@elbow",))
-    assert undeclared_refine.share_left(found) > 2.0
-    assert "| spring | 1 |" in undeclared_refine.refined_table([found])

@@ -87,6 +87,7 @@ def test_settings_and_coefficients_are_the_true_ones(pair: Selected) -> None:
     assert abs(value - DRAG) < 4.0 * error < 0.1 * DRAG
 
 
+@pytest.mark.slow
 def test_names_are_sure_where_no_rival_comes_near(pair: Selected) -> None:
     for one in pair.taken:
         assert named(one).confidence > 0.9
@@ -112,6 +113,7 @@ def test_no_more_terms_than_asked_for() -> None:
     assert len(keys(selected(both, options=Options(most=1)))) == 1
 
 
+@pytest.mark.slow
 def test_selection_goes_on_from_what_was_found() -> None:
     found = select(ground_of(arm_scenes(both)), None, [CATALOGUE[name] for name in SOME])
     rows = found.model.ground.stage.rows
@@ -122,6 +124,7 @@ def test_selection_goes_on_from_what_was_found() -> None:
     assert len(again.model.linear.rows.y[0]) < len(found.model.linear.rows.y[0])
 
 
+@pytest.mark.slow
 def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) -> None:
     for taken in pair.taken:
         totals = [rival.foretold.total for rival in taken.rivals]
@@ -134,6 +137,7 @@ def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) 
     assert all(0.0 <= share <= 1.0 for share in pair.visible.values())
 
 
+@pytest.mark.slow
 def test_more_of_the_error_is_surer(pair: Selected) -> None:
     told = pair.taken[0].one.foretold
     less = replace(told, squares=0.1 * told.squares, density=0.1 * told.density)
@@ -180,6 +184,7 @@ def shaken(scene: Scene) -> Array:
     return np.stack([np.zeros(scene.samples), answered.imag], axis=1)
 
 
+@pytest.mark.slow
 def test_a_ripple_is_told_where_the_drive_holds_against_it() -> None:
     found = selected(shaken, ["torque_ripple"])
     assert keys(found)[0] == ("torque_ripple", 1)

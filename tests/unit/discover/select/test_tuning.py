@@ -114,6 +114,7 @@ def sprung(gear: Gear, seed: int) -> Scene:
     return replace(seen, motion=motion, measured=torque, period=1.0 / motion.rate_hz, log=seed)
 
 
+@pytest.mark.slow
 def test_a_resonance_is_met_blunt_and_followed_to_its_damping() -> None:
     """The stiffness that the blunt shape fits best is off; the sharper one brings it back."""
     gear = Gear(2500.0, 2.7)  # 8.9 Hz, 3 % of critical

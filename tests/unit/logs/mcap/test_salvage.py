@@ -14,7 +14,6 @@ from seqid_cli.logs.mcap.reader import read_blocks
 from seqid_cli.logs.tables import parquet
 from tests.benchmarks.make_logs import JOINTS as PANDA
 from tests.benchmarks.make_logs import write_cdr, write_columns
-from tests.unit.logs import fuzz
 from tests.unit.logs.samples import GYRO, JOINTS, grid, make_robot, read_raw
 from tests.unit.logs.writers import rewrite, write_mcap
 
@@ -164,7 +163,3 @@ def test_damaged_parquet_blocks(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(InputError, match="damaged"):
         list(parquet.read_blocks(path, make_robot(PANDA)))
-
-
-def test_a_little_fuzzing() -> None:
-    assert fuzz.main(["--seconds", "3", "--seed", "7"]) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ def direction(dq: Array) -> Array:
     return np.asarray(np.tanh(dq / SIGN_WIDTH))
 
 
+@lru_cache(maxsize=8)  # several tests, and both joints, ask for the same
 def trial(
     law: Law,
     *,

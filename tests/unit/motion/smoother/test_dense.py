@@ -33,6 +33,8 @@ from tests.plants.rigs import two_joint
 from tests.plants.robots.lab import robot_of
 from tests.plants.sensors import quantise
 
+pytestmark = pytest.mark.slow
+
 DT = 0.02  # s, between samples and between knots
 SAMPLES = 60
 GRAVITY = np.array([2.0, -1.0, -9.5])

@@ -25,6 +25,8 @@ from seqid_cli.typing import Array
 from tests.unit.motion.smoother.test_smooth import Scene
 from tests.unit.motion.smoother.test_smooth import scene as simulated
 
+pytestmark = pytest.mark.slow
+
 
 @cache
 def scene(name: str) -> Scene:

@@ -41,6 +41,8 @@ from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.robots.small import random_model
 from tests.plants.simulate import Log, Plant, simulate
 
+pytestmark = pytest.mark.slow
+
 SETTLED = slice(200, -200)
 RIGS = ("one", "one_400", "two", pytest.param("six", marks=pytest.mark.slow))
 

@@ -1,6 +1,6 @@
 """A fleet of two-joint arms: recorded, identified, and those that drift told from the others.
 
-    python -m tests.unit.scale.fleet FOLDER --robots 50 --drifting 3 --jobs 2
+    python -m tests.studies.fleet FOLDER --robots 50 --drifting 3 --jobs 2
 
 The arms are simulated with small differences in friction and inertia. Each night's logs of a robot
 lie in `robot=.../date=.../`. Each robot is identified by itself, several at a time; then
@@ -187,7 +187,7 @@ def table(found: Fleet, faults: dict[str, str], most: int) -> str:
 
 def main(arguments: Sequence[str]) -> int:
     """Run a night of the fleet; returns 1 where the wrong robots were found."""
-    parser = argparse.ArgumentParser(prog="python -m tests.unit.scale.fleet")
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.fleet")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--robots", type=int, default=50)
     parser.add_argument("--drifting", type=int, default=3)

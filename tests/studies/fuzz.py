@@ -1,4 +1,4 @@
-"""Read damaged logs for a given time: `python -m tests.unit.logs.fuzz [--seconds S] [--seed N]`.
+"""Read damaged logs for a given time: `python -m tests.studies.fuzz [--seconds S] [--seed N]`.
 
 Every file must give a recording or an error of seqid's own; anything else is kept and shown. What
 a damaged MCAP file still gives must be rows of the sound one, as long as checksums are on.
@@ -12,6 +12,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
-from seqid_cli.robot.types import Robot
+from seqid_cli.logs.recording import Recording
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, read_raw
 from tests.unit.logs.writers import rewrite, write_mcap, write_parquet
 
@@ -96,47 +97,80 @@ def samples(folder: Path) -> Mapping[str, Path]:
     return found
 
 
-def problem(path: Path, robot: Robot, sound: np.ndarray | None) -> str:
+@dataclass(frozen=True)
+class Damaged:
+    """A log with one damage: of which kind it was, and its bytes."""
+
+    kind: str
+    damage: str
+    data: bytes
+
+
+def damaged(logs: Mapping[str, bytes], rng: np.random.Generator) -> Damaged:
+    """Damage one of the logs."""
+    kind = list(logs)[int(rng.integers(len(logs)))]
+    damage = DAMAGES[int(rng.integers(len(DAMAGES)))]
+    data = bytearray(logs[kind])
+    damage(data, rng)
+    return Damaged(kind, damage.__name__, bytes(data))
+
+
+def problem(log: Damaged, path: Path, sound: np.ndarray) -> str:
     """Read a damaged log; returns what went wrong, empty if nothing."""
+    path.write_bytes(log.data)
+    checked = "crc" in log.kind.split("-") and "none" not in log.kind
     try:
-        read_recording(path, robot)
-        if sound is not None:
-            rows = read_raw(path, robot).joints.channels["position"]
-            known = {row.tobytes() for row in sound}
-            strange = sum(row.tobytes() not in known for row in np.ascontiguousarray(rows))
-            return f"{strange} of {len(rows)} rows are made up" if strange else ""
-    except InputError:
-        return ""
+        wrong = _unusable(read_recording(path, ROBOT))
+        return wrong or (_made_up(path, sound) if checked else "")
+    except InputError as error:
+        return "" if error.message and error.where == str(path) else f"no place: {error}"
     except Exception:
         return traceback.format_exc()
-    return ""
+
+
+def _unusable(recording: Recording) -> str:
+    """What a recording may not be, whatever the file."""
+    count = len(recording.t)
+    values = [recording.t, recording.q, recording.dq, recording.tau]
+    values += [*recording.accelerometers.values(), *recording.gyros.values()]
+    there = [each for each in values if each is not None]
+    if any(len(each) != count or not np.isfinite(each).all() for each in there):
+        return "channels of another length, or that are not numbers"
+    return "" if (np.diff(recording.t) > 0).all() else "time goes back"
+
+
+def _made_up(path: Path, sound: np.ndarray) -> str:
+    """Rows that the sound log has not."""
+    rows = np.ascontiguousarray(read_raw(path, ROBOT).joints.channels["position"])
+    known = {row.tobytes() for row in sound}
+    strange = sum(row.tobytes() not in known for row in rows)
+    return f"{strange} of {len(rows)} rows are made up" if strange else ""
+
+
+def sound_logs(folder: Path) -> tuple[Mapping[str, bytes], np.ndarray]:
+    """Bytes of sound logs by their kind, and the positions (N, n) rad in them."""
+    logs = {kind: path.read_bytes() for kind, path in samples(folder).items()}
+    return logs, np.ascontiguousarray(make_motion(grid(300)).q)
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run until the time is over; 1 if something was found."""
-    parser = argparse.ArgumentParser(prog="python -m tests.unit.logs.fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
     rng = np.random.default_rng(chosen.seed)
     counts: Counter[str] = Counter()
     with TemporaryDirectory() as name:
-        logs = {kind: path.read_bytes() for kind, path in samples(Path(name)).items()}
-        sound = np.ascontiguousarray(make_motion(grid(300)).q)
-        path = Path(name) / "damaged"
+        logs, sound = sound_logs(Path(name))
         end = time.monotonic() + chosen.seconds
         while time.monotonic() < end:
-            kind = list(logs)[int(rng.integers(len(logs)))]
-            damage = DAMAGES[int(rng.integers(len(DAMAGES)))]
-            data = bytearray(logs[kind])
-            damage(data, rng)
-            path.write_bytes(data)
-            checked = "crc" in kind.split("-") and "none" not in kind
-            found = problem(path, ROBOT, sound if checked else None)
-            counts[kind] += 1
+            log = damaged(logs, rng)
+            found = problem(log, Path(name) / "damaged", sound)
+            counts[log.kind] += 1
             if found:
-                kept = Path(f"fuzz_{kind}_{damage.__name__}_{chosen.seed}")
-                kept.write_bytes(data)
+                kept = Path(f"fuzz_{log.kind}_{log.damage}_{chosen.seed}")
+                kept.write_bytes(log.data)
                 sys.stderr.write(f"{kept}: {found}\n")
                 return 1
     sys.stderr.write(f"{sum(counts.values())} damaged logs of {len(counts)} kinds read\n")

@@ -17,12 +17,6 @@ from seqid_cli.params.results.inspection import InspectedImu, InspectedJoint, In
 
 Array = NDArray[np.float64]
 
-SAME_POSTURE = 0.03  # rad
-SPEEDS = 3  # different ones, that friction needs
-DIFFERENT = 1.25
-SLOW_SHARE = 0.25  # of the speed limit (or of the fastest), that gravity's trials stay below
-TOGETHER = 0.1  # of the moving time
-
 
 def stretches_of(data: LogData) -> list[Stretch]:
     """Find the constant-velocity stretches of a log."""
@@ -113,27 +107,27 @@ def moves_of(data: LogData, stretches: list[Stretch]) -> list[InspectedMoves]:
     return result
 
 
-def _postures(stretches: list[Stretch], joint: int) -> list[Array]:
+def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> list[Array]:
     """List the different postures of the locked joints."""
     found: list[Array] = []
     for stretch in stretches:
         others = np.delete(np.array(stretch.configuration), joint)
-        if not any(np.abs(others - known).max(initial=0.0) < SAME_POSTURE for known in found):
+        if not any(np.abs(others - known).max(initial=0.0) < same for known in found):
             found.append(others)
     return found
 
 
-def together(data: LogData) -> tuple[str, ...]:
+def together(data: LogData, *, min_share: float = 0.1) -> tuple[str, ...]:
     """Return the joints that move at the same time as others for a fair share of the time."""
     several = data.moving.sum(axis=1) >= 2
     busy = max(int(data.moving.any(axis=1).sum()), 1)
     share = (data.moving & several[:, None]).sum(axis=0) / busy
     return tuple(
-        name for name, part in zip(data.robot.joint_names, share, strict=True) if part > TOGETHER
+        name for name, part in zip(data.robot.joint_names, share, strict=True) if part > min_share
     )
 
 
-def serves(data: LogData, stretches: list[Stretch]) -> tuple[str, ...]:
+def serves(data: LogData, stretches: list[Stretch], *, min_speeds: int = 3) -> tuple[str, ...]:
     """Tell for which stages a log is made."""
     stages: list[str] = []
     torque = data.recording.tau is not None
@@ -142,7 +136,7 @@ def serves(data: LogData, stretches: list[Stretch]) -> tuple[str, ...]:
         ways = {np.sign(s.velocity) for s in mine}
         if not torque or len(ways) < 2:
             continue
-        if _speeds(mine) >= SPEEDS:
+        if _speeds(mine) >= min_speeds:
             stages.append("friction")
         if _gravity_acts(data) and (len(_postures(mine, j)) > 1 or _is_slow(data, j, mine)):
             stages.append("gravity")
@@ -155,17 +149,17 @@ def serves(data: LogData, stretches: list[Stretch]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(stages))
 
 
-def _speeds(stretches: list[Stretch]) -> int:
+def _speeds(stretches: list[Stretch], *, different: float = 1.25) -> int:
     count, last = 0, 0.0
     for speed in sorted(abs(s.velocity) for s in stretches):
-        if speed > DIFFERENT * last:
+        if speed > different * last:
             count, last = count + 1, speed
     return count
 
 
-def _is_slow(data: LogData, j: int, stretches: list[Stretch]) -> bool:
+def _is_slow(data: LogData, j: int, stretches: list[Stretch], *, max_share: float = 0.25) -> bool:
     limit = data.robot.joints[j].velocity_limit or 1.0
-    return max(abs(s.velocity) for s in stretches) < SLOW_SHARE * limit
+    return max(abs(s.velocity) for s in stretches) < max_share * limit
 
 
 def _gravity_acts(data: LogData) -> bool:

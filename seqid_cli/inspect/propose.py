@@ -18,7 +18,6 @@ from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTempl
 from seqid_cli.robot.urdf.joints import UrdfJoint, best_chain, check_urdf
 from seqid_cli.robot.urdf.text import UrdfText
 
-NEAR = 0.6
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 
 
@@ -94,7 +93,7 @@ def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:
     return found
 
 
-def match_names(log: Sequence[str], urdf: Sequence[str]) -> dict[str, str]:
+def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -> dict[str, str]:
     """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest.
 
     Names differ in case, separators and fillers (`elbow`, `elbow_joint`); a number in both must be
@@ -107,7 +106,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str]) -> dict[str, str]:
         ((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free),
     )
     for score, i, j in scored:
-        if -score >= NEAR and log[i] not in pairs and urdf[j] not in pairs.values():
+        if -score >= near and log[i] not in pairs and urdf[j] not in pairs.values():
             pairs[log[i]] = urdf[j]
     return pairs
 

@@ -29,9 +29,6 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-PIECES, PIECE_S = 8, 20.0  # of a log that is passed over, in which torque is compared with motion
-OVERLAP_S = 1.0  # of blocks, so that a freeze over their border is seen
-
 
 @dataclass(frozen=True)
 class Screened:
@@ -118,10 +115,10 @@ class _Look:
     _kept: dict[int, list[Block]] = field(default_factory=dict)
     _tail: Block | None = None
 
-    def push(self, block: Block) -> None:
+    def push(self, block: Block, *, overlap_s: float = 1.0) -> None:
         """Take the next block."""
         self._keep(block)
-        overlap = max(16, int(OVERLAP_S * self.log.rate_hz))
+        overlap = max(16, int(overlap_s * self.log.rate_hz))
         wide = block.q if self._tail is None else np.concatenate([self._tail.q, block.q])
         start = block.start + len(block.q) - len(wide)
         t = np.asarray((start + np.arange(len(wide))) * self.log.step_s, dtype=np.float64)
@@ -147,9 +144,9 @@ class _Look:
                 own = Block(a, block.q[part].copy(), block.tau[part].copy(), block.valid[part])
                 self._kept.setdefault(number, []).append(own)
 
-    def _ranges(self) -> list[tuple[int, int]]:
-        size = min(self.log.samples, max(64, int(PIECE_S * self.log.rate_hz)))
-        starts = np.linspace(0, self.log.samples - size, PIECES).astype(int)
+    def _ranges(self, *, pieces: int = 8, piece_s: float = 20.0) -> list[tuple[int, int]]:
+        size = min(self.log.samples, max(64, int(piece_s * self.log.rate_hz)))
+        starts = np.linspace(0, self.log.samples - size, pieces).astype(int)
         return [(int(start), int(start) + size) for start in starts]
 
     def pieces(self) -> Iterator[Block]:

@@ -12,8 +12,6 @@ from seqid_cli.inspect.dynamics.friction import Sample
 from seqid_cli.inspect.material import LogData
 from seqid_cli.robot.types import Robot
 
-TURN = 2.0 * np.pi  # beyond which some position lies where they are in degrees
-
 
 @dataclass(frozen=True)
 class Cause:
@@ -28,7 +26,7 @@ class Cause:
 
 def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
     """Yield what is commonly wrong with axes, zeros, signs, units and the order of joints."""
-    far = np.abs(sample.q).max(axis=0) > TURN  # less in degrees is no motion to speak of
+    far = np.abs(sample.q).max(axis=0) > 2.0 * np.pi  # less in degrees is no motion to speak of
     turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
     for joints in (group for group in degrees if far[list(group)].any()):

@@ -24,7 +24,6 @@ from seqid_cli.plan.stages.inertia import Planned
 Array = NDArray[np.float64]
 
 SPEEDS = 10  # per joint, evenly spaced in the logarithm
-SLOWEST = 0.08  # of the fastest: friction's rise towards rest (Stribeck) lies below a tenth of it
 POSTURES = 60  # of the other joints, from which the one of the least torque is taken
 
 
@@ -50,12 +49,14 @@ def plan_friction(belief: Belief, options: PlanOptions) -> Planned:
     return Planned(moves, PlannedStage(torque_error=errors, duration_s=seconds))
 
 
-def _sweeps(belief: Belief, j: int, rng: np.random.Generator) -> PlannedMove:
+def _sweeps(
+    belief: Belief, j: int, rng: np.random.Generator, *, slowest: float = 0.08
+) -> PlannedMove:
     name = belief.robot.joint_names[j]
     belief, posture = lightest_posture(belief, j, float(belief.limits.range[j]), rng)
     limits = belief.limits
     top = top_speed(limits, j, float(limits.range[j]))
-    speeds = np.geomspace(SLOWEST * top, top, SPEEDS).tolist()
+    speeds = np.geomspace(slowest * top, top, SPEEDS).tolist()
     ends = (float(limits.lower[j]), float(limits.upper[j]))
     strokes = there_and_back(limits, j, speeds, ends)
     return stroke_move(belief, f"friction_{name}", "friction", j, posture, strokes)

@@ -34,9 +34,7 @@ from seqid_cli.plan.stages.promise import promise_of, rank_and_condition
 Array = NDArray[np.float64]
 
 POSTURES = 60  # drawn per joint
-KEPT = 3  # sweeps planned per joint that gravity loads, on average
 SLOW = 0.3  # of the largest speed
-ROUNDS = 3  # of exchanges
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,9 @@ class _Sweeps:
     information: Array
 
 
-def plan_gravity(belief: Belief, stages: Stages, options: PlanOptions) -> Planned:
+def plan_gravity(
+    belief: Belief, stages: Stages, options: PlanOptions, *, per_joint: int = 3
+) -> Planned:
     """Choose sweeps for the gravity parameters; none where gravity loads no joint.
 
     Raises
@@ -66,7 +66,7 @@ def plan_gravity(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
     *_, slow = calmer(fresh)  # slow sweeps need no more
     pool = _pool(slow, goal, np.random.default_rng(options.seed))
     loaded = len(np.unique(pool.joint))
-    chosen = _exchanged(pool, _greedy(goal, pool, KEPT * loaded), wanted)
+    chosen = _exchanged(pool, _greedy(goal, pool, per_joint * loaded), wanted)
     chosen.sort(key=lambda k: -int(pool.joint[k]))
     moves = _described(slow, pool, chosen)
     stage = promise_of(
@@ -121,12 +121,14 @@ def _greedy(goal: Goal, pool: _Sweeps, count: int) -> list[int]:
     return choose(goal, candidates, count, np.zeros_like(goal.W))
 
 
-def _exchanged(pool: _Sweeps, chosen: list[int], wanted: NDArray[np.bool_]) -> list[int]:
+def _exchanged(
+    pool: _Sweeps, chosen: list[int], wanted: NDArray[np.bool_], *, rounds: int = 3
+) -> list[int]:
     """Exchange sweeps for others of the same joint while the condition falls and the rank stays."""
     chosen = list(chosen)
     parts = pool.information[:, wanted][:, :, wanted]
     best = _badness(parts[chosen].sum(axis=0))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         before = best
         for place, k in enumerate(chosen):
             rest = parts[chosen].sum(axis=0) - parts[k]

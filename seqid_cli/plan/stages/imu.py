@@ -30,12 +30,10 @@ from seqid_cli.robot.kinematics import forward
 Array = NDArray[np.float64]
 
 POSTURES = 6  # in which the first joint turns
-POOL = 300  # postures to choose from
 SPAN = 0.5  # of the range that a swing covers, about its middle
-TURNS = 3  # times there and back
 
 
-def plan_imu(belief: Belief, options: PlanOptions) -> Planned:
+def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planned:
     """Choose the postures and describe the swings.
 
     Raises
@@ -48,7 +46,7 @@ def plan_imu(belief: Belief, options: PlanOptions) -> Planned:
         hint = "Add an [[imu]] table, or plan another stage."
         raise ConfigError("the robot file lists no IMU", where=str(robot.source), hint=hint)
     rng = np.random.default_rng(options.seed)
-    drawn = postures_of(belief.limits, POOL, rng)
+    drawn = postures_of(belief.limits, pool, rng)
     calm, postures = _turned(belief, first, drawn)
     chosen = _chosen(_directions(belief, first, postures))
     moves = [_swing(calm, first, postures[k], f"_{i}") for i, k in enumerate(chosen, start=1)]
@@ -112,8 +110,10 @@ def _swing_speed(belief: Belief, j: int) -> float:
     return top_speed(belief.limits, j, high - low)
 
 
-def _swing(belief: Belief, j: int, posture: Array, label: str = "") -> PlannedMove:
-    speeds = [_swing_speed(belief, j)] * TURNS
+def _swing(
+    belief: Belief, j: int, posture: Array, label: str = "", *, turns: int = 3
+) -> PlannedMove:
+    speeds = [_swing_speed(belief, j)] * turns
     strokes = there_and_back(belief.limits, j, speeds, _ends(belief, j))
     name = f"imu_{belief.robot.joint_names[j]}{label}"
     return stroke_move(belief, name, "imu-calib", j, posture, strokes)

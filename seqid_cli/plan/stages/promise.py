@@ -17,8 +17,6 @@ from seqid_cli.plan.stages.choose import VAGUE, Goal
 
 Array = NDArray[np.float64]
 
-OPEN_SHARE = 0.1  # of the vague prior's standard deviation: above it nothing was learnt
-
 
 @dataclass(frozen=True)
 class Spread:
@@ -90,6 +88,7 @@ def promise_of(
     have: Array,
     *,
     wanted: NDArray[np.bool_] | None = None,
+    open_share: float = 0.1,
 ) -> PlannedStage:
     """Describe what moves add to `have`; `each` (M, b, b) is their scaled information.
 
@@ -101,7 +100,7 @@ def promise_of(
     total = have + each.sum(axis=0)
     spread = spread_of(belief, goal, stages, moves, total)
     errors = np.sqrt(np.diag(spread.whole))
-    vague = errors * goal.scale > OPEN_SHARE * VAGUE
+    vague = errors * goal.scale > open_share * VAGUE
     known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
     told = goal.prior - np.eye(len(total)) / VAGUE**2
     rank, condition = rank_and_condition((total + told)[np.ix_(wanted, wanted)])

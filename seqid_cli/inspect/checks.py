@@ -131,7 +131,7 @@ def _findings(
     imus: bool,
     quality: bool,
 ) -> Iterator[InspectionFinding]:
-    """Run the checks, the sound ones first; what is spoilt is not judged again.
+    """Run the checks in their order; a check is left out where an earlier finding spoils it.
 
     `sound` is the log without damaged samples.
     """

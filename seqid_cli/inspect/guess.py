@@ -58,7 +58,7 @@ _SHORT = 2  # letters; such words are too common to stand for a quantity without
 
 @dataclass(frozen=True)
 class Guess:
-    """What names say: joints in order, `[channels]` patterns, and IMUs."""
+    """A guess by names: joints in order, `[channels]` patterns, and IMUs."""
 
     joints: tuple[str, ...]
     patterns: Mapping[str, str] = field(default_factory=dict)

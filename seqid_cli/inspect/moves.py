@@ -128,7 +128,7 @@ def together(data: LogData, *, min_share: float = 0.1) -> tuple[str, ...]:
 
 
 def serves(data: LogData, stretches: list[Stretch], *, min_speeds: int = 3) -> tuple[str, ...]:
-    """Tell for which stages a log is made."""
+    """Return the stages that a log serves."""
     stages: list[str] = []
     torque = data.recording.tau is not None
     for j in range(data.robot.n):

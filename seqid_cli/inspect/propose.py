@@ -23,7 +23,7 @@ _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 
 @dataclass(frozen=True)
 class Proposal:
-    """A robot file, and what is left for a person to say."""
+    """A proposed robot file, and the entries that are left to the user."""
 
     template: RobotTemplate
     todo: tuple[str, ...]
@@ -85,7 +85,7 @@ def propose(
 
 
 def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:
-    """Put together what several logs say of a joint: it moves if it moves in any."""
+    """Join the summaries of each joint over several logs: it moves if it moves in any."""
     found: dict[str, InspectedJoint] = {}
     for joint in joints:
         if joint.name not in found or (joint.moves and not found[joint.name].moves):
@@ -161,7 +161,7 @@ def _joint(log_name: str, joint: UrdfJoint | None, seen: InspectedJoint) -> Join
 def _channels(
     surveyed: Survey, guessed: Guess, joints: tuple[str, ...]
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return `[channels]` that the log needs, and what cannot be said by them."""
+    """Return `[channels]` that the log needs, and names that they cannot express."""
     renamed = tuple(f"{a} -> {b}" for a, b in zip(guessed.joints, joints, strict=False) if a != b)
     rename = (
         "the log's joints have other names than the URDF's, and no pattern turns one into the "

@@ -1,4 +1,4 @@
-"""The checks of `seqid inspect` on a log that is read to be worked on, and what is left of it.
+"""The checks of `seqid inspect` on a log that a stage reads, without its damaged samples.
 
 A log that is held is checked as a whole. One that is passed over is looked through for damaged
 positions block by block; torque and motion are compared with each other in some pieces of it, so
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Screened:
-    """A log without its damaged samples, and what was found."""
+    """A log without its damaged samples, and the findings."""
 
     recording: Recording
     findings: tuple[InspectionFinding, ...]
@@ -79,7 +79,7 @@ def read_screened(
 
 @dataclass(frozen=True)
 class ScreenedLong:
-    """A log to be passed over without its damaged samples, and what was found."""
+    """A log to be passed over without its damaged samples, and the findings."""
 
     log: SurveyedLog
     findings: tuple[InspectionFinding, ...]
@@ -133,7 +133,7 @@ class _Look:
         self._tail = Block(start + len(wide) - keep, tail, tail, np.ones(keep, np.bool_))
 
     def close(self) -> None:
-        """Forget what was kept for the next block."""
+        """Drop the overlap that was kept for the next block."""
         self._tail = None
 
     def _keep(self, block: Block) -> None:
@@ -150,7 +150,7 @@ class _Look:
         return [(int(start), int(start) + size) for start in starts]
 
     def pieces(self) -> Iterator[Block]:
-        """Yield what was kept."""
+        """Yield the pieces that were kept."""
         for parts in self._kept.values():
             arrays = [np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "tau", "valid")]
             yield Block(parts[0].start, *arrays)
@@ -196,7 +196,7 @@ def _values_around(
 def _held(
     piece: Block, log: SurveyedLog, first: RawLog, warnings: tuple[str, ...]
 ) -> tuple[Recording, RawLog]:
-    """Make a recording of a piece, and what would have been logged of it."""
+    """Make a recording of a piece, and the raw log of it."""
     rows = piece.start + np.arange(len(piece.q))
     stamps = log.start_ns + np.rint(rows * log.step_s * 1e9).astype(np.int64)
     recording = Recording(

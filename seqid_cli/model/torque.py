@@ -35,7 +35,7 @@ def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | No
 
 @dataclass(frozen=True)
 class Added:
-    """What effects beyond this model add to it.
+    """The torque that effects add to a model.
 
     `torque` (N, n) N m filtered like `motion.tau`; `low`, `high` (N, n) N m what they add to the
     interval of friction at rest.

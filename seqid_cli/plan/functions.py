@@ -1,4 +1,4 @@
-"""Planning as a function: a robot file and what is known in, the moves to record out."""
+"""Planning as a function: a robot file and parameters in, the moves to record out."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _check(
     trajectories: Path | None,
     inputs: Sequence[Path],
 ) -> None:
-    """Find out at once what cannot be written, and what cannot be meant."""
+    """Refuse outputs that cannot be written and options that contradict each other."""
     if output is not None:
         check_output(output, inputs)
     if trajectories is not None:

@@ -56,7 +56,7 @@ def report(
 
 
 def _sorted(files: Sequence[Path], torques: Path | None) -> tuple[list[Path], Path | None]:
-    """Tell the torque table from the documents, by its first bytes or its name."""
+    """Separate the torque table from the documents, by its first bytes or its name."""
     tables = [path for path in files if path.suffix == ".parquet" or _is_parquet(path)]
     documents = [path for path in files if path not in tables]
     given = list(dict.fromkeys([*tables, *([torques] if torques else [])]))

@@ -31,7 +31,7 @@ _STAGES = ("friction", "gravity", "imu", "inertia")
 
 @dataclass(frozen=True)
 class Point:
-    """A fault or a gap: where it shows, and what to do about it."""
+    """A fault or a gap, its place and its remedy."""
 
     weight: Weight
     text: str

@@ -244,7 +244,7 @@ def _submitted(executor: Executor, function: Callable[[T], R], item: T) -> Futur
 
 
 def _reply(function: Callable[[T], R], item: T, future: Future[Reply[R]]) -> Reply[R]:
-    """What became of an item; the loss of its worker is blamed on it."""
+    """The reply of an item; the loss of its worker counts as its failure."""
     try:
         return future.result()
     except BrokenExecutor:

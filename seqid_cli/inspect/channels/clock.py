@@ -1,4 +1,4 @@
-"""Time: units, rate, gaps, stamps, and what the reader had to say."""
+"""Time: units, rate, gaps, stamps, and the reader's warnings."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def clock_findings(
     min_delay_s: float = -0.005,
     max_delay_s: float = 5.0,
 ) -> Iterator[InspectionFinding]:
-    """Check the clock of a log and pass on what its reader said."""
+    """Check the clock of a log, and turn the reader's warnings into findings."""
     health = data.recording.health
     rate = health.rate_hz
     if not min_hz <= rate <= max_hz:

@@ -295,7 +295,7 @@ def _returns(d: Array, k: int) -> int:
 
 
 def _smaller(size: Array, direction: int) -> Array:
-    """Return the smaller of the two changes on one side of each change; a spike has one large."""
+    """Return the smaller of the two changes on one side of each change; a spike has a large one."""
     one, two = np.roll(size, direction), np.roll(size, 2 * direction)
     edge = slice(0, 2) if direction > 0 else slice(-2, None)
     one[edge], two[edge] = 0.0, 0.0

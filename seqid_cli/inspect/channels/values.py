@@ -125,7 +125,7 @@ def _refined(values: Array, step: float) -> float:
 
 
 def missing_share(values: Array) -> float:
-    """Share of a channel (M,) that is missing at uneven distances; 0 for one merely slower."""
+    """Share of a channel (M,) that is missing at uneven distances; 0 for a slower channel."""
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:
         return 0.0

@@ -1,4 +1,4 @@
-"""What may be wrong between a log and its robot, each as the change to the log that undoes it."""
+"""Causes of a misfit between log and robot, each as the change to the log that undoes it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Cause:
 
 
 def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
-    """Yield what is commonly wrong with axes, zeros, signs, units and the order of joints."""
+    """Yield the common faults of axes, zeros, signs, units and the order of joints."""
     far = np.abs(sample.q).max(axis=0) > 2.0 * np.pi  # less in degrees is no motion to speak of
     turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])

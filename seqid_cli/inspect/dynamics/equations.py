@@ -34,7 +34,7 @@ KINDS = ("axis_flipped", "position_zero", "joints_swapped")
 
 @dataclass(frozen=True)
 class Left:
-    """What a fit leaves of the torque's RMS, and the number of columns that it can tell apart."""
+    """The torque that a fit leaves, as a share of its RMS, and the rank of the fit."""
 
     error: float
     columns: int

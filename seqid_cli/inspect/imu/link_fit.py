@@ -177,7 +177,7 @@ def _features(
     min_turning: float = 0.02,  # rad/s RMS
     block: int = 32_768,
 ) -> Array | None:
-    """What the readings on a link are linear in (N, p), through the filter; None if it rests."""
+    """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
     starts = range(0, motion.samples, block)  # the motion of all links is far larger than of one
     parts = [_of_block(robot, motion, link, slice(a, a + block), gyro=gyro) for a in starts]
     squares = sum(turns for turns, _ in parts)

@@ -32,7 +32,7 @@ MAPPED = 0.03  # standard error of the map that tells axes
 
 @dataclass(frozen=True)
 class Following:
-    """What the motion says of one IMU."""
+    """The fit of one IMU's readings to the motion of its link."""
 
     imu: Imu
     fit: Fit
@@ -110,7 +110,7 @@ def _better(
     max_ratio: float = 0.25,  # of the variance left by its own link
     min_left: float = 0.01,
 ) -> InspectionFinding | None:
-    """Find what the IMU follows far better than its own link: another one, or an axis reversed."""
+    """Find another link, or a joint reversed, that the IMU follows far better than its own link."""
     motion = data.motion
     if item.fit.left < min_left or motion is None:
         return None

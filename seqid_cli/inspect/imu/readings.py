@@ -28,7 +28,7 @@ AXES = "xyz"
 
 
 def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
-    """Tell which arrays of the robot file cannot see angular acceleration."""
+    """Find arrays of the robot file that do not determine the angular acceleration."""
     for imu in robot.imus:
         triad = len(imu.positions) == 3 and not imu.positions.any()
         if imu.gyro or triad or layout(imu).acceleration:
@@ -53,7 +53,7 @@ def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
 def _together(
     findings: list[InspectionFinding], *, max_channels: int = 3
 ) -> Iterator[InspectionFinding]:
-    """Say once what many channels of an IMU share: it is the IMU's fault then, not theirs."""
+    """Report a fault that many channels share once: it is the IMU's."""
     for code in dict.fromkeys(finding.code for finding in findings):
         alike = [finding for finding in findings if finding.code == code]
         if len(alike) <= max_channels:
@@ -164,7 +164,7 @@ def odd_channel(
     max_left: float = 0.1,
     max_repaired: float = 4.0,  # times the squared error without the channel
 ) -> InspectionFinding | None:
-    """Find what one change makes the accelerometers of an array agree on gravity (Eq. 29).
+    """Find the one change with which the accelerometers of an array agree on gravity (Eq. 29).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the links are expected to weigh: the CAD's numbers, or a guess from the arm's geometry.
+"""The expected inertials of the links: the CAD's, or a guess from the arm's geometry.
 
 The torque leaves many combinations of inertial parameters open. There the exported links stay as
 near as possible to these.
@@ -32,7 +32,7 @@ class Expected:
 
 
 def expected_links(robot: Robot, kept: Array, E: Array, values: Array) -> Expected:
-    """Return what each link is expected to be.
+    """Return the expected inertials of each link.
 
     Parameters
     ----------

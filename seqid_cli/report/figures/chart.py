@@ -107,7 +107,7 @@ class Panel:
         self._marks.append(mark)
 
     def render(self) -> Markup:
-        """Return axes and marks, with what the script needs to read values back."""
+        """Return axes and marks, with the scales by which the script reads values back."""
         told: Attributes = {"class": "panel"}
         if self.hover:
             told["data-x"] = f"{self.hover}|{_ends(self.x)}"

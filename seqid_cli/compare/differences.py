@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from seqid_cli.compare.rule import (
     Comparison,
@@ -39,8 +38,7 @@ from seqid_cli.params.schema import (
     RigidStage,
     Stages,
 )
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 _LEAST_SIZE = 1e-3  # of the largest parameter of the same unit
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.channels.positions import top_speeds
 from seqid_cli.inspect.channels.values import lattice
@@ -14,8 +13,7 @@ from seqid_cli.inspect.imu.readings import rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.results.inspection import InspectedImu, InspectedJoint, InspectedMoves
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 
 def stretches_of(data: LogData) -> list[Stretch]:

@@ -27,8 +27,6 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Screened:

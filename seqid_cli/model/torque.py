@@ -15,9 +15,8 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import STANDARD, gear_ratios, standard_names
 from seqid_cli.robot.regressor import Coupling, inverse_dynamics, rotor_regressor
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FINE = 80.0  # samples per period of the cut-off that tell when a joint is slow

@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
@@ -30,9 +29,7 @@ from seqid_cli.robot.base_parameters import (
     gear_ratios,
     standard_names,
 )
-from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array, Robot
 
 NOISE_HZ = 25.0  # the bandwidth of that noise
 

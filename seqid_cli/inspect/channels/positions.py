@@ -14,11 +14,10 @@ from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Joint, Robot
+from seqid_cli.robot.types import Array, Joint, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.shares import percent
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 NONE: Rows = np.zeros(0, dtype=np.intp)

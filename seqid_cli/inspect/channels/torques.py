@@ -12,10 +12,8 @@ from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
 
 
 def torque_findings(data: LogData) -> Iterator[InspectionFinding]:

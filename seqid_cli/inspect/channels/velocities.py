@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
 
 COUNTS = 10.0  # encoder steps of travel that make a window count
 FEWEST = 10

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
@@ -22,10 +21,8 @@ from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
 
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
 HEAVY = 1e-3  # N m

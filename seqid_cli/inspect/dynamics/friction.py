@@ -26,9 +26,7 @@ from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
-from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array, Robot
 
 SIGMAS = 4.0
 SHARE = 0.03  # of the torque's spread, that friction must be to be judged

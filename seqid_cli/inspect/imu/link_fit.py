@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.kinematics import link_motion
-from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array, Robot
 
 SIGMAS = 4.0
 FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its link

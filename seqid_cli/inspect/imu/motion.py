@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, Fit, fit_link, scan
@@ -23,8 +22,6 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Imu
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
 
 TELLS = 0.1  # of the variance, that may be left where a map is to tell axes
 MAPPED = 0.03  # standard error of the map that tells axes

@@ -7,7 +7,6 @@ from itertools import combinations
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing_share
 from seqid_cli.inspect.findings.finding import found
@@ -18,10 +17,8 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.segmentation import standing
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.robot.types import Array, Imu, Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
 
 WRONG = 0.05  # of gravity
 AXES = "xyz"

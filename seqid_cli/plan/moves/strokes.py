@@ -10,14 +10,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 REST_S = 0.3  # before the first stroke and after each
 

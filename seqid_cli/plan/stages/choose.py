@@ -17,13 +17,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, SPARSE, Drawn, Moves, Shapes, joined
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 VAGUE = 1e3  # torque error, in noise, that a parameter of which nothing is known could make
 CALMER = 0.5  # factor on the amplitude of a move that needs too much torque

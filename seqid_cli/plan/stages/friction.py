@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
@@ -20,8 +19,7 @@ from seqid_cli.plan.moves.strokes import (
 )
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.inertia import Planned
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 SPEEDS = 10  # per joint, evenly spaced in the logarithm
 POSTURES = 60  # of the other joints, from which the one of the least torque is taken

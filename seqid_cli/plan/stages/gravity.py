@@ -30,8 +30,7 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, Pool, choose
 from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.plan.stages.promise import promise_of, rank_and_condition
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 POSTURES = 60  # drawn per joint
 SLOW = 0.3  # of the largest speed

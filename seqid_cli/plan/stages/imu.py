@@ -9,7 +9,6 @@ other joints.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
@@ -26,8 +25,7 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.friction import lightest_posture
 from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.robot.kinematics import forward
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 POSTURES = 6  # in which the first joint turns
 SPAN = 0.5  # of the range that a swing covers, about its middle

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import FourierMotion, PlannedMove, PlannedStage
@@ -24,8 +23,7 @@ from seqid_cli.plan.stages.choose import (
 )
 from seqid_cli.plan.stages.promise import promise_of
 from seqid_cli.plan.stages.refine import refine
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 DENSE_HZ = 200.0  # of the samples on which the limits of the final moves are held
 OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {torque:.4g} N m"

@@ -14,8 +14,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.stages.choose import VAGUE, Goal
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from scipy.optimize import Bounds, minimize
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, Drawn, Shapes, joined
 from seqid_cli.plan.stages.choose import Goal, assess
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
+
 Indices = NDArray[np.int64]
 
 GAP = 5.0  # times the usual step: above it a line is broken

@@ -22,8 +22,8 @@ from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.torques import Series
 from seqid_cli.report.views import Column, Figure, Key, Table
 from seqid_cli.report.words import number, plural, short_path, unit_text
+from seqid_cli.robot.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Event = tuple[float, float]
 

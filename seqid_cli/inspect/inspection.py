@@ -53,24 +53,9 @@ def inspect_logs(
     time_source: TimeSource = "header",
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
-    """Inspect logs one after the other, and the set of them.
+    """Inspect logs one after the other, and the set of them; see `inspect`.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Logs of any format that can be read.
-    robot : Robot, optional
-        The robot file; without it the joints are guessed, and nothing is compared with geometry.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
-    on_progress : callable, optional
-        Told before each log.
-
-    Returns
-    -------
-    InspectionFile
-        A log that cannot be read is in it with the finding `unreadable`. The findings are those of
-        the robot file and of the set of logs, then each log's.
+    The findings are those of the robot file and of the set of logs, then each log's.
     """
     inspected = []
     for done, path in enumerate(paths):

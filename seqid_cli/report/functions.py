@@ -35,9 +35,9 @@ def report(
     inputs = [*documents, *([table] if table else [])]
     check_output(target, inputs)
     sources = read_any(documents)
-    from seqid_cli.report.make import build_report
+    from seqid_cli.report.make import make_report
 
-    made = build_report(sources, torques=table, title=title)
+    made = make_report(sources, torques=table, title=title)
     write_text_atomic(target, made.html, inputs=inputs)
     for warning in made.collection.warnings:
         warn(warning)

@@ -40,7 +40,6 @@ from seqid_cli.params.schema import (
 )
 from seqid_cli.robot.types import Array
 
-_LEAST_SIZE = 1e-3  # of the largest parameter of the same unit
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
 
 
@@ -122,12 +121,14 @@ def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:
     yield from _effects(a.effects or [], b.effects or [], rule)
 
 
-def _rigid(name: str, a: RigidStage, b: RigidStage, rule: Rule) -> Iterator[Difference]:
+def _rigid(
+    name: str, a: RigidStage, b: RigidStage, rule: Rule, *, min_size: float = 1e-3
+) -> Iterator[Difference]:
     largest: dict[str, float] = {}
     for parameter in (*a.parameters, *b.parameters):
         size = max(largest.get(parameter.unit, 0.0), abs(parameter.value))
         largest[parameter.unit] = size
-    least = {unit: _LEAST_SIZE * size for unit, size in largest.items()}
+    least = {unit: min_size * size for unit, size in largest.items()}
     one, other = (_torque_constants_held(stage) for stage in (a, b))
     yield from _parameters(name, one, other, rule, least)
     if a.rotor_coupling != b.rotor_coupling and a.parameters and b.parameters:

@@ -31,9 +31,6 @@ WIDE, SMALL = 580.0, 372.0
 _LEFT, _RIGHT = 62.0, 12.0
 _ROWS = 20  # of the tables of time series
 _BINS = 40
-_LEAST = 4  # samples for a bin to show
-_LINES = 5
-_FALSE_ALARMS = 0.01  # per figure
 
 
 @dataclass(frozen=True)
@@ -213,7 +210,9 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     return Figure(f"Residual over {quantity}", svg, legend, Table(title, columns, rows))
 
 
-def _binned(x: Array, r: Array) -> list[tuple[float, float, float, float, float, float]]:
+def _binned(
+    x: Array, r: Array, *, min_samples: int = 4
+) -> list[tuple[float, float, float, float, float, float]]:
     low, high = float(x.min()), float(x.max())
     if not high > low:
         return []
@@ -222,7 +221,7 @@ def _binned(x: Array, r: Array) -> list[tuple[float, float, float, float, float,
     parts = np.split(r[order], np.searchsorted(place[order], np.arange(1, _BINS)))
     rows = []
     for k, part in enumerate(parts):
-        if len(part) >= _LEAST:
+        if len(part) >= min_samples:
             low5, middle, high95 = (float(v) for v in np.quantile(part, [0.05, 0.5, 0.95]))
             centre = low + (k + 0.5) * (high - low) / _BINS
             rows.append((centre, float(part.min()), low5, middle, high95, float(part.max())))
@@ -273,7 +272,9 @@ def spectrum(
     return Figure("Spectrum of the residual", svg, legend, table, note)
 
 
-def certain_lines(signals: Sequence[Signal], top_hz: float) -> list[float]:
+def certain_lines(
+    signals: Sequence[Signal], top_hz: float, *, most: int = 5, false_alarms: float = 0.01
+) -> list[float]:
     """Return the frequencies (Hz) of lines that noise would show in one report of a hundred.
 
     The squared amplitude that noise of density S has at one frequency over a time T is
@@ -283,11 +284,11 @@ def certain_lines(signals: Sequence[Signal], top_hz: float) -> list[float]:
     longest = max(signals, key=lambda signal: signal.length_s)
     chances = 2.0 * top_hz * longest.length_s
     found = []
-    for line in strongest_lines(signals, 0.0, 3 * _LINES):
+    for line in strongest_lines(signals, 0.0, 3 * most):
         size = sum(_over_noise(signal, line) for signal in signals)
-        if line <= top_hz and chances * float(gamma.sf(size, len(signals))) < _FALSE_ALARMS:
+        if line <= top_hz and chances * float(gamma.sf(size, len(signals))) < false_alarms:
             found.append(line)
-    return found[:_LINES]
+    return found[:most]
 
 
 def _over_noise(signal: Signal, line: float) -> float:

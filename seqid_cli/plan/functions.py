@@ -61,7 +61,7 @@ def plan(
     inputs = [*([Path(robot)] if is_place(robot) else []), *files]  # type: ignore[arg-type]
     _check(what, options, logs, target, folder, inputs)
     found = expanded(logs)
-    # The robot file comes first: what is wrong with it is told before a parameter file's faults.
+    # The robot file comes first: its faults are reported before a parameter file's faults.
     arm = robot_of(robot, ())
     models = read_models(given)
     robot_of(arm, models)

@@ -52,8 +52,8 @@ def make_plan(
     known = information_of(belief, have)
     for name in _stages(what, robot):
         found[name] = _planned(name, belief, stages, options, known)
-        told = found[name].information
-        known = known if told is None else known + told
+        added = found[name].information
+        known = known if added is None else known + added
     moves = [move for planned in found.values() for move in planned.moves]
     names = robot.joint_names
     noise = np.sqrt(2.0 / belief.density)

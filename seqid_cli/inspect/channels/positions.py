@@ -28,7 +28,7 @@ ALONE = 0.3  # of a jump, that the samples before and after may move
 class Break:
     """Where the positions of one joint are broken, and the joint samples that are wrong.
 
-    `rows` is empty where the samples cannot be told, or all after some moment are wrong.
+    `rows` is empty where the samples are not known, or all after some moment are wrong.
     """
 
     joint: int

@@ -86,7 +86,7 @@ class PlanGrowth(Struct, kw_only=True):
 
 
 class PlannedStage(Struct, kw_only=True):
-    """The standard errors that the moves of one stage promise.
+    """The standard errors that the moves of one stage will give.
 
     `torque_error` is the standard deviation of the predicted torque that the parameters' errors
     will make in typical all-joint moves, N m. `condition` is that of the scaled regressor.

@@ -26,7 +26,7 @@ def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> fl
     return float(min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)))
 
 
-def calmer(belief: Belief, *, max_halvings: int = 4) -> Iterator[Belief]:
+def reduced_accelerations(belief: Belief, *, max_halvings: int = 4) -> Iterator[Belief]:
     """The same with accelerations halved, again and again, for loads that leave no more."""
     for halvings in range(max_halvings + 1):
         acceleration = belief.limits.acceleration / 2.0**halvings

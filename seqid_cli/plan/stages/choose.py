@@ -24,7 +24,7 @@ from seqid_cli.plan.moves.fourier import COEFFICIENTS, SPARSE, Drawn, Moves, Sha
 from seqid_cli.robot.types import Array
 
 VAGUE = 1e3  # torque error, in noise, that a parameter of which nothing is known could make
-CALMER = 0.5  # factor on the amplitude of a move that needs too much torque
+REDUCTION = 0.5  # factor on the amplitude of a move that needs too much torque
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def draw_pool(
     """Draw moves of each group in turn; those of too much torque are made smaller or left out."""
     drawn, joints = _drawn(belief.limits, groups, size, rng)
     parts = [
-        _calmed(belief, goal, shapes, drawn[start : start + at_once])
+        _reduced(belief, goal, shapes, drawn[start : start + at_once])
         for start in range(0, size, at_once)
     ]
     fit = np.flatnonzero(np.concatenate([overload <= 1.0 for _, _, overload in parts]))
@@ -104,7 +104,7 @@ def draw_pool(
     return Pool(whole[fit], information[fit], [joints[int(k)] for k in fit])
 
 
-def _calmed(
+def _reduced(
     belief: Belief, goal: Goal, shapes: Shapes, drawn: Drawn, *, max_times: int = 3
 ) -> tuple[Drawn, Array, Array]:
     """Moves, smaller where they needed too much torque, with information and overload."""
@@ -113,7 +113,7 @@ def _calmed(
         over = np.flatnonzero(overload > 1.0)
         if not len(over):
             break
-        drawn = drawn.smaller(over, CALMER)
+        drawn = drawn.smaller(over, REDUCTION)
         moves = shapes.moves(drawn[over], belief.limits)
         information[over], overload[over] = assess(belief, goal, moves)
     return drawn, information, overload

@@ -8,9 +8,9 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.strokes import (
-    calmer,
     overloads,
     postures_of,
+    reduced_accelerations,
     seconds_of,
     stroke_move,
     sweeps,
@@ -73,14 +73,14 @@ def lightest_posture(
         It needs too much in all of them.
     """
     postures = postures_of(belief.limits, POSTURES, rng)
-    for calm in calmer(belief):
-        load = overloads(calm, j, postures, top_speed(calm.limits, j, span))
+    for reduced in reduced_accelerations(belief):
+        load = overloads(reduced, j, postures, top_speed(reduced.limits, j, span))
         best = int(np.argmin(load))
         if load[best] <= 1.0:
-            return calm, np.asarray(postures[best])
+            return reduced, np.asarray(postures[best])
     names = belief.robot.joint_names
-    swept = sweeps(calm, j, postures[[best]], top_speed(calm.limits, j, span), 1.0)
-    share = calm.torque(swept, calm.regressor(swept)).max(axis=(0, 1)) / calm.limits.torque
+    swept = sweeps(reduced, j, postures[[best]], top_speed(reduced.limits, j, span), 1.0)
+    share = reduced.torque(swept, reduced.regressor(swept)).max(axis=(0, 1)) / reduced.limits.torque
     message = (
         f"a sweep of joint {names[j]!r} breaks the torque limit of joint"
         f" {names[int(np.argmax(share))]!r} in all of {POSTURES} postures"

@@ -18,9 +18,9 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Drawn, Moves
 from seqid_cli.plan.moves.strokes import (
-    calmer,
     overloads,
     postures_of,
+    reduced_accelerations,
     stroke_move,
     sweeps,
     there_and_back,
@@ -29,7 +29,7 @@ from seqid_cli.plan.moves.strokes import (
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, Pool, choose
 from seqid_cli.plan.stages.inertia import Planned
-from seqid_cli.plan.stages.promise import promise_of, rank_and_condition
+from seqid_cli.plan.stages.predicted_errors import predicted_stage, rank_and_condition
 from seqid_cli.robot.types import Array
 
 POSTURES = 60  # drawn per joint
@@ -62,13 +62,13 @@ def plan_gravity(
         return Planned([], PlannedStage(rank=0, structural_rank=0, notes=[note]))
     fresh = replace(belief, prior=np.zeros_like(belief.prior))
     goal = Goal.of(fresh, options.seed)
-    *_, slow = calmer(fresh)  # slow sweeps need no more
+    *_, slow = reduced_accelerations(fresh)  # slow sweeps need no more
     pool = _pool(slow, goal, np.random.default_rng(options.seed))
     loaded = len(np.unique(pool.joint))
     chosen = _exchanged(pool, _greedy(goal, pool, per_joint * loaded), wanted)
     chosen.sort(key=lambda k: -int(pool.joint[k]))
     moves = _described(slow, pool, chosen)
-    stage = promise_of(
+    stage = predicted_stage(
         fresh,
         goal,
         msgspec.structs.replace(stages, gravity=None),
@@ -78,8 +78,10 @@ def plan_gravity(
         wanted=wanted,
     )
     seconds = sum(move.duration_s for move in moves)
-    told = pool.information[chosen].sum(axis=0) * np.outer(goal.scale, goal.scale)
-    return Planned(moves, msgspec.structs.replace(stage, duration_s=seconds, growth=[]), told)
+    information = pool.information[chosen].sum(axis=0) * np.outer(goal.scale, goal.scale)
+    return Planned(
+        moves, msgspec.structs.replace(stage, duration_s=seconds, growth=[]), information
+    )
 
 
 def _pool(belief: Belief, goal: Goal, rng: np.random.Generator) -> _Sweeps:

@@ -191,8 +191,8 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     )
     panel.band([(b[0], b[1]) for b in bins], [(b[0], b[5]) for b in bins], "faint")
     panel.band([(b[0], b[2]) for b in bins], [(b[0], b[4]) for b in bins], "residual")
-    told = unit_text(place.torque_unit)
-    panel.line([(b[0], b[3]) for b in bins], "residual", name="median", unit=told)
+    torque_unit = unit_text(place.torque_unit)
+    panel.line([(b[0], b[3]) for b in bins], "residual", name="median", unit=torque_unit)
     title = f"Residual of {place.joint} over {quantity}"
     text = (
         f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')} of "
@@ -203,7 +203,7 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     legend = [Key("residual", "median"), Key("band-residual", "90 %"), Key("faint", "extremes")]
     heads = (quantity, "least", "5 %", "median", "95 %", "most")
     columns = [
-        Column(head, numeric=True, unit=unit_text(unit) if not i else told)
+        Column(head, numeric=True, unit=unit_text(unit) if not i else torque_unit)
         for i, head in enumerate(heads)
     ]
     rows = [tuple(number(value) for value in row) for row in bins]

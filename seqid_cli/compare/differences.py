@@ -105,7 +105,7 @@ def _same_robot(a: Source, b: Source) -> None:
 def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:
     """Yield the differences of all stages; a stage that one file lacks is a difference."""
     left, right = present(a), present(b)
-    for name in left.keys() | right.keys():
+    for name in {**left, **right}:
         if name != "effects" and (name not in left or name not in right):
             yield missing(name, "stage", there=name in left)
     if a.friction and b.friction:
@@ -260,7 +260,7 @@ def _effects(
         prefix = f"{effect}: "
         yield from _parameters("effects", one.parameters, other.parameters, rule, prefix=prefix)
         stated = {parameter.name for parameter in (*one.parameters, *other.parameters)}
-        for name in one.settings.keys() & other.settings.keys() - stated:
+        for name in sorted(one.settings.keys() & other.settings.keys() - stated):
             values = (one.settings[name], other.settings[name])
             if all(isinstance(x, int | float) and not isinstance(x, bool) for x in values):
                 numbers = (float(values[0]), float(values[1]))
@@ -284,7 +284,7 @@ def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: Rule) -> Iterator[Diffe
     for effect, joint in [*left, *(key for key in right if key not in left)]:
         if (effect, joint) not in left or (effect, joint) not in right:
             yield missing("diagnosis", effect, joint=joint, there=(effect, joint) in left)
-    for joint in a.joints.keys() & b.joints.keys():
+    for joint in [name for name in a.joints if name in b.joints]:
         one, other = a.joints[joint], b.joints[joint]
         pairs = (
             ("rmse", one.rmse, other.rmse),

@@ -199,7 +199,7 @@ def _mapped(pattern: str, log: tuple[str, ...], joints: tuple[str, ...]) -> str:
 
     Or by the number of the joint, where it is all that tells the log's names apart.
     """
-    for prefix, suffix in {_around(a, b) for a, b in zip(log, joints, strict=False)}:
+    for prefix, suffix in dict.fromkeys(map(_around, log, joints)):
         if all(a == f"{prefix}{b}{suffix}" for a, b in zip(log, joints, strict=True)):
             return pattern.replace("{name}", f"{prefix}{{name}}{suffix}")
     for key, first in (("{index}", 1), ("{index0}", 0)):

@@ -17,7 +17,7 @@ MEMORY_S = 0.1
 
 
 @dataclass(frozen=True)
-class Fit:
+class LinkFit:
     """How an IMU's readings follow a link: share of variance left, delay [s] and its error."""
 
     left: float
@@ -29,7 +29,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Scan:
+class ShiftScan:
     """Readings against the motion of a link, for shifts of some samples either way."""
 
     features: Array  # (N, p)
@@ -58,7 +58,7 @@ def scan(
     max_rows: int = 4000,
     coarse: int = 4,
     min_rows: int = 200,
-) -> Scan | None:
+) -> ShiftScan | None:
     """Compare readings (N, K) with the motion of a link; None where it rests."""
     features = _features(robot, motion, link, gyro=gyro)
     if features is None:
@@ -77,12 +77,12 @@ def scan(
     shifts = np.unique(np.rint(np.linspace(-shift, shift, grid)).astype(np.intp))
     few = slice(None, None, coarse)
     left = np.array([_left(features[rows[few] - s], y[few]) for s in shifts])
-    return Scan(features, readings, rows, y, total, shifts, left)
+    return ShiftScan(features, readings, rows, y, total, shifts, left)
 
 
 def fit_link(
     robot: Robot, motion: Motion, values: Array, link: int, *, gyro: bool, wide: float = 0.2
-) -> Fit | None:
+) -> LinkFit | None:
     """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
     tried = scan(robot, motion, values, link, gyro=gyro)
     if tried is None:
@@ -95,7 +95,7 @@ def fit_link(
     return _fine(motion, tried)
 
 
-def _fine(motion: Motion, scan: Scan) -> Fit:
+def _fine(motion: Motion, scan: ShiftScan) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample."""
     rows, y, shifts, coarse = scan.rows, scan.y, scan.shifts, int(scan.left.argmin())
     low, high = shifts[max(coarse - 1, 0)], shifts[min(coarse + 1, len(shifts) - 1)]
@@ -107,7 +107,7 @@ def _fine(motion: Motion, scan: Scan) -> Fit:
     X = scan.features[rows - fine[best]]
     spacing = float(np.median(np.diff(rows))) / motion.rate_hz
     fitted = _errors(X, y)[1]
-    return Fit(
+    return LinkFit(
         float(left[best]) / scan.total,
         delay,
         error,
@@ -125,7 +125,7 @@ def _far(
     max_shift_s: float = 2.0,
     step_s: float = 0.01,
     max_rows: int = 800,
-) -> Fit:
+) -> LinkFit:
     """Look for a shift of up to two seconds, roughly, where none near zero fits."""
     step = max(1, round(step_s * motion.rate_hz))
     reach = min(round(max_shift_s * motion.rate_hz), len(readings) // 4) // step * step
@@ -134,7 +134,7 @@ def _far(
     rows = rows[:: max(1, len(rows) // max_rows)]
     if len(rows) < max_rows // 4:
         nothing = np.zeros((readings.shape[1], features.shape[1]))
-        return Fit(1.0, 0.0, np.inf, nothing, np.inf, 0.0)
+        return LinkFit(1.0, 0.0, np.inf, nothing, np.inf, 0.0)
     y = readings[rows] - readings[rows].mean(axis=0)
     shifts = np.arange(-reach, reach + 1, step)
     left = np.array([_left(features[rows - s], y) for s in shifts])
@@ -143,7 +143,7 @@ def _far(
     X = features[rows - shifts[best]]
     fitted = _errors(X, y)[1]
     delay = float(shifts[best]) / motion.rate_hz
-    return Fit(share, delay, step_s / SIGMAS, fitted, np.inf, _gain(X, fitted))
+    return LinkFit(share, delay, step_s / SIGMAS, fitted, np.inf, _gain(X, fitted))
 
 
 def _gain(X: Array, fitted: Array) -> float:

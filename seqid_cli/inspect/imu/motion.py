@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.inspect.findings.finding import found
-from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, Fit, fit_link, scan
+from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, LinkFit, fit_link, scan
 from seqid_cli.inspect.imu.readings import channel_name, odd_channel
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import GYRO
@@ -32,7 +32,7 @@ class Following:
     """The fit of one IMU's readings to the motion of its link."""
 
     imu: Imu
-    fit: Fit
+    fit: LinkFit
     gyro: bool
 
 

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from seqid_cli.compare.rule import (
     Comparison,
@@ -39,10 +38,8 @@ from seqid_cli.params.schema import (
     RigidStage,
     Stages,
 )
+from seqid_cli.robot.types import Array
 
-Array = NDArray[np.float64]
-
-_LEAST_SIZE = 1e-3  # of the largest parameter of the same unit
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
 
 
@@ -108,7 +105,7 @@ def _same_robot(a: Source, b: Source) -> None:
 def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:
     """Yield the differences of all stages; a stage that one file lacks is a difference."""
     left, right = present(a), present(b)
-    for name in left.keys() | right.keys():
+    for name in {**left, **right}:
         if name != "effects" and (name not in left or name not in right):
             yield missing(name, "stage", there=name in left)
     if a.friction and b.friction:
@@ -124,12 +121,14 @@ def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:
     yield from _effects(a.effects or [], b.effects or [], rule)
 
 
-def _rigid(name: str, a: RigidStage, b: RigidStage, rule: Rule) -> Iterator[Difference]:
+def _rigid(
+    name: str, a: RigidStage, b: RigidStage, rule: Rule, *, min_size: float = 1e-3
+) -> Iterator[Difference]:
     largest: dict[str, float] = {}
     for parameter in (*a.parameters, *b.parameters):
         size = max(largest.get(parameter.unit, 0.0), abs(parameter.value))
         largest[parameter.unit] = size
-    least = {unit: _LEAST_SIZE * size for unit, size in largest.items()}
+    least = {unit: min_size * size for unit, size in largest.items()}
     one, other = (_torque_constants_held(stage) for stage in (a, b))
     yield from _parameters(name, one, other, rule, least)
     if a.rotor_coupling != b.rotor_coupling and a.parameters and b.parameters:
@@ -261,7 +260,7 @@ def _effects(
         prefix = f"{effect}: "
         yield from _parameters("effects", one.parameters, other.parameters, rule, prefix=prefix)
         stated = {parameter.name for parameter in (*one.parameters, *other.parameters)}
-        for name in one.settings.keys() & other.settings.keys() - stated:
+        for name in sorted(one.settings.keys() & other.settings.keys() - stated):
             values = (one.settings[name], other.settings[name])
             if all(isinstance(x, int | float) and not isinstance(x, bool) for x in values):
                 numbers = (float(values[0]), float(values[1]))
@@ -285,7 +284,7 @@ def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: Rule) -> Iterator[Diffe
     for effect, joint in [*left, *(key for key in right if key not in left)]:
         if (effect, joint) not in left or (effect, joint) not in right:
             yield missing("diagnosis", effect, joint=joint, there=(effect, joint) in left)
-    for joint in a.joints.keys() & b.joints.keys():
+    for joint in [name for name in a.joints if name in b.joints]:
         one, other = a.joints[joint], b.joints[joint]
         pairs = (
             ("rmse", one.rmse, other.rmse),

@@ -16,21 +16,20 @@ from seqid_cli.params.results.comparison import Difference, RuleEntry
 
 DEFAULT_SIGMA = 4.0  # one false alarm in 160 comparisons of 100 parameters each
 DEFAULT_RTOL = 0.01
-ROUNDING = 1e-6  # share of a number's size that other machines and threads may change
 
 
 class Rule(RuleEntry, frozen=True):
     """Limits of a change: `sigma` standard errors (None: not used) and `rtol`."""
 
     @classmethod
-    def of(cls, sigma: float | None, rtol: float | None) -> Rule:
+    def of(cls, sigma: float | None, rtol: float | None, *, rounding: float = 1e-6) -> Rule:
         """Take the limits that were given; with neither, the defaults of both.
 
         Of one alone, it alone decides, down to rounding.
         """
         if sigma is None and rtol is None:
             return cls(sigma=DEFAULT_SIGMA, rtol=DEFAULT_RTOL)
-        return cls(sigma=sigma, rtol=ROUNDING if rtol is None else rtol)
+        return cls(sigma=sigma, rtol=rounding if rtol is None else rtol)
 
     def broken(self, sigmas: float | None, relative: float | None) -> bool:
         """Return whether a difference is a change; it is where `relative` is None."""

@@ -17,7 +17,6 @@ from seqid_cli.robot.base_parameters import standard_regressor
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Robot
 
-_SAME = 1e-7  # relative torque residual up to which an effect is rigid body
 _RATE_HZ = 100.0
 _INERTIAL = frozenset({"body", "transmission"})  # families in which such effects can be
 
@@ -60,7 +59,9 @@ def absorbed_effects(stages: Stages, robot: Robot) -> Absorbed:
     return Absorbed(total, tuple(notes))
 
 
-def _as_parameters(item: Fitted, scene: Scene, W: Array) -> Array | None:
+def _as_parameters(
+    item: Fitted, scene: Scene, W: Array, *, max_residual: float = 1e-7
+) -> Array | None:
     """Standard parameters (11 n,) with the effect's torque; None where there are none."""
     if not isinstance(item, FittedEffect) or item.effect.family not in _INERTIAL:
         return None
@@ -75,7 +76,7 @@ def _as_parameters(item: Fitted, scene: Scene, W: Array) -> Array | None:
         size = np.where(size > 0.0, size, 1.0)
         scaled = W[:, :count] / size
         found = np.linalg.lstsq(scaled, tau, rcond=1e-10)[0]
-        if tau.any() and np.linalg.norm(tau - scaled @ found) <= _SAME * np.linalg.norm(tau):
+        if tau.any() and np.linalg.norm(tau - scaled @ found) <= max_residual * np.linalg.norm(tau):
             return np.concatenate([found / size, np.zeros(W.shape[1] - count)])
     return None
 

@@ -17,9 +17,6 @@ from seqid_cli.export.text import real, reals, remarks
 from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.types import Array
 
-_THICKNESS = 0.1  # radius of a drawn link over its length
-_VISIBLE = 1e-3  # m; shorter links are not drawn
-
 
 def mjcf_of_chain(model: ExportModel) -> str:
     """Return the arm as an MJCF document."""
@@ -38,7 +35,7 @@ def mjcf_of_chain(model: ExportModel) -> str:
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _body(parent: Element, model: ExportModel, k: int) -> Element:
+def _body(parent: Element, model: ExportModel, k: int, *, min_length: float = 1e-3) -> Element:
     chain, joint = model.robot.chain, model.robot.joints[k]
     axes = np.concatenate([chain.rotation[k][:, 0], chain.rotation[k][:, 1]])
     body = SubElement(
@@ -46,7 +43,7 @@ def _body(parent: Element, model: ExportModel, k: int) -> Element:
     )
     _inertial(body, model.bodies[k])
     body.append(Element("joint", _joint(model, k)))
-    if k + 1 < chain.n and float(np.linalg.norm(chain.position[k + 1])) > _VISIBLE:
+    if k + 1 < chain.n and float(np.linalg.norm(chain.position[k + 1])) > min_length:
         _capsule(body, chain.position[k + 1])
     return body
 
@@ -73,13 +70,13 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
     return values
 
 
-def _capsule(body: Element, reach: Array) -> None:
+def _capsule(body: Element, reach: Array, *, thickness: float = 0.1) -> None:
     SubElement(
         body,
         "geom",
         type="capsule",
         fromto=reals([0.0, 0.0, 0.0, *reach]),
-        size=real(_THICKNESS * float(np.linalg.norm(reach))),
+        size=real(thickness * float(np.linalg.norm(reach))),
         contype="0",
         conaffinity="0",
         mass="0",

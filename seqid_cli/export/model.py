@@ -20,8 +20,6 @@ from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import PER_LINK, Coupling
 from seqid_cli.robot.types import Array, Robot
 
-POOR_FRICTION = 0.2  # misfit of Coulomb and viscous friction, over friction, worth a word
-
 
 @dataclass(frozen=True)
 class ExportModel:
@@ -163,19 +161,21 @@ def _notes_on_links(
     return notes
 
 
-def _notes_on_friction(robot: Robot, friction: tuple[SimpleFriction | None, ...]) -> list[str]:
+def _notes_on_friction(
+    robot: Robot, friction: tuple[SimpleFriction | None, ...], *, poor: float = 0.2
+) -> list[str]:
     notes = []
     for name, fit in zip(robot.joint_names, friction, strict=True):
         if fit is None:
             notes.append(f"{name}: friction was not identified and is left out")
             continue
-        if fit.misfit > POOR_FRICTION * fit.size:
+        if fit.misfit > poor * fit.size:
             share = 100.0 * fit.misfit / fit.size
             notes.append(
                 f"{name}: Coulomb and viscous friction miss {share:.0f} % of the identified "
                 f"friction surface ({fit.misfit:.3g} of {fit.size:.3g} RMS)"
             )
-        if abs(fit.offset) > POOR_FRICTION * fit.size:
+        if abs(fit.offset) > poor * fit.size:
             notes.append(
                 f"{name}: a constant of {fit.offset:.3g} that does not change with the direction "
                 "has no place in model files"

@@ -8,7 +8,6 @@ from seqid_cli import __version__
 from seqid_cli.export.model import ExportModel
 
 _DIGITS = 15
-_TOLD = 0.1  # standard errors; smaller deviations are not worth a line
 
 
 def real(value: float) -> str:
@@ -32,7 +31,7 @@ def plain(text: str) -> str:
     return line.rstrip("-")
 
 
-def remarks(model: ExportModel) -> list[str]:
+def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
     """Return the remarks that a reader of any exported file needs, a line each."""
     state = "exactly" if model.exact else "but for the deviations that follow"
     lines = [
@@ -44,7 +43,7 @@ def remarks(model: ExportModel) -> list[str]:
         f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
         f" ({d.std_errors:+.2f} standard errors)"
         for d in model.deviations
-        if not model.exact and d.std_errors is not None and abs(d.std_errors) >= _TOLD
+        if not model.exact and d.std_errors is not None and abs(d.std_errors) >= min_errors
     ]
     for joint, fit in zip(model.robot.joints, model.friction, strict=True):
         if fit is not None:

@@ -1,4 +1,4 @@
-"""What is in a log and what is wrong with it, before anything is identified from it."""
+"""Content and faults of logs, before anything is identified from them."""
 
 from seqid_cli.inspect.functions import inspect
 

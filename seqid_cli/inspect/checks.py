@@ -1,6 +1,6 @@
 """The checks of one log, in their order: those of `seqid inspect` and of every stage that reads it.
 
-Samples that are damaged and can be told (spikes, freezes) are taken out, and the checks that
+Samples that are known to be damaged (spikes, freezes) are taken out, and the checks that
 compare channels with each other go on without them.
 """
 
@@ -131,7 +131,7 @@ def _findings(
     imus: bool,
     quality: bool,
 ) -> Iterator[InspectionFinding]:
-    """Run the checks, the sound ones first; what is spoilt is not judged again.
+    """Run the checks in their order; a check is left out where an earlier finding spoils it.
 
     `sound` is the log without damaged samples.
     """
@@ -201,10 +201,10 @@ def _with_imus(
     if finding.code != "sign_mismatch":
         return finding
     joint = data.robot.joint_names.index(finding.joint)
-    told = [f for f in following if f.imu.after_joint >= joint]
-    if not told:
+    moved = [f for f in following if f.imu.after_joint >= joint]
+    if not moved:
         return finding
-    blamed = "position" if any(f.fit.left > FOLLOWS for f in told) else "torque"
+    blamed = "position" if any(f.fit.left > FOLLOWS for f in moved) else "torque"
     return structs.replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
 
 

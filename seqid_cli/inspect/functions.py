@@ -27,7 +27,7 @@ def inspect(
     output: PathLike | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
-    """Tell what is in logs and what is wrong with them.
+    """Inspect logs: their content, their faults, and the remedies.
 
     Parameters
     ----------

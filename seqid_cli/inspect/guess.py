@@ -54,12 +54,11 @@ _COMMANDED = {
     "error",
 }
 _SHORT = 2  # letters; such words are too common to stand for a quantity without a number
-_MOST = 64
 
 
 @dataclass(frozen=True)
 class Guess:
-    """What names say: joints in order, `[channels]` patterns, and IMUs."""
+    """A guess by names: joints in order, `[channels]` patterns, and IMUs."""
 
     joints: tuple[str, ...]
     patterns: Mapping[str, str] = field(default_factory=dict)
@@ -167,12 +166,12 @@ def _quantity(words: list[str], shortest: int) -> str:
     return ""
 
 
-def _is_range(numbers: set[int]) -> bool:
+def _is_range(numbers: set[int], *, max_joints: int = 64) -> bool:
     first = min(numbers)
     return (
         first in (0, 1)
         and numbers == set(range(first, first + len(numbers)))
-        and (len(numbers) <= _MOST)
+        and (len(numbers) <= max_joints)
     )
 
 

@@ -1,4 +1,4 @@
-"""Inspecting logs: the one function that the command and Python users call."""
+"""Inspection of logs, one after the other, and of the set."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _STAGES = ("friction", "gravity", "imu-calib", "inertia")
 
 
 class Inspected(NamedTuple):
-    """One log, and what is wrong with it."""
+    """One log and its findings."""
 
     log: InspectedLog
     findings: tuple[InspectionFinding, ...]
@@ -53,24 +53,9 @@ def inspect_logs(
     time_source: TimeSource = "header",
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
-    """Look through logs and say what is in them and what is wrong with them.
+    """Inspect logs one after the other, and the set of them; see `inspect`.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Logs of any format that can be read.
-    robot : Robot, optional
-        The robot file; without it the joints are guessed, and nothing is compared with geometry.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
-    on_progress : callable, optional
-        Told before each log.
-
-    Returns
-    -------
-    InspectionFile
-        A log that cannot be read is in it with the finding `unreadable`. The findings are those of
-        the robot file and of the set of logs, then each log's.
+    The findings are those of the robot file and of the set of logs, then each log's.
     """
     inspected = []
     for done, path in enumerate(paths):
@@ -236,7 +221,7 @@ def _duplicates(logs: Sequence[InspectedLog]) -> list[InspectionFinding]:
 def _advice(
     logs: Sequence[InspectedLog], findings: Sequence[InspectionFinding], robot: Robot | None
 ) -> list[str]:
-    """Say what to do next."""
+    """Return the next step: the first error's remedy, else the stages that the logs serve."""
     errors = [finding for finding in findings if finding.severity == "error"]
     if errors:
         first = errors[0]

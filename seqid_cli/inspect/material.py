@@ -21,14 +21,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segmentation import moving_mask, noise_step
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 V = TypeVar("V")
-
-LOWEST_HZ, LOWEST_SHARE = 3.0, 0.1  # cut-off, and as a share of the rate
-ENOUGH_HZ = 100.0  # samples per second of motion that is compared with torque
 
 
 def per_robot(function: Callable[[Robot], V]) -> Callable[[Robot], V]:
@@ -120,10 +116,17 @@ def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool)
     )
 
 
-def _motion(recording: Recording, robot: Robot) -> Motion | None:
+def _motion(
+    recording: Recording,
+    robot: Robot,
+    *,
+    min_hz: float = 3.0,
+    min_share: float = 0.1,
+    rate_hz: float = 100.0,
+) -> Motion | None:
     """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
-    recording = averaged(recording, ENOUGH_HZ)
-    lowest = min(LOWEST_HZ, LOWEST_SHARE * recording.rate_hz)
+    recording = averaged(recording, rate_hz)
+    lowest = min(min_hz, min_share * recording.rate_hz)
     try:
         motion = estimate_motion(recording, robot, MotionOptions())
         if motion.lowpass.active and motion.cutoff.hz < lowest:

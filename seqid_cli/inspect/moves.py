@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.channels.positions import top_speeds
 from seqid_cli.inspect.channels.values import lattice
@@ -14,14 +13,7 @@ from seqid_cli.inspect.imu.readings import rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.results.inspection import InspectedImu, InspectedJoint, InspectedMoves
-
-Array = NDArray[np.float64]
-
-SAME_POSTURE = 0.03  # rad
-SPEEDS = 3  # different ones, that friction needs
-DIFFERENT = 1.25
-SLOW_SHARE = 0.25  # of the speed limit (or of the fastest), that gravity's trials stay below
-TOGETHER = 0.1  # of the moving time
+from seqid_cli.robot.types import Array
 
 
 def stretches_of(data: LogData) -> list[Stretch]:
@@ -113,28 +105,28 @@ def moves_of(data: LogData, stretches: list[Stretch]) -> list[InspectedMoves]:
     return result
 
 
-def _postures(stretches: list[Stretch], joint: int) -> list[Array]:
+def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> list[Array]:
     """List the different postures of the locked joints."""
     found: list[Array] = []
     for stretch in stretches:
         others = np.delete(np.array(stretch.configuration), joint)
-        if not any(np.abs(others - known).max(initial=0.0) < SAME_POSTURE for known in found):
+        if not any(np.abs(others - known).max(initial=0.0) < same for known in found):
             found.append(others)
     return found
 
 
-def together(data: LogData) -> tuple[str, ...]:
+def together(data: LogData, *, min_share: float = 0.1) -> tuple[str, ...]:
     """Return the joints that move at the same time as others for a fair share of the time."""
     several = data.moving.sum(axis=1) >= 2
     busy = max(int(data.moving.any(axis=1).sum()), 1)
     share = (data.moving & several[:, None]).sum(axis=0) / busy
     return tuple(
-        name for name, part in zip(data.robot.joint_names, share, strict=True) if part > TOGETHER
+        name for name, part in zip(data.robot.joint_names, share, strict=True) if part > min_share
     )
 
 
-def serves(data: LogData, stretches: list[Stretch]) -> tuple[str, ...]:
-    """Tell for which stages a log is made."""
+def serves(data: LogData, stretches: list[Stretch], *, min_speeds: int = 3) -> tuple[str, ...]:
+    """Return the stages that a log serves."""
     stages: list[str] = []
     torque = data.recording.tau is not None
     for j in range(data.robot.n):
@@ -142,7 +134,7 @@ def serves(data: LogData, stretches: list[Stretch]) -> tuple[str, ...]:
         ways = {np.sign(s.velocity) for s in mine}
         if not torque or len(ways) < 2:
             continue
-        if _speeds(mine) >= SPEEDS:
+        if _speeds(mine) >= min_speeds:
             stages.append("friction")
         if _gravity_acts(data) and (len(_postures(mine, j)) > 1 or _is_slow(data, j, mine)):
             stages.append("gravity")
@@ -155,17 +147,17 @@ def serves(data: LogData, stretches: list[Stretch]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(stages))
 
 
-def _speeds(stretches: list[Stretch]) -> int:
+def _speeds(stretches: list[Stretch], *, different: float = 1.25) -> int:
     count, last = 0, 0.0
     for speed in sorted(abs(s.velocity) for s in stretches):
-        if speed > DIFFERENT * last:
+        if speed > different * last:
             count, last = count + 1, speed
     return count
 
 
-def _is_slow(data: LogData, j: int, stretches: list[Stretch]) -> bool:
+def _is_slow(data: LogData, j: int, stretches: list[Stretch], *, max_share: float = 0.25) -> bool:
     limit = data.robot.joints[j].velocity_limit or 1.0
-    return max(abs(s.velocity) for s in stretches) < SLOW_SHARE * limit
+    return max(abs(s.velocity) for s in stretches) < max_share * limit
 
 
 def _gravity_acts(data: LogData) -> bool:

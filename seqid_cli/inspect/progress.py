@@ -1,4 +1,4 @@
-"""What a function tells of the logs that it works on, while it does."""
+"""Progress of a function over its logs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from seqid_cli.params.results.inspection import InspectionFinding
 
 @dataclass(frozen=True)
 class LogNote:
-    """What is to be told of a log that was read."""
+    """A log that was read: its size, warnings and findings."""
 
     path: Path
     sha256: str
@@ -25,7 +25,7 @@ class LogNote:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a function is; told before a log is read and after it was worked on.
+    """Progress of a function, reported before a log is read and after it was worked on.
 
     `done` of `total` logs are finished. `state` is "reading" (`log` comes next), "done" (`note` is
     what was read), "failed" (`error` says why `log` is left out), or "note" and "detail" (`text`

@@ -18,13 +18,12 @@ from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTempl
 from seqid_cli.robot.urdf.joints import UrdfJoint, best_chain, check_urdf
 from seqid_cli.robot.urdf.text import UrdfText
 
-NEAR = 0.6
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A robot file, and what is left for a person to say."""
+    """A proposed robot file, and the entries that are left to the user."""
 
     template: RobotTemplate
     todo: tuple[str, ...]
@@ -86,7 +85,7 @@ def propose(
 
 
 def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:
-    """Put together what several logs say of a joint: it moves if it moves in any."""
+    """Join the summaries of each joint over several logs: it moves if it moves in any."""
     found: dict[str, InspectedJoint] = {}
     for joint in joints:
         if joint.name not in found or (joint.moves and not found[joint.name].moves):
@@ -94,7 +93,7 @@ def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:
     return found
 
 
-def match_names(log: Sequence[str], urdf: Sequence[str]) -> dict[str, str]:
+def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -> dict[str, str]:
     """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest.
 
     Names differ in case, separators and fillers (`elbow`, `elbow_joint`); a number in both must be
@@ -107,7 +106,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str]) -> dict[str, str]:
         ((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free),
     )
     for score, i, j in scored:
-        if -score >= NEAR and log[i] not in pairs and urdf[j] not in pairs.values():
+        if -score >= near and log[i] not in pairs and urdf[j] not in pairs.values():
             pairs[log[i]] = urdf[j]
     return pairs
 
@@ -162,7 +161,7 @@ def _joint(log_name: str, joint: UrdfJoint | None, seen: InspectedJoint) -> Join
 def _channels(
     surveyed: Survey, guessed: Guess, joints: tuple[str, ...]
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return `[channels]` that the log needs, and what cannot be said by them."""
+    """Return `[channels]` that the log needs, and names that they cannot express."""
     renamed = tuple(f"{a} -> {b}" for a, b in zip(guessed.joints, joints, strict=False) if a != b)
     rename = (
         "the log's joints have other names than the URDF's, and no pattern turns one into the "
@@ -200,7 +199,7 @@ def _mapped(pattern: str, log: tuple[str, ...], joints: tuple[str, ...]) -> str:
 
     Or by the number of the joint, where it is all that tells the log's names apart.
     """
-    for prefix, suffix in {_around(a, b) for a, b in zip(log, joints, strict=False)}:
+    for prefix, suffix in dict.fromkeys(map(_around, log, joints)):
         if all(a == f"{prefix}{b}{suffix}" for a, b in zip(log, joints, strict=True)):
             return pattern.replace("{name}", f"{prefix}{{name}}{suffix}")
     for key, first in (("{index}", 1), ("{index0}", 0)):

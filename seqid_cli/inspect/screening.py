@@ -1,4 +1,4 @@
-"""The checks of `seqid inspect` on a log that is read to be worked on, and what is left of it.
+"""The checks of `seqid inspect` on a log that a stage reads, without its damaged samples.
 
 A log that is held is checked as a whole. One that is passed over is looked through for damaged
 positions block by block; torque and motion are compared with each other in some pieces of it, so
@@ -27,15 +27,10 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
 
-Array = NDArray[np.float64]
-
-PIECES, PIECE_S = 8, 20.0  # of a log that is passed over, in which torque is compared with motion
-OVERLAP_S = 1.0  # of blocks, so that a freeze over their border is seen
-
 
 @dataclass(frozen=True)
 class Screened:
-    """A log without its damaged samples, and what was found."""
+    """A log without its damaged samples, and the findings."""
 
     recording: Recording
     findings: tuple[InspectionFinding, ...]
@@ -82,7 +77,7 @@ def read_screened(
 
 @dataclass(frozen=True)
 class ScreenedLong:
-    """A log to be passed over without its damaged samples, and what was found."""
+    """A log to be passed over without its damaged samples, and the findings."""
 
     log: SurveyedLog
     findings: tuple[InspectionFinding, ...]
@@ -118,10 +113,10 @@ class _Look:
     _kept: dict[int, list[Block]] = field(default_factory=dict)
     _tail: Block | None = None
 
-    def push(self, block: Block) -> None:
+    def push(self, block: Block, *, overlap_s: float = 1.0) -> None:
         """Take the next block."""
         self._keep(block)
-        overlap = max(16, int(OVERLAP_S * self.log.rate_hz))
+        overlap = max(16, int(overlap_s * self.log.rate_hz))
         wide = block.q if self._tail is None else np.concatenate([self._tail.q, block.q])
         start = block.start + len(block.q) - len(wide)
         t = np.asarray((start + np.arange(len(wide))) * self.log.step_s, dtype=np.float64)
@@ -136,7 +131,7 @@ class _Look:
         self._tail = Block(start + len(wide) - keep, tail, tail, np.ones(keep, np.bool_))
 
     def close(self) -> None:
-        """Forget what was kept for the next block."""
+        """Drop the overlap that was kept for the next block."""
         self._tail = None
 
     def _keep(self, block: Block) -> None:
@@ -147,13 +142,13 @@ class _Look:
                 own = Block(a, block.q[part].copy(), block.tau[part].copy(), block.valid[part])
                 self._kept.setdefault(number, []).append(own)
 
-    def _ranges(self) -> list[tuple[int, int]]:
-        size = min(self.log.samples, max(64, int(PIECE_S * self.log.rate_hz)))
-        starts = np.linspace(0, self.log.samples - size, PIECES).astype(int)
+    def _ranges(self, *, pieces: int = 8, piece_s: float = 20.0) -> list[tuple[int, int]]:
+        size = min(self.log.samples, max(64, int(piece_s * self.log.rate_hz)))
+        starts = np.linspace(0, self.log.samples - size, pieces).astype(int)
         return [(int(start), int(start) + size) for start in starts]
 
     def pieces(self) -> Iterator[Block]:
-        """Yield what was kept."""
+        """Yield the pieces that were kept."""
         for parts in self._kept.values():
             arrays = [np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "tau", "valid")]
             yield Block(parts[0].start, *arrays)
@@ -199,7 +194,7 @@ def _values_around(
 def _held(
     piece: Block, log: SurveyedLog, first: RawLog, warnings: tuple[str, ...]
 ) -> tuple[Recording, RawLog]:
-    """Make a recording of a piece, and what would have been logged of it."""
+    """Make a recording of a piece, and the raw log of it."""
     rows = piece.start + np.arange(len(piece.q))
     stamps = log.start_ns + np.rint(rows * log.step_s * 1e9).astype(np.int64)
     recording = Recording(

@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.friction_basis import FADE, Scaling
 from seqid_cli.params.schema import FrictionJoint
+from seqid_cli.robot.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CELLS = 33  # per axis, at which a surface's standard error is looked at

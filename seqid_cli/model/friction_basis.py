@@ -25,7 +25,8 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
+
 Mask = NDArray[np.bool_]
 
 FADE = 0.1  # of the position range: the distance over which a surface forgets its edge

@@ -20,8 +20,8 @@ from scipy.signal import firwin
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.motion.motion import Motion
+from seqid_cli.robot.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Places = NDArray[np.intp]
 

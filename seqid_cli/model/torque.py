@@ -15,9 +15,8 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import STANDARD, gear_ratios, standard_names
 from seqid_cli.robot.regressor import Coupling, inverse_dynamics, rotor_regressor
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FINE = 80.0  # samples per period of the cut-off that tell when a joint is slow
@@ -35,7 +34,7 @@ def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | No
 
 @dataclass(frozen=True)
 class Added:
-    """What effects beyond this model add to it.
+    """The torque that effects add to a model.
 
     `torque` (N, n) N m filtered like `motion.tau`; `low`, `high` (N, n) N m what they add to the
     interval of friction at rest.

@@ -29,7 +29,7 @@ class Document(Struct):
     """A structure that a notebook shows as tables."""
 
     def _repr_html_(self) -> str:
-        """Return tables of what is in it."""
+        """Return the content as tables."""
         return f'<div class="seqid">{_fields(self)}</div>'
 
 

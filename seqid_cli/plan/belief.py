@@ -2,7 +2,7 @@
 
 The noise counts by its one-sided density S: 2 / S of information per second and (N m)^2. A residual
 of standard deviation s below a cut-off f has S = s^2 / f. The error of the friction
-surface, of standard deviation r, changes slowly: it adds r^2 over `FRICTION_HZ`.
+surface, of standard deviation r, changes slowly: it adds r^2 over `friction_hz`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
@@ -30,17 +29,9 @@ from seqid_cli.robot.base_parameters import (
     gear_ratios,
     standard_names,
 )
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 
-Array = NDArray[np.float64]
-
-NOISE_SHARE = 0.03  # of a joint's usual torque, where nothing was measured
 NOISE_HZ = 25.0  # the bandwidth of that noise
-FRICTION_HZ = 2.0  # bandwidth of what a friction surface misses, in moves of the inertia stage
-URDF_SHARE = 0.1  # relative standard error of what a URDF says
-CERTAIN = 3.0  # standard errors between the torque that is expected and its limit
-REST_SHARE = 0.02  # of the largest speed: below it, friction's sign is uncertain
-TYPICAL = 60  # all-joint moves that stand for the work of the robot
 
 
 @dataclass(frozen=True)
@@ -92,8 +83,8 @@ class Belief:
         flat = rows.reshape(len(H), -1, H.shape[3])
         return np.asarray(flat.transpose(0, 2, 1) @ flat)
 
-    def torque(self, moves: Moves, H: Array) -> Array:
-        """Torque (M, N, n) N m that the joints need, and `CERTAIN` standard errors on top."""
+    def torque(self, moves: Moves, H: Array, *, sigmas: float = 3.0) -> Array:
+        """Torque (M, N, n) N m that the joints need, and `sigmas` standard errors on top."""
         if self.theta is None:
             return np.zeros(H.shape[:3])
         n = self.robot.n
@@ -102,7 +93,7 @@ class Belief:
         states = (moves.q.reshape(-1, n), moves.dq.reshape(-1, n))
         tau += friction_torque(self.surfaces, *states).reshape(tau.shape)
         doubt = np.sqrt(np.sum((H @ self.root) ** 2, axis=3))
-        return np.asarray(np.abs(tau) + CERTAIN * doubt)
+        return np.asarray(np.abs(tau) + sigmas * doubt)
 
     def overload(self, moves: Moves, H: Array) -> Array:
         """Largest torque of each move over its limit (M,); at most 1 where the limits hold."""
@@ -110,14 +101,14 @@ class Belief:
         return np.asarray(share.max(axis=(1, 2)))
 
 
-def belief_of(robot: Robot, stages: Stages, limits: Limits) -> Belief:
+def belief_of(robot: Robot, stages: Stages, limits: Limits, *, rest_share: float = 0.02) -> Belief:
     """Collect the knowledge of a robot from stages and the URDF."""
     basis = free_basis(robot)
     surfaces = friction_surfaces(stages, robot)
     theta, root = _parameters(robot, basis, stages)
     prior = gravity_prior(stages.gravity, basis)
     known = np.zeros((basis.size, basis.size)) if prior is None else prior.A.T @ prior.A
-    slow = np.maximum(slowest_speeds(surfaces), REST_SHARE * limits.speed)
+    slow = np.maximum(slowest_speeds(surfaces), rest_share * limits.speed)
     blank = Belief(robot, basis, limits, surfaces, theta, root, np.ones(robot.n), known, slow, "")
     density, origin = _density(blank, stages)
     return Belief(robot, basis, limits, surfaces, theta, root, density, known, slow, origin)
@@ -143,10 +134,10 @@ def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
     return total
 
 
-def typical(belief: Belief, seed: int) -> Moves:
+def typical(belief: Belief, seed: int, *, count: int = 60) -> Moves:
     """All-joint moves that stand for the robot's work: errors of the torque count there."""
     rng = np.random.default_rng(seed)
-    size = (TYPICAL, belief.robot.n)
+    size = (count, belief.robot.n)
     moving = belief.limits.moves[:, None]
     drawn = Drawn(
         rng.normal(size=(*size, COEFFICIENTS)) * moving, rng.uniform(size=size), np.ones(size)
@@ -155,13 +146,15 @@ def typical(belief: Belief, seed: int) -> Moves:
     return shapes.moves(drawn, belief.limits).every(SPARSE)
 
 
-def _parameters(robot: Robot, basis: Basis, stages: Stages) -> tuple[Array | None, Array]:
+def _parameters(
+    robot: Robot, basis: Basis, stages: Stages, *, urdf_share: float = 0.1
+) -> tuple[Array | None, Array]:
     """Base parameters, best source last, and the root of their covariance."""
     theta, spread = None, np.zeros((basis.size, 0))
     if robot.nominal is not None:
         phi = np.append(robot.nominal.ravel(), np.zeros(robot.n))
         theta = basis.expression @ phi
-        spread = URDF_SHARE * basis.expression * phi
+        spread = urdf_share * basis.expression * phi
     for stage in (stages.gravity, stages.inertia):
         if stage is not None and stage.parameters:
             theta, spread = _replaced(theta, spread, stage, basis, robot.n)
@@ -184,7 +177,7 @@ def _replaced(
     return new, np.hstack([kept, added])
 
 
-def _density(belief: Belief, stages: Stages) -> tuple[Array, str]:
+def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tuple[Array, str]:
     """Information per second and (N m)^2 of each joint, and where it comes from."""
     assumed, origin = _assumed_noise(belief)
     noise = assumed**2 / NOISE_HZ
@@ -195,18 +188,18 @@ def _density(belief: Belief, stages: Stages) -> tuple[Array, str]:
         if inertia is not None and inertia.cutoff_hz and name in measured:
             noise[j] = measured[name] ** 2 / inertia.cutoff_hz
         if name in friction:
-            noise[j] += friction[name].rmse ** 2 / FRICTION_HZ
+            noise[j] += friction[name].rmse ** 2 / friction_hz
     return 2.0 / noise, "what the stages left of the torque" if measured else origin
 
 
-def _assumed_noise(belief: Belief) -> tuple[Array, str]:
+def _assumed_noise(belief: Belief, *, noise_share: float = 0.03) -> tuple[Array, str]:
     """Standard deviation (n,) N m of the torque, where none was measured."""
     if belief.theta is None:
         return np.ones(belief.robot.n), "assumed: 1 N m, as no torque is known"
     moves = typical(belief, seed=0)[:20]
     H = belief.regressor(moves)
     sizes = np.sqrt(np.mean((H @ belief.theta) ** 2, axis=(0, 1)))
-    floor = NOISE_SHARE * float(sizes.max())
-    return np.maximum(NOISE_SHARE * sizes, 0.1 * floor), (
+    floor = noise_share * float(sizes.max())
+    return np.maximum(noise_share * sizes, 0.1 * floor), (
         "assumed: a thirtieth of the usual torque; errors are relative to that"
     )

@@ -1,4 +1,4 @@
-"""Planning as a function: a robot file and what is known in, the moves to record out."""
+"""Planning as a function: a robot file and parameters in, the moves to record out."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def plan(
     inputs = [*([Path(robot)] if is_place(robot) else []), *files]  # type: ignore[arg-type]
     _check(what, options, logs, target, folder, inputs)
     found = expanded(logs)
-    # The robot file comes first: what is wrong with it is told before a parameter file's faults.
+    # The robot file comes first: its faults are reported before a parameter file's faults.
     arm = robot_of(robot, ())
     models = read_models(given)
     robot_of(arm, models)
@@ -89,7 +89,7 @@ def _check(
     trajectories: Path | None,
     inputs: Sequence[Path],
 ) -> None:
-    """Find out at once what cannot be written, and what cannot be meant."""
+    """Refuse outputs that cannot be written and options that contradict each other."""
     if output is not None:
         check_output(output, inputs)
     if trajectories is not None:

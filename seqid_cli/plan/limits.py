@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.robot.types import Joint, Robot
+from seqid_cli.robot.types import Array, Joint, Robot
 from seqid_cli.robot.urdf.joints import UrdfJoint
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import now, robot_id, tool
@@ -27,9 +26,7 @@ from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.imu import plan_imu
 from seqid_cli.plan.stages.inertia import Planned, plan_inertia
 from seqid_cli.plan.stages.validation import plan_validation
-from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array, Robot
 
 
 def make_plan(
@@ -55,8 +52,8 @@ def make_plan(
     known = information_of(belief, have)
     for name in _stages(what, robot):
         found[name] = _planned(name, belief, stages, options, known)
-        told = found[name].information
-        known = known if told is None else known + told
+        added = found[name].information
+        known = known if added is None else known + added
     moves = [move for planned in found.values() for move in planned.moves]
     names = robot.joint_names
     noise = np.sqrt(2.0 / belief.density)

@@ -35,9 +35,9 @@ def report(
     inputs = [*documents, *([table] if table else [])]
     check_output(target, inputs)
     sources = read_any(documents)
-    from seqid_cli.report.make import build_report
+    from seqid_cli.report.make import make_report
 
-    made = build_report(sources, torques=table, title=title)
+    made = make_report(sources, torques=table, title=title)
     write_text_atomic(target, made.html, inputs=inputs)
     for warning in made.collection.warnings:
         warn(warning)
@@ -56,7 +56,7 @@ def report(
 
 
 def _sorted(files: Sequence[Path], torques: Path | None) -> tuple[list[Path], Path | None]:
-    """Tell the torque table from the documents, by its first bytes or its name."""
+    """Separate the torque table from the documents, by its first bytes or its name."""
     tables = [path for path in files if path.suffix == ".parquet" or _is_parquet(path)]
     documents = [path for path in files if path not in tables]
     given = list(dict.fromkeys([*tables, *([torques] if torques else [])]))

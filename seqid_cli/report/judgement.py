@@ -25,13 +25,12 @@ from seqid_cli.report.words import (
 Level = Literal["good", "reservations", "poor", "not_judged"]
 Weight = Literal["poor", "open"]
 
-_FAR = 2.0  # times the noise floor, above which noise cannot be all of an error
 _STAGES = ("friction", "gravity", "imu", "inertia")
 
 
 @dataclass(frozen=True)
 class Point:
-    """A fault or a gap: where it shows, and what to do about it."""
+    """A fault or a gap, its place and its remedy."""
 
     weight: Weight
     text: str
@@ -150,7 +149,9 @@ def _sentence(
     return said + "."
 
 
-def _prediction_points(collection: Collection, independent: list[Prediction]) -> Iterator[Point]:
+def _prediction_points(
+    collection: Collection, independent: list[Prediction], *, far: float = 2.0
+) -> Iterator[Point]:
     for item in collection.predictions:
         call = "seqid diagnose " + _tail(collection)
         yield from _poor(item.file.verdicts, "the prediction", item.path, call)
@@ -160,7 +161,7 @@ def _prediction_points(collection: Collection, independent: list[Prediction]) ->
             yield Point("open", text, item.path, "Predict logs in which every joint moves.")
         for name, error in item.file.joints.items():
             floor = collection.noise_floor(item, name)
-            if floor and error.rmse is not None and error.rmse > _FAR * floor:
+            if floor and error.rmse is not None and error.rmse > far * floor:
                 times = number(error.rmse / floor, 2)
                 text = f"{name}: the RMS error is {times} times the noise floor of the same logs"
                 yield Point("open", text, item.path, command="seqid diagnose " + _tail(collection))

@@ -38,8 +38,8 @@ class Report:
 
 def make_report(
     documents: Sequence[Source], *, torques: Path | None = None, title: str = ""
-) -> str:
-    """Return the report as one self-contained HTML text.
+) -> Report:
+    """Make the report: one self-contained HTML text, its verdict and its sections.
 
     Parameters
     ----------
@@ -58,13 +58,6 @@ def make_report(
     InputError
         The torque file is unreadable or belongs to another robot or other logs.
     """
-    return build_report(documents, torques=torques, title=title).html
-
-
-def build_report(
-    documents: Sequence[Source], *, torques: Path | None = None, title: str = ""
-) -> Report:
-    """Return the report with its verdict and sections; see `make_report`."""
     collection = collect(documents)
     path = torques or _beside(collection)
     table = TorqueTable.open(path, collection) if path is not None else None

@@ -18,8 +18,8 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.tables.columns import opened_table
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.report.collection import Collection, Prediction
+from seqid_cli.robot.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _KINDS = ("torque", "predicted", "residual")

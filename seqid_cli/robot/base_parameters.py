@@ -37,7 +37,6 @@ ROTOR = "Ia"
 # A column is dependent where its part outside the span of the others is below this share of it.
 # Geometry finer than 1e-5 rad or 1e-6 m is tidied away on reading, so the gap is wide.
 _DEPENDENT = 1e-8
-_ZERO_COLUMN = 1e-10
 _SNAP = 1e-9
 
 
@@ -232,7 +231,7 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
 
 
 def base_parameters(
-    robot: Robot, *, rotor: Sequence[int], coupling: Coupling = "diagonal"
+    robot: Robot, *, rotor: Sequence[int], coupling: Coupling = "diagonal", zero: float = 1e-10
 ) -> Basis:
     """Find the base parameters of the rigid body and of the rotors to identify.
 
@@ -251,7 +250,7 @@ def base_parameters(
     W_gravity, W = _random_regressors(robot, coupling)
     order = _reading_order(robot.chain)
     used = order + [PER_LINK * robot.n + i for i in sorted(set(rotor))]
-    floor = _ZERO_COLUMN * float(np.linalg.norm(W[:, : PER_LINK * robot.n], axis=0).max())
+    floor = zero * float(np.linalg.norm(W[:, : PER_LINK * robot.n], axis=0).max())
     gravity = _independent(W_gravity, order, floor=floor)
     rest = [c for c in used if c not in gravity]
     every = _independent(W, gravity + rest, floor=floor, given=len(gravity))

@@ -10,7 +10,6 @@ import numpy as np
 from seqid_cli.robot.types import Array, Chain
 
 ANGLE_NOISE = 1e-5  # rad; "1.5708" in a file means a quarter turn (it is 3.7e-6 off)
-LENGTH_NOISE = 1e-6  # m; below what any arm is built to
 
 
 def skew(v: Array) -> Array:
@@ -45,9 +44,9 @@ def tidy_rotation(R: Array) -> Array:
     return np.asarray(np.where(np.abs(R) < 1e-15, 0.0, R))
 
 
-def tidy_position(p: Array) -> Array:
-    """Zero the components of a position (3,) [m] below `LENGTH_NOISE`."""
-    return np.where(np.abs(p) < LENGTH_NOISE, 0.0, p)
+def tidy_position(p: Array, *, noise: float = 1e-6) -> Array:
+    """Zero the components of a position (3,) [m] below `noise`."""
+    return np.where(np.abs(p) < noise, 0.0, p)
 
 
 def tidy_axis(axis: Array) -> Array:

@@ -27,9 +27,7 @@ from seqid_cli.errors import InputError, SeqidError, UsageError
 T = TypeVar("T")
 R = TypeVar("R")
 
-AHEAD = 3  # items per worker that are submitted before the first of them is waited for
 PATIENCE_S = 10  # until a Dask scheduler must answer
-END_S = 2.0  # that a process gets to end when told to
 PRELOAD = ("seqid_cli.inspect.screening", "seqid_cli.identify.rigid.inertia")
 _ENDED_AT_ONCE: weakref.WeakSet[Executor] = weakref.WeakSet()
 _QUOTA = Path("/sys/fs/cgroup/cpu.max")
@@ -61,7 +59,7 @@ class Reply(Generic[R]):
 
 
 def ordered(
-    executor: Executor | None, function: Callable[[T], R], items: Iterable[T]
+    executor: Executor | None, function: Callable[[T], R], items: Iterable[T], *, ahead: int = 3
 ) -> Iterator[Reply[R]]:
     """Work on items; the replies come in the order of the items.
 
@@ -87,7 +85,7 @@ def ordered(
     rest = iter(items)
     try:
         while True:
-            while len(pending) < AHEAD * _workers(executor):
+            while len(pending) < ahead * _workers(executor):
                 try:
                     item = next(rest)
                 except StopIteration:
@@ -203,12 +201,14 @@ def _context() -> Any:
     return context
 
 
-def _end(children: Iterable[multiprocessing.process.BaseProcess]) -> None:
+def _end(
+    children: Iterable[multiprocessing.process.BaseProcess], *, patience_s: float = 2.0
+) -> None:
     """End processes, whatever they are doing."""
     for child in children:
         child.terminate()
     for child in children:
-        child.join(END_S)
+        child.join(patience_s)
         if child.is_alive():
             child.kill()
 
@@ -244,7 +244,7 @@ def _submitted(executor: Executor, function: Callable[[T], R], item: T) -> Futur
 
 
 def _reply(function: Callable[[T], R], item: T, future: Future[Reply[R]]) -> Reply[R]:
-    """What became of an item; the loss of its worker is blamed on it."""
+    """The reply of an item; the loss of its worker counts as its failure."""
     try:
         return future.result()
     except BrokenExecutor:

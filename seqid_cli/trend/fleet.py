@@ -54,7 +54,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Fleet:
-    """What comparing a fleet's robots gave.
+    """The comparison of a fleet's robots.
 
     `deviations` holds the most unlike quantity of every robot, the most unlike robot first; `limit`
     is the |z| from which on a robot drifts; `notes` say what could not be compared.

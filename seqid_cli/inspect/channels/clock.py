@@ -1,4 +1,4 @@
-"""Time: units, rate, gaps, stamps, and what the reader had to say."""
+"""Time: units, rate, gaps, stamps, and the reader's warnings."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.shares import percent
-
-SLOW_HZ, TOO_SLOW_HZ, TOO_FAST_HZ = 20.0, 5.0, 50_000.0
-EARLY_S, LATE_S = -0.005, 5.0  # of logging behind the header stamp
 
 # What the reader says in words, and the code that it stands for; empty where a check of its own
 # says it better.
@@ -42,18 +39,26 @@ _SAID: tuple[tuple[str, str], ...] = (
 )
 
 
-def clock_findings(data: LogData) -> Iterator[InspectionFinding]:
-    """Check the clock of a log and pass on what its reader said."""
+def clock_findings(
+    data: LogData,
+    *,
+    slow_hz: float = 20.0,
+    min_hz: float = 5.0,
+    max_hz: float = 50_000.0,
+    min_delay_s: float = -0.005,
+    max_delay_s: float = 5.0,
+) -> Iterator[InspectionFinding]:
+    """Check the clock of a log, and turn the reader's warnings into findings."""
     health = data.recording.health
     rate = health.rate_hz
-    if not TOO_SLOW_HZ <= rate <= TOO_FAST_HZ:
+    if not min_hz <= rate <= max_hz:
         yield found(
             "time_unit",
             f"{rate:.3g} samples per second: the time column is not in seconds"
-            + (" but looks like ms" if 0.02 <= rate <= TOO_SLOW_HZ else ""),
+            + (" but looks like ms" if 0.02 <= rate <= min_hz else ""),
             channel="t",
         )
-    elif rate < SLOW_HZ:
+    elif rate < slow_hz:
         yield found("rate_low", f"{rate:.3g} samples per second")
     if health.jitter > JITTER_LIMIT:
         yield found(
@@ -70,7 +75,7 @@ def clock_findings(data: LogData) -> Iterator[InspectionFinding]:
             f"{worst[1]:.3f} s",
         )
     delay = health.log_minus_header_s
-    if delay is not None and not EARLY_S <= delay <= LATE_S:
+    if delay is not None and not min_delay_s <= delay <= max_delay_s:
         yield found("header_clock", f"messages are logged {delay:.6g} s after their header stamp")
     names = (*data.robot.joint_names, *(imu.name for imu in data.robot.imus))
     standing = {name for j, name in enumerate(data.robot.joint_names) if not data.moves(j)}

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.params.results.inspection import InspectionFinding
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 
 def hole_findings(data: LogData) -> Iterator[InspectionFinding]:

@@ -14,36 +14,21 @@ from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Joint, Robot
+from seqid_cli.robot.types import Array, Joint, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.shares import percent
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 NONE: Rows = np.zeros(0, dtype=np.intp)
-DEGREES = 180.0 / np.pi
-OUTSIDE = 0.02  # of the limits' span
-JUMP_ACCELERATION = 1000.0  # rad/s^2 (m/s^2): beyond any arm
-JUMP_MOST = 0.05  # rad (m): at low rates the acceleration says little
-JUMP_STEPS = 8.0
-JUMP_NOISE = 6.0  # times what one in a hundred changes differs from those around it
-JUMPS = 16  # changes that may be jumps themselves
-JUMP_RANGE = 0.005  # of the position's range: smaller ones do no harm
 ALONE = 0.3  # of a jump, that the samples before and after may move
-FROZEN_SAMPLES, FROZEN_S = 5, 0.01
-TURN = 2.0 * np.pi
-TOO_FAST = 20.0  # rad/s: of most joints, only in degrees
-MISSING = 0.01
-SPEEDING = 2.0
-ON_LATTICE, OFF_LATTICE = 0.9, 0.5
 
 
 @dataclass(frozen=True)
 class Break:
     """Where the positions of one joint are broken, and the joint samples that are wrong.
 
-    `rows` is empty where the samples cannot be told, or all after some moment are wrong.
+    `rows` is empty where the samples are not known, or all after some moment are wrong.
     """
 
     joint: int
@@ -80,7 +65,7 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
 def _smooth(t: Array, q: Array) -> bool:
     """Whether no two changes of a position in a row differ by as much as any break makes."""
     usual = float(np.median(np.diff(t)))
-    least = ALONE * min(JUMP_ACCELERATION * usual**2, JUMP_MOST)
+    least = ALONE * _beyond_any_arm(usual)
     bend = np.diff(q, 2)
     return bool(max(bend.max(), -bend.min()) < least)
 
@@ -95,7 +80,9 @@ def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Inspec
             yield unit
 
 
-def position_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+def position_quality(
+    data: LogData, broken: Container[str], *, max_missing: float = 0.01
+) -> Iterator[InspectionFinding]:
     """Check how well positions are measured, but for the joints named in `broken`."""
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
@@ -103,7 +90,7 @@ def position_quality(data: LogData, broken: Container[str]) -> Iterator[Inspecti
         if len(q) < 3:
             continue
         share = missing_share(column)
-        if share > MISSING:
+        if share > max_missing:
             text = f"{percent(share)} of the positions are missing"
             yield found("values_missing", text, joint=joint.name, channel="position")
         if joint.name in broken:
@@ -116,14 +103,19 @@ def position_quality(data: LogData, broken: Container[str]) -> Iterator[Inspecti
         yield from _speed(data, j)
 
 
-def _unit(data: LogData, j: int) -> InspectionFinding | None:
+def _unit(
+    data: LogData,
+    j: int,
+    *,
+    min_outside: float = 0.02,  # of the limits' span
+) -> InspectionFinding | None:
     """Compare with the limits, as they are and in other units."""
     joint = data.robot.joints[j]
     column = data.joints.channels["position"][:, j]
     q = column[np.isfinite(column)]
     if joint.position_limits is None or len(q) < 3:
         return None
-    margin = max(3.0 * data.step[j], OUTSIDE * _span(joint.position_limits))
+    margin = max(3.0 * data.step[j], min_outside * _span(joint.position_limits))
     if _within(q, joint.position_limits, margin):
         return None
     low, high = joint.position_limits
@@ -132,7 +124,9 @@ def _unit(data: LogData, j: int) -> InspectionFinding | None:
         f"runs from {q.min():.4g} to {q.max():.4g}, the limits are {low:.4g} to {high:.4g} {unit}"
     )
     choices = (
-        [("position_in_mm", 1000.0)] if joint.prismatic else [("position_in_degrees", DEGREES)]
+        [("position_in_mm", 1000.0)]
+        if joint.prismatic
+        else [("position_in_degrees", np.degrees(1.0))]
     )
     if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
         choices.append(("position_motor_side", joint.gear_ratio))
@@ -140,7 +134,7 @@ def _unit(data: LogData, j: int) -> InspectionFinding | None:
         choices.sort(key=lambda choice: abs(np.log(_ratio(q, joint) / abs(choice[1]))))
     beyond = max(low - float(q.min()), float(q.max()) - high)
     for code, factor in choices:
-        fills = np.ptp(q) / abs(factor) >= OUTSIDE * _span(joint.position_limits)
+        fills = np.ptp(q) / abs(factor) >= min_outside * _span(joint.position_limits)
         if (
             beyond > _span(joint.position_limits)
             and fills
@@ -163,7 +157,7 @@ def _span(limits: tuple[float, float]) -> float:
     return limits[1] - limits[0]
 
 
-def fast_in_degrees(data: LogData) -> Iterator[InspectionFinding]:
+def fast_in_degrees(data: LogData, *, max_speed: float = 20.0) -> Iterator[InspectionFinding]:
     """Take positions for degrees where most moving joints of an arm are impossibly fast.
 
     Only for logs with neither limits nor velocities, which say it with more certainty.
@@ -173,7 +167,7 @@ def fast_in_degrees(data: LogData) -> Iterator[InspectionFinding]:
         return
     moving = [j for j in range(robot.n) if data.moves(j) and not robot.joints[j].prismatic]
     speeds = [_top_speed(data, j) for j in moving]
-    if len(moving) >= 2 and float(np.median(speeds)) > TOO_FAST:
+    if len(moving) >= 2 and float(np.median(speeds)) > max_speed:
         for j, speed in zip(moving, speeds, strict=True):
             text = f"moves at {speed:.3g} per second: it looks like degrees"
             yield found("position_in_degrees", text, joint=robot.joints[j].name, channel="position")
@@ -192,12 +186,12 @@ def top_speeds(data: LogData) -> list[float]:
     return [_top_speed(data, j) for j in range(data.robot.n)]
 
 
-def _speed(data: LogData, j: int) -> Iterator[InspectionFinding]:
+def _speed(data: LogData, j: int, *, max_ratio: float = 2.0) -> Iterator[InspectionFinding]:
     joint = data.robot.joints[j]
     if joint.velocity_limit is None:
         return
     top = _top_speed(data, j)
-    if top > SPEEDING * joint.velocity_limit:
+    if top > max_ratio * joint.velocity_limit:
         text = f"reaches {top:.3g}, velocity_limit is {joint.velocity_limit:.3g}"
         yield found("speed_limit", text, joint=joint.name, channel="position")
 
@@ -210,8 +204,9 @@ def _breaks(
     usual = float(np.median(dt))
     if usual <= 0.0:
         return
-    turns = np.rint(d / TURN)
-    wraps = (turns != 0) & (np.abs(d - turns * TURN) < 0.05 * TURN) & (dt < 2.5 * usual)
+    turn = 2.0 * np.pi
+    turns = np.rint(d / turn)
+    wraps = (turns != 0) & (np.abs(d - turns * turn) < 0.05 * turn) & (dt < 2.5 * usual)
     if not joint.prismatic and wraps.any() and usual < 0.25:
         at = float(t[int(np.argmax(wraps))])
         text = f"changes by whole turns {int(wraps.sum())} times, first at {at:.3f} s"
@@ -231,18 +226,37 @@ def _breaks(
     yield from _jumps(joint, t, q, large, usual)
 
 
-def _least_jump(q: Array, step: float, usual: float) -> float:
+def _least_jump(
+    q: Array,
+    step: float,
+    usual: float,
+    *,
+    min_steps: float = 8.0,
+    min_noise: float = 6.0,  # times what one in a hundred changes differs from its neighbours
+    max_jumps: int = 16,
+    min_share: float = 0.005,  # of the position's range
+) -> float:
     """Return the change between two samples that neither motion nor the log's own noise makes."""
     d = np.diff(q)
     uneven = np.abs(d - median_filter(d, 5, mode="wrap"))
-    count = max(len(uneven) - JUMPS, 1)
+    count = max(len(uneven) - max_jumps, 1)
     usual_ones = np.partition(uneven, count - 1)[:count]
     return max(
-        JUMP_STEPS * step,
-        min(JUMP_ACCELERATION * usual**2, JUMP_MOST),
-        JUMP_NOISE * float(np.quantile(usual_ones, 0.99)),
-        JUMP_RANGE * float(np.ptp(np.quantile(q, (0.01, 0.99)))),
+        min_steps * step,
+        _beyond_any_arm(usual),
+        min_noise * float(np.quantile(usual_ones, 0.99)),
+        min_share * float(np.ptp(np.quantile(q, (0.01, 0.99)))),
     )
+
+
+def _beyond_any_arm(
+    usual: float,
+    *,
+    max_acceleration: float = 1000.0,  # rad/s^2 (m/s^2)
+    max_step: float = 0.05,  # rad (m): at low rates the acceleration says little
+) -> float:
+    """Return the change of velocity, times the usual time, that no arm makes."""
+    return min(max_acceleration * usual**2, max_step)
 
 
 def _jumps(
@@ -280,7 +294,7 @@ def _returns(d: Array, k: int) -> int:
 
 
 def _smaller(size: Array, direction: int) -> Array:
-    """Return the smaller of the two changes on one side of each change; a spike has one large."""
+    """Return the smaller of the two changes on one side of each change; a spike has a large one."""
     one, two = np.roll(size, direction), np.roll(size, 2 * direction)
     edge = slice(0, 2) if direction > 0 else slice(-2, None)
     one[edge], two[edge] = 0.0, 0.0
@@ -288,12 +302,14 @@ def _smaller(size: Array, direction: int) -> Array:
     return smaller
 
 
-def _frozen(t: Array, q: Array, large: float) -> list[tuple[int, int, float]]:
+def _frozen(
+    t: Array, q: Array, large: float, *, min_samples: int = 5, min_s: float = 0.01
+) -> list[tuple[int, int, float]]:
     """List freezes: first sample, length, and the jump that ends it."""
     found_runs = []
-    for run in equal_runs(q, FROZEN_SAMPLES):
+    for run in equal_runs(q, min_samples):
         a, b = run.start, run.start + run.length  # b: first sample after
-        if b + 5 >= len(q) or a < 5 or t[b - 1] - t[a] < FROZEN_S:
+        if b + 5 >= len(q) or a < 5 or t[b - 1] - t[a] < min_s:
             continue
         jump = float(q[b] - q[b - 1])
         before, after = float(q[a] - q[a - 5]) / 5, float(q[b + 5] - q[b]) / 5
@@ -303,18 +319,20 @@ def _frozen(t: Array, q: Array, large: float) -> list[tuple[int, int, float]]:
     return found_runs
 
 
-def _resolution(joint: Joint, q: Array, step: float) -> Iterator[InspectionFinding]:
+def _resolution(
+    joint: Joint, q: Array, step: float, *, on_lattice: float = 0.9, off_lattice: float = 0.5
+) -> Iterator[InspectionFinding]:
     declared = joint.encoder_resolution
     if declared is None or np.ptp(q) < 20 * max(declared, step):
         return
     if step and abs(step / declared - 1.0) < 0.1:
         return
-    if _coherence(q, declared) > ON_LATTICE and (not step or _coherence(q, 2 * declared) < 0.5):
+    if _coherence(q, declared) > on_lattice and (not step or _coherence(q, 2 * declared) < 0.5):
         return
     text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
     if not step:
         noise = float(white_noise(q))
-        if noise > 0.1 * declared or _coherence(q, declared) > OFF_LATTICE:
+        if noise > 0.1 * declared or _coherence(q, declared) > off_lattice:
             return
         text = f"it has no steps, the robot file says {declared:.4g}"
     yield found("encoder_resolution", text, joint=joint.name, channel="position")

@@ -12,17 +12,8 @@ from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
-
-MISSING = 0.01
-STUCK_SAMPLES, STUCK_S = 50, 0.2
-LIVELY = 0.9  # share of changing samples of a channel that does not repeat itself
-COARSE = 0.25  # of the standard deviation
-DITHERED = 0.6  # share of changing samples, beyond which noise carries the signal over the steps
-WHOLE, WHOLE_LEAST = 0.999, 30.0
 
 
 def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
@@ -68,7 +59,9 @@ def _of_moving(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]
         yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
 
 
-def torque_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+def torque_quality(
+    data: LogData, broken: Container[str], *, max_missing: float = 0.01
+) -> Iterator[InspectionFinding]:
     """Check how well torque is measured, but for the joints named in `broken`."""
     effort = data.effort()
     if effort is None:
@@ -76,7 +69,7 @@ def torque_quality(data: LogData, broken: Container[str]) -> Iterator[Inspection
     quantity, values = effort
     for j, joint in enumerate(data.robot.joints):
         share = missing_share(values[:, j])
-        if share > MISSING:
+        if share > max_missing:
             text = f"{percent(share)} of the values are missing"
             yield found("values_missing", text, joint=joint.name, channel=quantity)
         if data.moves(j) and joint.name not in broken:
@@ -84,28 +77,38 @@ def torque_quality(data: LogData, broken: Container[str]) -> Iterator[Inspection
                 yield found(code, text, joint=joint.name, channel=quantity)
 
 
-def _resolved(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]]:
+def _resolved(
+    data: LogData, j: int, column: Array, *, max_step: float = 0.25, max_changing: float = 0.6
+) -> Iterator[tuple[str, str]]:
     present = np.isfinite(column)
     values, moving = column[present], data.moving_samples(j)[present]
     size = held(values)
     if size > 1:
         yield "channel_held", f"repeats each value {size} times"
     step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
-    dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > DITHERED
-    if step and spread and step > COARSE * spread and not dithered:
+    dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
+    if step and spread and step > max_step * spread and not dithered:
         yield "torque_quantised", f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
 
 
-def _stuck(values: Array, t: Array, moving: NDArray[np.bool_]) -> str:
-    if np.mean(np.diff(values) != 0) < LIVELY:
+def _stuck(
+    values: Array,
+    t: Array,
+    moving: NDArray[np.bool_],
+    *,
+    min_samples: int = 50,
+    min_s: float = 0.2,
+    min_changing: float = 0.9,
+) -> str:
+    if np.mean(np.diff(values) != 0) < min_changing:
         lively = np.median(np.diff(values[moving]) != 0) if moving.sum() > 2 else 0.0
         if not lively:
             return ""
-    for run in equal_runs(values, STUCK_SAMPLES):
+    for run in equal_runs(values, min_samples):
         inside = slice(run.start, run.start + run.length)
         seconds = float(t[run.start + run.length - 1] - t[run.start])
         if (
-            seconds >= STUCK_S
+            seconds >= min_s
             and moving[inside].mean() > 0.5
             and run.value not in (values.min(), values.max())
         ):
@@ -113,12 +116,14 @@ def _stuck(values: Array, t: Array, moving: NDArray[np.bool_]) -> str:
     return ""
 
 
-def _milliamperes(data: LogData, values: Array) -> Iterator[InspectionFinding]:
+def _milliamperes(
+    data: LogData, values: Array, *, min_whole: float = 0.999, min_largest: float = 30.0
+) -> Iterator[InspectionFinding]:
     """Whole numbers beyond 30 in all channels are no amperes of an arm's drive."""
     columns = [values[np.isfinite(values[:, j]), j] for j in range(data.robot.n)]
     live = {j: c for j, c in enumerate(columns) if len(c) and np.ptp(c) > 0}
-    whole = all(np.mean(c == np.rint(c)) > WHOLE for c in live.values())
-    if live and whole and max(float(np.abs(c).max()) for c in live.values()) > WHOLE_LEAST:
+    whole = all(np.mean(c == np.rint(c)) > min_whole for c in live.values())
+    if live and whole and max(float(np.abs(c).max()) for c in live.values()) > min_largest:
         for j in live:
             text = "holds whole numbers beyond 30: it looks like mA"
             name = data.robot.joint_names[j]

@@ -9,16 +9,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.robot.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-RUN = 3  # samples at an extreme that make a run
-CLIPPED_LEAST, CLIPPED_SHARE = 10, 2e-3
-PILED = 3.0  # times the next level of a quantised channel
-HELD_SHARE, HELD_REGULAR = 0.7, 0.95
-HELD_ODD = 0.1  # of the gaps, that are longer ones
-FEW = 20
 
 
 @dataclass(frozen=True)
@@ -38,14 +31,25 @@ def equal_runs(values: Array, least: int) -> list[Run]:
     return [Run(int(a), int(b - a + 1), float(values[a])) for a, b in pairs if b - a + 1 >= least]
 
 
-def clipped(values: Array) -> tuple[float, float] | None:
+def clipped(
+    values: Array,
+    *,
+    min_run: int = 3,
+    min_samples: int = 10,
+    min_share: float = 2e-3,
+    min_pile: float = 3.0,  # times the next level
+    min_levels: int = 20,
+) -> tuple[float, float] | None:
     """Find a limit at which a channel (M,) is cut off.
 
     Returns
     -------
     (limit, share of the samples) or None
     """
-    if len(values) < FEW or len(np.unique(values[:: max(1, len(values) // 2000)])) < FEW:
+    if (
+        len(values) < min_levels
+        or len(np.unique(values[:: max(1, len(values) // 2000)])) < min_levels
+    ):
         return None
     step: float | None = None
     for limit in (float(values.max()), float(values.min())):
@@ -53,8 +57,8 @@ def clipped(values: Array) -> tuple[float, float] | None:
             continue  # a brake, or a channel that is off, not a limit
         at = values == limit
         visits = runs(at, len(at))
-        piled = sum(b - a for a, b in visits if b - a >= RUN)
-        if max(piled, len(visits)) < max(CLIPPED_LEAST, CLIPPED_SHARE * len(values)):
+        piled = sum(b - a for a, b in visits if b - a >= min_run)
+        if max(piled, len(visits)) < max(min_samples, min_share * len(values)):
             continue
         step = lattice(values) if step is None else step
         inner = (
@@ -65,24 +69,31 @@ def clipped(values: Array) -> tuple[float, float] | None:
             if step
             else [0]
         )
-        if int(at.sum()) > PILED * max(inner):
+        if int(at.sum()) > min_pile * max(inner):
             return limit, float(at.mean())
     return None
 
 
-def held(values: Array) -> int:
+def held(
+    values: Array,
+    *,
+    min_equal: float = 0.7,
+    min_regular: float = 0.95,
+    max_longer: float = 0.1,
+    min_changes: int = 20,
+) -> int:
     """Return in groups of how many samples a channel (M,) repeats its values; 1 if it does not."""
     changes = np.flatnonzero(np.diff(values) != 0)
-    if len(changes) < FEW:
+    if len(changes) < min_changes:
         return 1
     gaps = np.diff(changes)
     size = int(np.bincount(gaps).argmax())
     regular = float(np.mean(gaps % size == 0))
-    if size < 2 or regular < HELD_REGULAR:
+    if size < 2 or regular < min_regular:
         return 1
-    if np.count_nonzero(gaps > size) > max(FEW, HELD_ODD * len(gaps)):
+    if np.count_nonzero(gaps > size) > max(min_changes, max_longer * len(gaps)):
         return size  # changes far apart and still in step: no motion keeps such time
-    if np.mean(gaps == size) < HELD_SHARE:
+    if np.mean(gaps == size) < min_equal:
         return 1
     step = lattice(values)
     if step and np.median(np.abs(np.diff(values)[changes])) < 1.5 * step:
@@ -114,7 +125,7 @@ def _refined(values: Array, step: float) -> float:
 
 
 def missing_share(values: Array) -> float:
-    """Share of a channel (M,) that is missing at uneven distances; 0 for one merely slower."""
+    """Share of a channel (M,) that is missing at uneven distances; 0 for a slower channel."""
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:
         return 0.0

@@ -8,33 +8,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.channels.positions import DEGREES
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
+from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
 
-Array = NDArray[np.float64]
-
-WINDOWS_S = (0.1, 0.2, 0.5, 1.0)  # the shortest in which the encoder sees enough
 COUNTS = 10.0  # encoder steps of travel that make a window count
 FEWEST = 10
-NOTHING = 0.05
 NEAR = 0.15
-GAIN_LOW, GAIN_HIGH, CORRELATED = 0.8, 1.25, 0.9
-CROSSED = 0.95
-DEAD = 0.3  # of the usual travel of a window, that a dead encoder's joint must move
+CORRELATED = 0.9
 
 
 def velocity_findings(
-    data: LogData, broken: frozenset[str] = frozenset()
+    data: LogData,
+    broken: frozenset[str] = frozenset(),
+    *,
+    windows_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0),
 ) -> Iterator[InspectionFinding]:
     """Check the velocity of every joint that moves, but for the joints named in `broken`."""
     if data.recording.dq is None:
         return
     names = data.robot.joint_names
     sound = [j for j in range(data.robot.n) if names[j] not in broken]
-    choices = [_windows(data, seconds) for seconds in WINDOWS_S]
+    choices = [_windows(data, seconds) for seconds in windows_s]
     # The shortest windows that show as many joints as any; max takes the first of equals.
     windows = max(choices, key=lambda choice: len(_judged(choice, data, sound)))
     travel, integral, counts = windows.travel, windows.integral, windows.counts(data)
@@ -96,13 +93,19 @@ def _judged(windows: _Windows, data: LogData, sound: list[int]) -> list[int]:
     return [j for j in sound if counts[:, j].sum() >= FEWEST]
 
 
-def _dead_s(data: LogData, choices: list[_Windows], j: int) -> float:
+def _dead_s(
+    data: LogData,
+    choices: list[_Windows],
+    j: int,
+    *,
+    min_share: float = 0.3,  # of a window's usual travel
+) -> float:
     """Seconds in which a joint's velocity moves it and its position does not; 0 if too few."""
     for windows in choices:
         size = np.abs(windows.integral[:, j])
         if not len(size):
             continue
-        fast = max(COUNTS * float(data.step[j]), DEAD * float(np.quantile(size, 0.9)))
+        fast = max(COUNTS * float(data.step[j]), min_share * float(np.quantile(size, 0.9)))
         dead = (windows.travel[:, j] == 0.0) & (size > fast)
         if dead.sum() >= FEWEST:
             return windows.seconds * float(dead.sum())
@@ -131,7 +134,12 @@ def _time_unit(gains: dict[int, float]) -> float:
 
 
 def _crossed(
-    travel: Array, integral: Array, counts: NDArray[np.bool_], judged: list[int]
+    travel: Array,
+    integral: Array,
+    counts: NDArray[np.bool_],
+    judged: list[int],
+    *,
+    min_crossed: float = 0.95,
 ) -> list[tuple[int, int]]:
     pairs = []
     for a in judged:
@@ -140,20 +148,29 @@ def _crossed(
                 rows = counts[:, a] | counts[:, b]
                 own = [_fit(travel[rows, j], integral[rows, j])[1] for j in (a, b)]
                 other = [_fit(travel[rows, i], integral[rows, j])[1] for i, j in ((a, b), (b, a))]
-                if min(other) > CROSSED and max(own) < CORRELATED:
+                if min(other) > min_crossed and max(own) < CORRELATED:
                     pairs.append((a, b))
     return pairs
 
 
 def _verdict(
-    data: LogData, j: int, gain: float, correlation: float, ratio: float
+    data: LogData,
+    j: int,
+    gain: float,
+    correlation: float,
+    ratio: float,
+    *,
+    max_empty: float = 0.05,
+    min_gain: float = 0.8,
+    max_gain: float = 1.25,
 ) -> Iterator[InspectionFinding]:
     joint = data.robot.joints[j]
-    if ratio < NOTHING and abs(correlation) < CORRELATED:
+    if ratio < max_empty and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"
         yield found("velocity_zero", text, joint=joint.name, channel="velocity")
         return
-    codes = {DEGREES: "position_in_degrees", 1.0 / DEGREES: "velocity_in_degrees", -1.0: ""}
+    degrees = np.degrees(1.0)
+    codes = {degrees: "position_in_degrees", 1.0 / degrees: "velocity_in_degrees", -1.0: ""}
     if joint.prismatic:
         codes = {1000.0: "position_in_mm", -1.0: ""}
     text = f"the position changes by {gain:.3g} times the velocity's integral"
@@ -163,6 +180,6 @@ def _verdict(
                 channel = "position" if code.startswith("position") else "velocity"
                 yield found(code or "velocity_sign", text, joint=joint.name, channel=channel)
                 return
-    if not GAIN_LOW < gain < GAIN_HIGH or correlation < CORRELATED:
+    if not min_gain < gain < max_gain or correlation < CORRELATED:
         text += f", correlation {correlation:.2f}"
         yield found("velocity_inconsistent", text, joint=joint.name, channel="velocity")

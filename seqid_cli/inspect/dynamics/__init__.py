@@ -1,1 +1,1 @@
-"""Checks of torque against motion: friction, the robot's equations, and what mends them."""
+"""Checks of torque against motion: friction, the robot's equations, causes of a misfit."""

@@ -1,4 +1,4 @@
-"""What may be wrong between a log and its robot, each as the change to the log that undoes it."""
+"""Causes of a misfit between log and robot, each as the change to the log that undoes it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from seqid_cli.inspect.dynamics.friction import Sample
 from seqid_cli.inspect.material import LogData
 from seqid_cli.robot.types import Robot
 
-TURN = 2.0 * np.pi  # beyond which some position lies where they are in degrees
+Change = Callable[[Sample], Sample]
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,13 @@ class Cause:
     code: str
     joints: tuple[int, ...]
     text: str
-    change: Callable[[Sample], Sample]
+    change: Change
     channel: str = "position"
 
 
 def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
-    """Yield what is commonly wrong with axes, zeros, signs, units and the order of joints."""
-    far = np.abs(sample.q).max(axis=0) > TURN  # less in degrees is no motion to speak of
+    """Yield the common faults of axes, zeros, signs, units and the order of joints."""
+    far = np.abs(sample.q).max(axis=0) > 2.0 * np.pi  # less in degrees is no motion to speak of
     turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
     for joints in (group for group in degrees if far[list(group)].any()):
@@ -45,9 +45,13 @@ def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
     for a, b in combinations(sample.moving, 2):
         if robot.joints[a].prismatic != robot.joints[b].prismatic:
             continue
-        yield Cause("joints_swapped", (a, b), "are exchanged", _swapped(a, b, tau=True))
-        yield Cause("joints_swapped", (a, b), "have exchanged positions", _swapped(a, b, tau=False))
-        yield Cause("joints_swapped", (a, b), "have exchanged torques", _swapped_torques(a, b))
+        yield Cause("joints_swapped", (a, b), "are exchanged", _swapped(a, b))
+        yield Cause(
+            "joints_swapped", (a, b), "have exchanged positions", _swapped(a, b, torque=False)
+        )
+        yield Cause(
+            "joints_swapped", (a, b), "have exchanged torques", _swapped(a, b, motion=False)
+        )
 
 
 def units_of(data: LogData) -> Iterator[Cause]:
@@ -65,7 +69,7 @@ def units_of(data: LogData) -> Iterator[Cause]:
     )
 
 
-def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Callable[[Sample], Sample]:
+def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Change:
     def change(sample: Sample) -> Sample:
         sign = np.ones(sample.q.shape[1])
         sign[j] = -1.0
@@ -82,7 +86,7 @@ def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Callable[[S
     return change
 
 
-def _in_radians(joints: tuple[int, ...]) -> Callable[[Sample], Sample]:
+def _in_radians(joints: tuple[int, ...]) -> Change:
     def change(sample: Sample) -> Sample:
         factor = np.ones(sample.q.shape[1])
         factor[list(joints)] = np.pi / 180.0
@@ -91,7 +95,7 @@ def _in_radians(joints: tuple[int, ...]) -> Callable[[Sample], Sample]:
     return change
 
 
-def _shifted(j: int, angle: float) -> Callable[[Sample], Sample]:
+def _shifted(j: int, angle: float) -> Change:
     def change(sample: Sample) -> Sample:
         shift = np.zeros(sample.q.shape[1])
         shift[j] = angle
@@ -100,28 +104,21 @@ def _shifted(j: int, angle: float) -> Callable[[Sample], Sample]:
     return change
 
 
-def _swapped(a: int, b: int, *, tau: bool) -> Callable[[Sample], Sample]:
+def _swapped(a: int, b: int, *, motion: bool = True, torque: bool = True) -> Change:
     def change(sample: Sample) -> Sample:
         order = list(range(sample.q.shape[1]))
         order[a], order[b] = b, a
-        moving = tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving))
+        if torque:
+            sample = replace(sample, tau=sample.tau[:, order])
+        if not motion:
+            return sample
         return replace(
             sample,
             q=sample.q[:, order],
             dq=sample.dq[:, order],
             ddq=sample.ddq[:, order],
             direction=sample.direction[:, order],
-            tau=sample.tau[:, order] if tau else sample.tau,
-            moving=moving,
+            moving=tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving)),
         )
-
-    return change
-
-
-def _swapped_torques(a: int, b: int) -> Callable[[Sample], Sample]:
-    def change(sample: Sample) -> Sample:
-        order = list(range(sample.q.shape[1]))
-        order[a], order[b] = b, a
-        return replace(sample, tau=sample.tau[:, order])
 
     return change

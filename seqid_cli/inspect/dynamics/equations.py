@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
@@ -22,33 +21,17 @@ from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
 
-Array = NDArray[np.float64]
-
-SUSPICIOUS = 0.1  # of the torque's RMS left by the equations, from where a cause is looked for
-POOR = 0.6
-SEEN = 10.0  # encoder steps per second, of each joint that is to follow the equations
-MENDED = 0.5  # of the error, that a cause may leave
-SOUND = 0.35  # of the torque's RMS, that a mended fit may leave
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
-RIVALS, MOST_ALIKE = 8, 3  # causes looked at closely, and joints that they may be of
-ROWS, FEW_ROWS = 600, 250  # of a fit, and of a first look at many
-SLIDES = 0.2  # of the RMS speed
-SIGMAS = 3.0
-SMALL, LARGE = 0.25, 4.0
-LOADED = 0.2  # of the largest gravity torque, that a joint must carry to be judged
 HEAVY = 1e-3  # N m
-ACTING = 0.1  # of the largest gravity torque of a joint in any posture, the same
-LIGHT = 0.05  # of the largest of any joint: lighter ones show friction rather than gravity
-POSTURES = 200
 KINDS = ("axis_flipped", "position_zero", "joints_swapped")
 
 
 @dataclass(frozen=True)
 class Left:
-    """What a fit leaves of the torque's RMS, and the number of columns that it can tell apart."""
+    """The torque that a fit leaves, as a share of its RMS, and the rank of the fit."""
 
     error: float
     columns: int
@@ -70,6 +53,10 @@ class Weight:
     ratio: float
     error: float
     rms: float
+
+    def limits(self, *, sigmas: float = 3.0) -> tuple[float, float]:
+        """Return the interval of the ratio, `sigmas` standard errors either way."""
+        return self.ratio - sigmas * self.error, self.ratio + sigmas * self.error
 
 
 def geometry_findings(
@@ -99,22 +86,31 @@ def geometry_findings(
         mends = [f for f in structural if f.code != "model_mismatch"]
         agrees = any((f.code, frozenset(f.joint.split(", "))) in known for f in mends)
         return friction if agrees or not mends else mends
-    return structural or [*_scale(data, sample, _weights(data.robot, _thinned(sample, ROWS)))]
+    return structural or [*_scale(data, sample, _weights(data.robot, _thinned(sample)))]
 
 
-def _structural(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+def _structural(
+    data: LogData,
+    sample: Sample,
+    *,
+    suspicious: float = 0.1,
+    poor: float = 0.6,
+    min_steps: float = 10.0,
+) -> Iterator[InspectionFinding]:
     robot = data.robot
-    thin = _thinned(sample, ROWS)
+    thin = _thinned(sample)
     left = _structural_error(robot, thin)
     error = left.error
-    if error < SUSPICIOUS:
+    if error < suspicious:
         return
     free = _structural_error(robot, thin, own_law=True).error
     causes = [*causes_of(robot, thin), *units_of(data)]
     mended = _mending(robot, thin, left, _structural_error, causes, free=free)
     if mended is not None:
         yield mended.finding
-    elif error > POOR and all(sample.rms_speed(j) > SEEN * data.step[j] for j in sample.moving):
+    elif error > poor and all(
+        sample.rms_speed(j) > min_steps * data.step[j] for j in sample.moving
+    ):
         yield found(
             "model_mismatch", f"the equations leave {percent(error, 0)} of the torque's RMS"
         )
@@ -128,6 +124,11 @@ def _mending(
     causes: Sequence[Cause],
     *,
     free: float = np.inf,
+    max_ratio: float = 0.5,
+    max_error: float = 0.35,
+    max_rivals: int = 8,
+    max_alike: int = 3,
+    few_rows: int = 250,
 ) -> Mended | None:
     """Find the one change that mends a fit; None where none does, or too many.
 
@@ -136,20 +137,20 @@ def _mending(
     feels it, say), any free function would do better as well: then it must leave half of what such
     functions leave, `free`.
     """
-    few = _thinned(sample, FEW_ROWS)
+    few = _thinned(sample, few_rows)
     tried = [(measure(robot, cause.change(few)).error, cause) for cause in causes]
     tried.sort(key=lambda item: item[0])
-    best = [(measure(robot, cause.change(sample)), cause) for _, cause in tried[:RIVALS]]
+    best = [(measure(robot, cause.change(sample)), cause) for _, cause in tried[:max_rivals]]
     best.sort(key=lambda item: item[0].error)
     alike = [cause for after, cause in best if after.error < best[0][0].error / BETTER]
-    if len({frozenset(cause.joints) for cause in alike}) > MOST_ALIKE:
+    if len({frozenset(cause.joints) for cause in alike}) > max_alike:
         return None
     if robot.nominal is not None:
         alike.sort(key=lambda cause: _nominal_error(robot, cause.change(sample)).error)
     cause = alike[0]
     after = next(after for after, other in best if other is cause)
     most = min(before.error, free) if after.columns > before.columns else before.error
-    if after.error > min(MENDED * most, SOUND):
+    if after.error > min(max_ratio * most, max_error):
         return None
     names = ", ".join(robot.joint_names[j] for j in cause.joints)
     fall = f"falls from {percent(before.error)} to {percent(after.error)}"
@@ -165,7 +166,8 @@ def _mending(
     return Mended(finding, after.error)
 
 
-def _thinned(sample: Sample, count: int) -> Sample:
+def _thinned(sample: Sample, count: int = 600) -> Sample:
+    """Keep about `count` rows, for a fit of all joints at once."""
     every = max(1, len(sample.q) // count)
     rows = slice(None, None, every)
     return replace(
@@ -179,7 +181,9 @@ def _thinned(sample: Sample, count: int) -> Sample:
     )
 
 
-def _structural_error(robot: Robot, sample: Sample, *, own_law: bool = False) -> Left:
+def _structural_error(
+    robot: Robot, sample: Sample, *, own_law: bool = False, min_speed: float = 0.2
+) -> Left:
     """RMS that rigid body and friction leave of the torques, each as a share of its own.
 
     With `own_law`, and a smooth function of each joint's own position.
@@ -191,7 +195,7 @@ def _structural_error(robot: Robot, sample: Sample, *, own_law: bool = False) ->
     tau = sample.tau
     sliding = np.zeros(tau.shape, dtype=bool)  # at rest friction takes any value
     for j in sample.moving:
-        sliding[:, j] = np.abs(sample.dq[:, j]) > SLIDES * sample.rms_speed(j)
+        sliding[:, j] = np.abs(sample.dq[:, j]) > min_speed * sample.rms_speed(j)
     squares = np.where(sliding, tau, 0.0) ** 2
     size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1))
     size = np.maximum(size, 1e-12)
@@ -202,7 +206,14 @@ def _structural_error(robot: Robot, sample: Sample, *, own_law: bool = False) ->
     return Left(float(np.sqrt(np.mean((y - W @ theta) ** 2))), int(rank))
 
 
-def _weights(robot: Robot, sample: Sample) -> list[Weight]:
+def _weights(
+    robot: Robot,
+    sample: Sample,
+    *,
+    min_load: float = 0.2,  # of the largest gravity torque in the log
+    min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
+    min_weight: float = 0.05,  # of the largest gravity torque of any joint
+) -> list[Weight]:
     """Compare the torque of each moving joint with gravity by the URDF's inertials.
 
     Only joints that carry a fair share of the weight, by which a URDF can be judged.
@@ -219,10 +230,10 @@ def _weights(robot: Robot, sample: Sample) -> list[Weight]:
     for j in sample.moving:
         alike = slides == slides[j]  # forces and torques are not to be compared
         least = max(
-            LOADED * max(float(rms[alike & moving].max()), HEAVY),
-            ACTING * float(could[j]),
+            min_load * max(float(rms[alike & moving].max()), HEAVY),
+            min_acting * float(could[j]),
         )
-        if rms[j] < least or could[j] < LIGHT * could[alike].max():
+        if rms[j] < least or could[j] < min_weight * could[alike].max():
             continue  # friction that changes with position would pass for gravity
         own = columns[:, j, 4 * j : 4 * j + 4]
         X = np.column_stack([gravity[:, j], inertia[:, j], own])
@@ -237,12 +248,12 @@ def _weights(robot: Robot, sample: Sample) -> list[Weight]:
 
 
 @per_robot
-def largest_gravity(robot: Robot) -> Array:
+def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
     """Largest gravity torque (n,) by the URDF's inertials over postures spread evenly; else 0."""
     if robot.nominal is None:
         return np.zeros(robot.n)
     root = 2.0 ** (1.0 / (robot.n + 1))  # powers of it step through all angles evenly
-    turns = np.outer(np.arange(POSTURES), root ** -np.arange(1, robot.n + 1)) % 1.0
+    turns = np.outer(np.arange(postures), root ** -np.arange(1, robot.n + 1)) % 1.0
     slides = np.array([joint.prismatic for joint in robot.joints])
     q = np.where(slides, turns - 0.5, 2.0 * np.pi * turns)
     still = np.zeros_like(q)
@@ -277,16 +288,22 @@ def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Lef
     return Left(float(np.sqrt(np.mean(shares))), 0)
 
 
-def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[InspectionFinding]:
+def _scale(
+    data: LogData,
+    sample: Sample,
+    weights: list[Weight],
+    *,
+    min_opposite: float = 0.25,  # of the expected gravity torque, in the opposite direction
+) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
     off = [w for w in weights if _is_off(w)]
     if not off:
         return
-    thin = _thinned(sample, ROWS)
+    thin = _thinned(sample)
     before, causes = _nominal_error(data.robot, thin), [*causes_of(data.robot, thin)]
     mended = _mending(data.robot, thin, before, _nominal_error, causes)
     unit = _nominal_error(data.robot, thin, scaled=True).error
-    pulls = all(w.ratio > SIGMAS * w.error for w in off)  # gravity acts, in the right direction
+    pulls = all(w.limits()[0] > 0.0 for w in off)  # gravity acts, in the right direction
     if mended is not None and not (pulls and unit < mended.error / BETTER):
         yield mended.finding
         return
@@ -294,13 +311,14 @@ def _scale(data: LogData, sample: Sample, weights: list[Weight]) -> Iterator[Ins
     for w in off:
         joint = data.robot.joints[w.joint]
         text = f"the torque is {w.ratio:.3g} +- {w.error:.1g} of the expected gravity torque"
-        code = "axis_flipped" if w.ratio + SIGMAS * w.error < -SMALL else _unit_code(data, w)
+        code = "axis_flipped" if w.limits()[1] < -min_opposite else _unit_code(data, w)
         yield found(code, text, joint=joint.name, channel=effort[0] if effort else "torque")
 
 
-def _is_off(weight: Weight) -> bool:
-    low = weight.ratio + SIGMAS * weight.error < SMALL
-    return low or abs(weight.ratio) - SIGMAS * weight.error > LARGE
+def _is_off(weight: Weight, *, small: float = 0.25, large: float = 4.0) -> bool:
+    """Whether a torque is beyond these ratios to the expected gravity torque."""
+    low, high = weight.limits()
+    return high < small or max(low, -high) > large
 
 
 def _unit_code(data: LogData, weight: Weight) -> str:

@@ -26,22 +26,11 @@ from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 
-Array = NDArray[np.float64]
-
-ROWS = 1000
-FEWEST = 60
-BOTH_WAYS = 0.05  # rad (m) that a joint must go each way
-BALANCED = 0.2  # of the way there, that a joint must go back: else friction is an offset
-SLOW = 0.1  # of the RMS speed, over which friction changes its sign
-MEMORY_S = 0.3  # of the residual, for the errors
 SIGMAS = 4.0
 SHARE = 0.03  # of the torque's spread, that friction must be to be judged
-ALIEN = 0.25  # of the alien friction, that the own one may be where joints are exchanged
 SMOOTH_TERMS = 4
-UNEXPLAINED = 0.25  # of the torque's spread, that is judged nevertheless without geometry
-RCOND = 1e-8
 
 
 @dataclass(frozen=True)
@@ -72,15 +61,22 @@ class Friction:
     unexplained: float
 
 
-def sample_of(data: LogData) -> Sample | None:
+def sample_of(
+    data: LogData,
+    *,
+    max_rows: int = 1000,
+    min_rows: int = 60,
+    slow: float = 0.1,
+    memory_s: float = 0.3,
+) -> Sample | None:
     """Filter a log; None where it has no torque or nothing moves long enough."""
     recording, robot = data.recording, data.robot
     if recording.tau is None or data.motion is None:
         return None
     motion = decimated(data.motion)
     rows = np.flatnonzero(motion.usable & np.isfinite(motion.dq).all(axis=1))
-    rows = rows[:: max(1, len(rows) // ROWS)]
-    if len(rows) < FEWEST or motion.tau is None:
+    rows = rows[:: max(1, len(rows) // max_rows)]
+    if len(rows) < min_rows or motion.tau is None:
         return None
     moving = tuple(
         j
@@ -89,14 +85,14 @@ def sample_of(data: LogData) -> Sample | None:
     )
     spacing = float(np.median(np.diff(motion.t[rows])))
     speeds = np.maximum(np.sqrt(np.mean(motion.dq[rows] ** 2, axis=0)), 1e-12)
-    direction = motion.filtered(np.tanh(motion.dq / (SLOW * speeds)), 2)
+    direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)
     return Sample(
         motion.q[rows],
         motion.dq[rows],
         motion.ddq[rows],
         motion.tau[rows],
         direction[rows],
-        max(1.0, MEMORY_S / spacing),
+        max(1.0, memory_s / spacing),
         moving,
         _basis(robot) if data.modelled and moving else None,
     )
@@ -107,14 +103,26 @@ def _basis(robot: Robot) -> Basis:
     return base_parameters(robot, rotor=[])
 
 
-def _both_ways(motion: Motion, rows: NDArray[np.intp], j: int) -> bool:
+def _both_ways(
+    motion: Motion,
+    rows: NDArray[np.intp],
+    j: int,
+    *,
+    min_way: float = 0.05,
+    min_balance: float = 0.2,  # of the longer way
+) -> bool:
     dq = motion.dq[rows, j]
     step = float(np.median(np.diff(motion.t[rows])))
     travels = [float(np.abs(part).sum()) * step for part in (dq[dq > 0], dq[dq < 0])]
-    return min(travels) > max(BOTH_WAYS, BALANCED * max(travels))
+    return min(travels) > max(min_way, min_balance * max(travels))
 
 
-def friction_findings(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+def friction_findings(
+    data: LogData,
+    sample: Sample,
+    *,
+    max_unexplained: float = 0.25,  # of the torque's spread
+) -> Iterator[InspectionFinding]:
     """Check signs of torques and their order by the friction that they show."""
     names = data.robot.joint_names
     gravity = _gravity(data.robot, sample)
@@ -131,7 +139,7 @@ def friction_findings(data: LogData, sample: Sample) -> Iterator[InspectionFindi
         fit = fits.get(j)
         if fit is None or any(j in pair for pair in swapped):
             continue
-        if not data.modelled and fit.unexplained > UNEXPLAINED:
+        if not data.modelled and fit.unexplained > max_unexplained:
             continue  # gravity of the other links could pass for anything
         value, error = fit.own
         if value < -SIGMAS * error and value < -SHARE * fit.spread:
@@ -142,7 +150,7 @@ def friction_findings(data: LogData, sample: Sample) -> Iterator[InspectionFindi
             yield found("sign_mismatch", text, joint=names[j], channel="torque")
 
 
-def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
+def _friction(sample: Sample, gravity: Array, j: int, *, rcond: float = 1e-8) -> Friction | None:
     tau = sample.tau[:, j]
     spread = float(tau.std())
     if spread == 0.0 or not sample.moving:
@@ -153,7 +161,7 @@ def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
     X = np.column_stack([signs, *own, sample.ddq[:, moving], *_law(sample, gravity, j)])
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
     U, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
-    kept = s > RCOND * s[0]
+    kept = s > rcond * s[0]
     inverse = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
     theta = inverse @ tau
     residual = tau - X @ theta
@@ -226,7 +234,13 @@ def _exchanged(fits: dict[int, Friction], moving: tuple[int, ...]) -> list[tuple
     return pairs
 
 
-def _alien(fits: dict[int, Friction], i: int, j: int) -> bool:
+def _alien(
+    fits: dict[int, Friction],
+    i: int,
+    j: int,
+    *,
+    max_own: float = 0.25,  # of the alien friction
+) -> bool:
     """Whether the motion of joint i shows as friction in the torque of j and not in its own."""
     own, own_error = fits[i].by_joint[i]
     alien, error = fits[j].by_joint[i]
@@ -236,7 +250,7 @@ def _alien(fits: dict[int, Friction], i: int, j: int) -> bool:
         alien > SIGMAS * error
         and alien > SHARE * fits[j].spread
         and abs(alien) >= largest
-        and abs(own) < max(ALIEN * alien, 2.0 * own_error)
+        and abs(own) < max(max_own * alien, 2.0 * own_error)
     )
 
 

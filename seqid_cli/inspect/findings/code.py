@@ -1,4 +1,4 @@
-"""What a code is."""
+"""One kind of finding: severity, meaning, test and remedy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Findings of known codes, and what they amount to."""
+"""Findings of known codes, and the verdict on a log."""
 
 from __future__ import annotations
 

@@ -9,27 +9,15 @@ from numpy.typing import NDArray
 
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.kinematics import link_motion
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 
-Array = NDArray[np.float64]
-
-LARGEST_S, GRID = 0.06, 25
-ROWS = 4000
-COARSE = 4  # of them, every so many for the first search
-BLOCKS = 8
-FEWEST = 200  # rows
 SIGMAS = 4.0
 FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its link
-WIDE = 0.2  # of the variance left, from where larger shifts are tried
-TURNS = 0.02  # rad/s RMS of a link, above which its motion says something
 MEMORY_S = 0.1
-FAR_S, FAR_STEP_S, FAR_ROWS = 2.0, 0.01, 800
-RCOND = 1e-6
-BLOCK = 32_768  # rows
 
 
 @dataclass(frozen=True)
-class Fit:
+class LinkFit:
     """How an IMU's readings follow a link: share of variance left, delay [s] and its error."""
 
     left: float
@@ -41,7 +29,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Scan:
+class ShiftScan:
     """Readings against the motion of a link, for shifts of some samples either way."""
 
     features: Array  # (N, p)
@@ -58,42 +46,56 @@ class Scan:
         return float(self.left.min()) / self.total
 
 
-def scan(robot: Robot, motion: Motion, values: Array, link: int, *, gyro: bool) -> Scan | None:
+def scan(
+    robot: Robot,
+    motion: Motion,
+    values: Array,
+    link: int,
+    *,
+    gyro: bool,
+    max_shift_s: float = 0.06,
+    grid: int = 25,
+    max_rows: int = 4000,
+    coarse: int = 4,
+    min_rows: int = 200,
+) -> ShiftScan | None:
     """Compare readings (N, K) with the motion of a link; None where it rests."""
     features = _features(robot, motion, link, gyro=gyro)
     if features is None:
         return None
     readings = motion.lowpass(values, motion.valid)
-    shift = max(1, round(LARGEST_S * motion.rate_hz))
+    shift = max(1, round(max_shift_s * motion.rate_hz))
     rows = np.flatnonzero(motion.usable)
     rows = rows[(rows >= shift) & (rows < len(values) - shift)]
-    rows = rows[:: max(1, len(rows) // ROWS)]
-    if len(rows) < FEWEST:
+    rows = rows[:: max(1, len(rows) // max_rows)]
+    if len(rows) < min_rows:
         return None
     y = readings[rows] - readings[rows].mean(axis=0)
     total = float(np.mean(y**2)) * y.shape[1]
     if total == 0.0 or not np.isfinite(total):
         return None
-    shifts = np.unique(np.rint(np.linspace(-shift, shift, GRID)).astype(np.intp))
-    few = slice(None, None, COARSE)
+    shifts = np.unique(np.rint(np.linspace(-shift, shift, grid)).astype(np.intp))
+    few = slice(None, None, coarse)
     left = np.array([_left(features[rows[few] - s], y[few]) for s in shifts])
-    return Scan(features, readings, rows, y, total, shifts, left)
+    return ShiftScan(features, readings, rows, y, total, shifts, left)
 
 
-def fit_link(robot: Robot, motion: Motion, values: Array, link: int, *, gyro: bool) -> Fit | None:
+def fit_link(
+    robot: Robot, motion: Motion, values: Array, link: int, *, gyro: bool, wide: float = 0.2
+) -> LinkFit | None:
     """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
     tried = scan(robot, motion, values, link, gyro=gyro)
     if tried is None:
         return None
     near, best = tried.share, int(tried.left.argmin())
-    if near > WIDE or best in (0, len(tried.left) - 1):
+    if near > wide or best in (0, len(tried.left) - 1):
         far = _far(motion, tried.readings, tried.features)
         if near > FOLLOWS or far.left < 0.5 * near:
             return far
     return _fine(motion, tried)
 
 
-def _fine(motion: Motion, scan: Scan) -> Fit:
+def _fine(motion: Motion, scan: ShiftScan) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample."""
     rows, y, shifts, coarse = scan.rows, scan.y, scan.shifts, int(scan.left.argmin())
     low, high = shifts[max(coarse - 1, 0)], shifts[min(coarse + 1, len(shifts) - 1)]
@@ -105,7 +107,7 @@ def _fine(motion: Motion, scan: Scan) -> Fit:
     X = scan.features[rows - fine[best]]
     spacing = float(np.median(np.diff(rows))) / motion.rate_hz
     fitted = _errors(X, y)[1]
-    return Fit(
+    return LinkFit(
         float(left[best]) / scan.total,
         delay,
         error,
@@ -115,16 +117,24 @@ def _fine(motion: Motion, scan: Scan) -> Fit:
     )
 
 
-def _far(motion: Motion, readings: Array, features: Array) -> Fit:
+def _far(
+    motion: Motion,
+    readings: Array,
+    features: Array,
+    *,
+    max_shift_s: float = 2.0,
+    step_s: float = 0.01,
+    max_rows: int = 800,
+) -> LinkFit:
     """Look for a shift of up to two seconds, roughly, where none near zero fits."""
-    step = max(1, round(FAR_STEP_S * motion.rate_hz))
-    reach = min(round(FAR_S * motion.rate_hz), len(readings) // 4) // step * step
+    step = max(1, round(step_s * motion.rate_hz))
+    reach = min(round(max_shift_s * motion.rate_hz), len(readings) // 4) // step * step
     rows = np.flatnonzero(motion.usable)
     rows = rows[(rows >= reach) & (rows < len(readings) - reach)]
-    rows = rows[:: max(1, len(rows) // FAR_ROWS)]
-    if len(rows) < FAR_ROWS // 4:
+    rows = rows[:: max(1, len(rows) // max_rows)]
+    if len(rows) < max_rows // 4:
         nothing = np.zeros((readings.shape[1], features.shape[1]))
-        return Fit(1.0, 0.0, np.inf, nothing, np.inf, 0.0)
+        return LinkFit(1.0, 0.0, np.inf, nothing, np.inf, 0.0)
     y = readings[rows] - readings[rows].mean(axis=0)
     shifts = np.arange(-reach, reach + 1, step)
     left = np.array([_left(features[rows - s], y) for s in shifts])
@@ -133,7 +143,7 @@ def _far(motion: Motion, readings: Array, features: Array) -> Fit:
     X = features[rows - shifts[best]]
     fitted = _errors(X, y)[1]
     delay = float(shifts[best]) / motion.rate_hz
-    return Fit(share, delay, FAR_STEP_S / SIGMAS, fitted, np.inf, _gain(X, fitted))
+    return LinkFit(share, delay, step_s / SIGMAS, fitted, np.inf, _gain(X, fitted))
 
 
 def _gain(X: Array, fitted: Array) -> float:
@@ -156,12 +166,20 @@ def _map_error(X: Array, variance: float, memory: float) -> float:
     return float(spread[:3].max())
 
 
-def _features(robot: Robot, motion: Motion, link: int, *, gyro: bool) -> Array | None:
-    """What the readings on a link are linear in (N, p), through the filter; None if it rests."""
-    starts = range(0, motion.samples, BLOCK)  # the motion of all links is far larger than of one
-    parts = [_of_block(robot, motion, link, slice(a, a + BLOCK), gyro=gyro) for a in starts]
+def _features(
+    robot: Robot,
+    motion: Motion,
+    link: int,
+    *,
+    gyro: bool,
+    min_turning: float = 0.02,  # rad/s RMS
+    block: int = 32_768,
+) -> Array | None:
+    """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
+    starts = range(0, motion.samples, block)  # the motion of all links is far larger than of one
+    parts = [_of_block(robot, motion, link, slice(a, a + block), gyro=gyro) for a in starts]
     squares = sum(turns for turns, _ in parts)
-    if float(np.sqrt(squares / motion.samples)) < TURNS:
+    if float(np.sqrt(squares / motion.samples)) < min_turning:
         return None
     return np.asarray(motion.filtered(np.concatenate([columns for _, columns in parts])))
 
@@ -185,24 +203,30 @@ def _left(X: Array, y: Array) -> float:
     return float(_errors(X, y)[0].mean())
 
 
-def _errors(X: Array, y: Array) -> tuple[Array, Array]:
+def _errors(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:
     """Squared errors (R,) that features (R, p) leave of readings (R, K), and the map (K, p)."""
     X = X - X.mean(axis=0)
     scale = np.maximum(X.std(axis=0), 1e-9)
     X = X / scale
     values, vectors = np.linalg.eigh(X.T @ X)
-    kept = values > RCOND**2 * values[-1]
+    kept = values > rcond**2 * values[-1]
     theta = vectors[:, kept] @ ((X @ vectors[:, kept]).T @ y / values[kept, None])
     return np.asarray(np.sum((y - X @ theta) ** 2, axis=1)), (theta / scale[:, None]).T
 
 
 def _vertex(
-    shifts: NDArray[np.intp], errors: Array, best: int, motion: Motion, rows: NDArray[np.intp]
+    shifts: NDArray[np.intp],
+    errors: Array,
+    best: int,
+    motion: Motion,
+    rows: NDArray[np.intp],
+    *,
+    blocks: int = 8,
 ) -> tuple[float, float]:
     """Delay [s] at the vertex of the parabola through the best shifts, and its error.
 
     The error is the larger of what white noise leads to and of how the vertex moves when one of
-    `BLOCKS` parts of the log is left out: a coarse encoder's noise is far from white.
+    `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
     """
     k = int(np.clip(best, 1, max(len(errors) - 2, 1)))
     dt = 1.0 / motion.rate_hz
@@ -213,9 +237,9 @@ def _vertex(
     offset, curvature = _parabola(near.mean(axis=1))
     if curvature <= 0.0:
         return float(shifts[best]) * dt, np.inf
-    parts = np.array([part.sum(axis=1) for part in np.array_split(near, BLOCKS, axis=1)])
+    parts = np.array([part.sum(axis=1) for part in np.array_split(near, blocks, axis=1)])
     without = np.array([_parabola(parts.sum(axis=0) - part)[0] for part in parts])
-    scatter = float(np.sqrt((BLOCKS - 1) * np.mean((without - without.mean()) ** 2)))
+    scatter = float(np.sqrt((blocks - 1) * np.mean((without - without.mean()) ** 2)))
     spacing = float(np.median(np.diff(rows))) * dt
     memory = max(1.0, MEMORY_S / spacing)
     white = float(np.sqrt(memory * middle / (curvature * len(rows))))

@@ -12,10 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.findings.finding import found
-from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, Fit, fit_link, scan
+from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, LinkFit, fit_link, scan
 from seqid_cli.inspect.imu.readings import channel_name, odd_channel
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import GYRO
@@ -24,24 +23,16 @@ from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Imu
 from seqid_cli.shares import percent
 
-Array = NDArray[np.float64]
-
-DELAY_S, DELAY_SAMPLES = 0.005, 2.0
-OTHER_LINK = 0.25
-CERTAIN = 0.01  # of the variance left, below which there is nothing to explain
 TELLS = 0.1  # of the variance, that may be left where a map is to tell axes
-DEGREES = 180.0 / np.pi
 MAPPED = 0.03  # standard error of the map that tells axes
-SCALED = 0.05
-UNIFORM = 1.0 / np.sqrt(12.0)  # standard deviation of an error within one step
 
 
 @dataclass(frozen=True)
 class Following:
-    """What the motion says of one IMU."""
+    """The fit of one IMU's readings to the motion of its link."""
 
     imu: Imu
-    fit: Fit
+    fit: LinkFit
     gyro: bool
 
 
@@ -64,7 +55,13 @@ def follow(data: LogData) -> list[Following]:
     return result
 
 
-def motion_findings(data: LogData, following: list[Following]) -> Iterator[InspectionFinding]:
+def motion_findings(
+    data: LogData,
+    following: list[Following],
+    *,
+    min_delay_s: float = 0.005,
+    min_delay_samples: float = 2.0,
+) -> Iterator[InspectionFinding]:
     """Judge how the IMUs follow the encoders."""
     for item in following:
         name = item.imu.name
@@ -75,7 +72,7 @@ def motion_findings(data: LogData, following: list[Following]) -> Iterator[Inspe
         if better is not None:
             yield better
             continue
-        least = max(DELAY_S, DELAY_SAMPLES / data.recording.rate_hz)
+        least = max(min_delay_s, min_delay_samples / data.recording.rate_hz)
         delay = item.fit.delay
         error = float(np.hypot(item.fit.delay_error, _resolution_s(data, item.imu.after_joint)))
         if abs(delay) > least and abs(delay) > SIGMAS * error:
@@ -99,13 +96,20 @@ def _resolution_s(data: LogData, link: int) -> float:
         for j in range(link + 1)
         if motion.moving[:, j].any()
     ]
-    return float(UNIFORM / max(max(speeds, default=0.0), 1e-9))
+    uniform = 1.0 / np.sqrt(12.0)  # standard deviation of an error within one step
+    return float(uniform / max(max(speeds, default=0.0), 1e-9))
 
 
-def _better(data: LogData, item: Following) -> InspectionFinding | None:
-    """Find what the IMU follows far better than its own link: another one, or an axis reversed."""
+def _better(
+    data: LogData,
+    item: Following,
+    *,
+    max_ratio: float = 0.25,  # of the variance left by its own link
+    min_left: float = 0.01,
+) -> InspectionFinding | None:
+    """Find another link, or a joint reversed, that the IMU follows far better than its own link."""
     motion = data.motion
-    if item.fit.left < CERTAIN or motion is None:
+    if item.fit.left < min_left or motion is None:
         return None
     name, own = item.imu.name, item.imu.after_joint
     values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[name]
@@ -117,7 +121,7 @@ def _better(data: LogData, item: Following) -> InspectionFinding | None:
         found_now = scan(data.robot, moved, values, link, gyro=item.gyro)
         if found_now is not None and (found_best is None or found_now.share < found_best[0]):
             found_best = (found_now.share, joint, link)
-    if found_best is None or found_best[0] > OTHER_LINK * item.fit.left:
+    if found_best is None or found_best[0] > max_ratio * item.fit.left:
         return None
     share, joint, link = found_best
     text = f"{percent(share)} of its variance is left against {percent(item.fit.left, 0)}"
@@ -146,7 +150,7 @@ def _gyro(item: Following) -> Iterator[InspectionFinding]:
     text = f"reads {size:.3g} times the link's angular velocity"
     if item.fit.left > TELLS:
         return
-    if abs(size / DEGREES - 1.0) < 0.2:
+    if abs(size / np.degrees(1.0) - 1.0) < 0.2:
         yield found("gyro_in_degrees", text, joint=item.imu.name)
     elif item.fit.map_error < MAPPED and np.linalg.det(item.fit.map) < 0.0:
         channel = channel_name(item.imu, GYRO, 0)[:-1]
@@ -156,7 +160,9 @@ def _gyro(item: Following) -> Iterator[InspectionFinding]:
         yield found("gyro_scale", text, joint=item.imu.name)
 
 
-def _axes(data: LogData, item: Following) -> Iterator[InspectionFinding]:
+def _axes(
+    data: LogData, item: Following, *, max_scale_error: float = 0.05
+) -> Iterator[InspectionFinding]:
     """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
     if item.fit.map_error > MAPPED or item.fit.left > TELLS or _in_other_unit(item):
         return
@@ -171,7 +177,7 @@ def _axes(data: LogData, item: Following) -> Iterator[InspectionFinding]:
     if np.linalg.det(turned) < 0.0 and size[2] > 0.7 * size[0]:
         text = "its accelerometers fit the link's motion as a mirror image only"
         yield found("imu_left_handed", text, joint=item.imu.name)
-    elif abs(float(np.mean(size)) - 1.0) > SCALED and size[2] > 0.9 * size[0]:
+    elif abs(float(np.mean(size)) - 1.0) > max_scale_error and size[2] > 0.9 * size[0]:
         text = f"reads {float(np.mean(size)):.3g} times the link's specific force"
         yield found("imu_gravity", text, joint=item.imu.name)
 

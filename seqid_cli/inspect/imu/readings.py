@@ -7,7 +7,6 @@ from itertools import combinations
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing_share
 from seqid_cli.inspect.findings.finding import found
@@ -18,25 +17,15 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.segmentation import standing
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.robot.types import Array, Imu, Robot
 from seqid_cli.shares import percent
 
-Array = NDArray[np.float64]
-
-STUCK_S, STUCK_SAMPLES = 0.5, 50
-REST_S = 0.2
 WRONG = 0.05  # of gravity
-EXPLAINS = 0.1  # of the squared error
-ALIKE = 4.0  # times the squared error without a channel, that it may leave once put right
-RIVAL = 0.5
-MISSING = 0.01
-BIAS = 0.1  # rad/s
-FEW_CHANNELS = 3
 AXES = "xyz"
 
 
 def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
-    """Tell which arrays of the robot file cannot see angular acceleration."""
+    """Find arrays of the robot file that do not determine the angular acceleration."""
     for imu in robot.imus:
         triad = len(imu.positions) == 3 and not imu.positions.any()
         if imu.gyro or triad or layout(imu).acceleration:
@@ -58,11 +47,13 @@ def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
             yield from _gyro_bias(data, imu, gyro)
 
 
-def _together(findings: list[InspectionFinding]) -> Iterator[InspectionFinding]:
-    """Say once what many channels of an IMU share: it is the IMU's fault then, not theirs."""
+def _together(
+    findings: list[InspectionFinding], *, max_channels: int = 3
+) -> Iterator[InspectionFinding]:
+    """Report a fault that many channels share once: it is the IMU's."""
     for code in dict.fromkeys(finding.code for finding in findings):
         alike = [finding for finding in findings if finding.code == code]
-        if len(alike) <= FEW_CHANNELS:
+        if len(alike) <= max_channels:
             yield from alike
         else:
             names = ", ".join(finding.channel for finding in alike)
@@ -97,14 +88,22 @@ def _changes(values: Array) -> bool:
 
 
 def _channel(
-    imu: Imu, name: str, values: Array, seconds: float, *, others: bool
+    imu: Imu,
+    name: str,
+    values: Array,
+    seconds: float,
+    *,
+    others: bool,
+    stuck_s: float = 0.5,
+    stuck_samples: int = 50,
+    max_missing: float = 0.01,
 ) -> InspectionFinding | None:
     present = values[np.isfinite(values)]
     share = missing_share(values)
-    if share > MISSING:
+    if share > max_missing:
         text = f"{percent(share)} of the values are missing"
         return found("values_missing", text, joint=imu.name, channel=name)
-    least = max(STUCK_SAMPLES, int(STUCK_S / max(seconds, 1e-9)))
+    least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
     # A channel that repeats itself all the time is slow or coarse, not stuck.
     lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
     stuck = [run for run in equal_runs(present, least) if lively or run.length == len(present)]
@@ -124,10 +123,10 @@ def _channel(
     return None
 
 
-def rest_rows(data: LogData, values: Array) -> Array:
+def rest_rows(data: LogData, values: Array, *, min_rest_s: float = 0.2) -> Array:
     """Average readings (N, K) over each rest of the whole arm; (R, K)."""
     still = standing(data.moving, data.recording.rate_hz).all(axis=1) & data.recording.valid
-    least = REST_S * data.recording.rate_hz
+    least = min_rest_s * data.recording.rate_hz
     means = [values[a:b].mean(axis=0) for a, b in runs(still, len(still)) if b - a >= least]
     return np.array(means).reshape(-1, values.shape[1])
 
@@ -154,8 +153,15 @@ def _in_g(imu: Imu, rest: Array) -> bool:
     return 0.8 < norm < 1.2 or 800.0 < norm < 1200.0
 
 
-def odd_channel(imu: Imu, rest: Array, gravity: float) -> InspectionFinding | None:
-    """Find what one change makes the accelerometers of an array agree on gravity (Eq. 29).
+def odd_channel(
+    imu: Imu,
+    rest: Array,
+    gravity: float,
+    *,
+    max_left: float = 0.1,
+    max_repaired: float = 4.0,  # times the squared error without the channel
+) -> InspectionFinding | None:
+    """Find the one change with which the accelerometers of an array agree on gravity (Eq. 29).
 
     Parameters
     ----------
@@ -190,10 +196,14 @@ def odd_channel(imu: Imu, rest: Array, gravity: float) -> InspectionFinding | No
     left, code, channels = min(tried)
     if code == "imu_channel_wrong":  # leaving one out fits best even where it is only reversed
         left, code, channels = min(
-            [t for t in tried if t[1] != code and channels[0] in t[2] and t[0] < ALIKE * left]
+            [
+                t
+                for t in tried
+                if t[1] != code and channels[0] in t[2] and t[0] < max_repaired * left
+            ]
             or [(left, code, channels)]
         )
-    if left > EXPLAINS * error:
+    if left > max_left * error:
         return None
     names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
     alike = sum(other < 1.05 * left and c == code for other, c, _ in tried) - 1
@@ -211,12 +221,14 @@ def _disagreement(rest: Array, P: Array) -> float:
     return squares
 
 
-def _gyro_bias(data: LogData, imu: Imu, gyro: Array) -> Iterator[InspectionFinding]:
+def _gyro_bias(
+    data: LogData, imu: Imu, gyro: Array, *, max_bias: float = 0.1
+) -> Iterator[InspectionFinding]:
     rest = rest_rows(data, gyro)
     if not len(rest):
         return
     bias = rest.mean(axis=0)
-    if float(np.linalg.norm(bias)) > BIAS:
+    if float(np.linalg.norm(bias)) > max_bias:
         worst = int(np.abs(bias).argmax())
         text = f"reads {float(np.linalg.norm(bias)):.3g} rad/s at rest"
         yield found("gyro_bias", text, joint=imu.name, channel=channel_name(imu, GYRO, worst))

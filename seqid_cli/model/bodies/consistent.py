@@ -35,9 +35,6 @@ from seqid_cli.model.bodies.pseudo_inertia import standard_of
 from seqid_cli.robot.types import Array
 
 MARGIN = 1e-3  # least eigenvalue of S: share of the expected pseudo-inertia that is always there
-_ROTOR_COST = 1e-3  # breaks ties only: what neither torque nor CAD tells from a link is link
-_ALIKE = 1.0  # squared standard errors by which the nearest fit may be missed for the sake of D
-_MET = 1e-7  # relative residual up to which an equation of the torque counts as met
 
 _UPPER = tuple((i, j) for j in range(4) for i in range(j + 1))
 _LOWER = tuple((i, j) for j in range(4) for i in range(j, 4))
@@ -158,28 +155,28 @@ class _Problem:
         v = self._minimised([self._equations(), *self._domain(), *self._logarithms()])
         return None if v is None else self._met(v)
 
-    def nearest(self) -> Consistent | None:
+    def nearest(self, *, alike: float = 1.0) -> Consistent | None:
         """Come as near as possible, then minimise D among what the data cannot tell from that."""
         within = [self._ball(None), *self._domain(extra=1)]
         least = _solved(np.append(np.zeros(self.variables), 1.0), within)
         if least is None:
             return None
         v, distance = least[:-1], float(least[-1])
-        radius = float(np.sqrt(distance**2 + _ALIKE))
+        radius = float(np.sqrt(distance**2 + alike))
         near = self._minimised([self._ball(radius), *self._domain(), *self._logarithms()])
         return self._found(v if near is None else near)
 
     def _minimised(self, cones: Sequence[_Cone]) -> Array | None:
         return _solved(self._costs(), cones)
 
-    def _costs(self) -> Array:
+    def _costs(self, *, rotor_cost: float = 1e-3) -> Array:
         """Cost (v,) of each variable, so that their sum is D."""
         cost = np.zeros(self.variables)
         diagonal = [c for c, (a, b) in enumerate(_UPPER) if a == b]
         for i in range(self.n):
             cost[[_ENTRIES * i + c for c in diagonal]] = 1.0
         cost[2 * _ENTRIES * self.n : _PER_LINK * self.n] = -1.0
-        cost[_PER_LINK * self.n :] = _ROTOR_COST
+        cost[_PER_LINK * self.n :] = rotor_cost
         return cost
 
     def _equations(self) -> _Cone:
@@ -240,7 +237,7 @@ class _Problem:
             cones.append(_Cone(clarabel.ExponentialConeT(), A, np.array([0.0, 1.0, 0.0])))
         return cones
 
-    def _met(self, v: Array) -> Consistent | None:
+    def _met(self, v: Array, *, max_residual: float = 1e-7) -> Consistent | None:
         """Take the solver's last digits out of the equations; None where that breaks a body."""
         free = np.r_[: _ENTRIES * self.n, _PER_LINK * self.n : self.variables]
         polished = v.copy()
@@ -250,7 +247,7 @@ class _Problem:
         left = np.abs(self.values - self.B @ polished).max(initial=0.0)
         moved = np.abs(polished - v)[free].max(initial=0.0)
         scale = 1.0 + np.abs(self.values).max(initial=0.0)
-        if left > _MET * scale or moved > 1e-4 * scale or not self._possible(polished):
+        if left > max_residual * scale or moved > 1e-4 * scale or not self._possible(polished):
             return None
         return self._found(polished)
 

@@ -15,8 +15,6 @@ from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Robot
 
 _LEAST_ERROR = 1e-9  # of a parameter's scale; data without noise give no errors to weigh by
-_LARGEST = 1e9  # kg, kg m, kg m^2; nothing with joints is larger
-_LEAST_VARIANCE = 1e-10  # of a combination of parameters, in units of their own variances
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,9 @@ class Identified:
         )
 
 
-def identified(stages: Stages, robot: Robot, *, more: Array | None = None) -> Identified:
+def identified(
+    stages: Stages, robot: Robot, *, more: Array | None = None, largest: float = 1e9
+) -> Identified:
     """Collect the base parameters of a file.
 
     Parameters
@@ -124,9 +124,9 @@ def identified(stages: Stages, robot: Robot, *, more: Array | None = None) -> Id
     rows = tuple(basis.names.index(parameter.name) for parameter in found)
     known = np.array([joint.rotor_inertia is not None for joint in robot.joints])
     first = PER_LINK * robot.n
-    if not (np.abs(phi) < _LARGEST).all():
+    if not (np.abs(phi) < largest).all():
         raise ConfigError(
-            f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {_LARGEST:g}",
+            f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {largest:g}",
             where=str(robot.source),
             hint="The file was edited or damaged: run the stage again that wrote it.",
         )
@@ -182,7 +182,7 @@ def _check(name: str, stage: RigidStage, basis: Basis, robot: Robot) -> None:
             )
 
 
-def whitening(covariance: Array, least: float) -> Array:
+def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -> Array:
     """Return W (b, b) with W'W the inverse of a covariance (b, b), errors at least `least`."""
     if not len(covariance):
         return np.zeros((0, 0))
@@ -190,5 +190,5 @@ def whitening(covariance: Array, least: float) -> Array:
     correlation = covariance / np.outer(errors, errors)
     np.fill_diagonal(correlation, 1.0)
     variances, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-    W: Array = (axes / np.sqrt(np.maximum(variances, _LEAST_VARIANCE))).T / errors
+    W: Array = (axes / np.sqrt(np.maximum(variances, min_variance))).T / errors
     return W

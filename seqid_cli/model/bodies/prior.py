@@ -1,4 +1,4 @@
-"""What the links are expected to weigh: the CAD's numbers, or a guess from the arm's geometry.
+"""The expected inertials of the links: the CAD's, or a guess from the arm's geometry.
 
 The torque leaves many combinations of inertial parameters open. There the exported links stay as
 near as possible to these.
@@ -15,13 +15,6 @@ from scipy.optimize import nnls
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.robot.types import Array, Chain, Robot
 
-_NO_MASS = 1e-6  # kg; below it a link of the URDF has no inertial worth the name
-_SLIMNESS = 0.25  # radius of gyration across a guessed link over its length
-_USUAL = 0.3  # m; length of a link where the geometry shows none
-_SHORTEST = 0.05  # m
-_THINNEST = 0.02  # least radius of gyration over the link's length, for CAD of points and rods
-_LIGHTEST = 0.05  # least mass of a guessed link over the mean of all
-
 
 @dataclass(frozen=True)
 class Expected:
@@ -31,8 +24,10 @@ class Expected:
     from_cad: tuple[bool, ...]
 
 
-def expected_links(robot: Robot, kept: Array, E: Array, values: Array) -> Expected:
-    """Return what each link is expected to be.
+def expected_links(
+    robot: Robot, kept: Array, E: Array, values: Array, *, min_mass: float = 1e-6
+) -> Expected:
+    """Return the expected inertials of each link.
 
     Parameters
     ----------
@@ -47,7 +42,7 @@ def expected_links(robot: Robot, kept: Array, E: Array, values: Array) -> Expect
     """
     lengths, shapes = _shapes(robot.chain)
     cad = np.zeros((robot.n, 10)) if robot.nominal is None else robot.nominal - kept
-    given = cad[:, 0] > _NO_MASS
+    given = cad[:, 0] > min_mass
     masses = _masses(shapes, E, values - E @ np.where(given[:, None], cad, 0.0).ravel(), given)
     J = np.stack(
         [
@@ -58,7 +53,9 @@ def expected_links(robot: Robot, kept: Array, E: Array, values: Array) -> Expect
     return Expected(J, tuple(bool(x) for x in given))
 
 
-def _shapes(chain: Chain) -> tuple[Array, Array]:
+def _shapes(
+    chain: Chain, *, slimness: float = 0.25, usual: float = 0.3, shortest: float = 0.05
+) -> tuple[Array, Array]:
     """Lengths (n,) m, and pseudo-inertias (n, 4, 4) of guessed links of 1 kg.
 
     A link reaches from its own joint to the next; one of no length, as the last is, is as large as
@@ -67,18 +64,20 @@ def _shapes(chain: Chain) -> tuple[Array, Array]:
     reach = np.vstack([chain.position[1:], np.zeros((1, 3))])
     lengths = np.linalg.norm(reach, axis=1)
     seen = lengths[lengths > 0.0]
-    lengths = np.where(lengths > 0.0, lengths, seen.mean() if len(seen) else _USUAL)
-    lengths = np.maximum(lengths, _SHORTEST)
+    lengths = np.where(lengths > 0.0, lengths, seen.mean() if len(seen) else usual)
+    lengths = np.maximum(lengths, shortest)
     shapes = np.zeros((chain.n, 4, 4))
     for J, along, length in zip(shapes, reach, lengths, strict=True):
-        across = (_SLIMNESS * length) ** 2
+        across = (slimness * length) ** 2
         J[:3, :3] = across * np.eye(3) + np.outer(along, along) / 3.0  # a rod, thickened
         J[:3, 3] = J[3, :3] = 0.5 * along
         J[3, 3] = 1.0
     return lengths, shapes
 
 
-def _masses(shapes: Array, E: Array, values: Array, given: NDArray[np.bool_]) -> Array:
+def _masses(
+    shapes: Array, E: Array, values: Array, given: NDArray[np.bool_], *, lightest: float = 0.05
+) -> Array:
     """Masses (n,) kg of guessed links that come nearest to the identified values."""
     n = len(shapes)
     columns = np.stack(
@@ -91,15 +90,15 @@ def _masses(shapes: Array, E: Array, values: Array, given: NDArray[np.bool_]) ->
         return np.ones(n)
     masses, _ = nnls(columns[rows] / size[rows, None], values[rows] / size[rows])
     mean = float(masses[~given].mean()) if (~given).any() else 1.0
-    return np.maximum(masses, _LIGHTEST * mean if mean > 0.0 else 1.0)
+    return np.maximum(masses, lightest * mean if mean > 0.0 else 1.0)
 
 
-def _solid(J: Array, length: float) -> Array:
+def _solid(J: Array, length: float, *, thinnest: float = 0.02) -> Array:
     """Return J with radii of gyration of no less than a small share of the link's length."""
     mass, h = J[3, 3], J[:3, 3]
     S = J[:3, :3] - np.outer(h, h) / mass
     radii, axes = np.linalg.eigh(S)
-    S = (axes * np.maximum(radii, mass * (_THINNEST * length) ** 2)) @ axes.T
+    S = (axes * np.maximum(radii, mass * (thinnest * length) ** 2)) @ axes.T
     solid = J.copy()
     solid[:3, :3] = S + np.outer(h, h) / mass
     return solid

@@ -42,9 +42,6 @@ def standard_of(J: Array) -> Array:
     return np.stack([m, *np.moveaxis(h, -1, 0), *inertia], axis=-1)
 
 
-_NOTHING = 1e-15  # of a body's size; smaller components are rounding
-
-
 @dataclass(frozen=True)
 class Body:
     """A body as model files write it: mass kg, centre of mass m, inertia about it kg m^2.
@@ -78,5 +75,5 @@ class Body:
         return standard_of(J)
 
 
-def _tidy(values: Array, size: float) -> Array:
-    return np.where(np.abs(values) > _NOTHING * size, values, 0.0)
+def _tidy(values: Array, size: float, *, nothing: float = 1e-15) -> Array:
+    return np.where(np.abs(values) > nothing * size, values, 0.0)

@@ -1,4 +1,4 @@
-"""What exporting an arm gave, `seqid/export@1`, beside the file itself."""
+"""The result of an export, `seqid/export@1`, beside the file itself."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class PredictedParameter(Struct, kw_only=True):
 
 
 class PlanGrowth(Struct, kw_only=True):
-    """What the first `moves` of a stage give: the torque error that parameters leave, over noise.
+    """The torque error that parameters leave after the first `moves` of a stage, over noise.
 
     The error is the root mean square over typical all-joint moves, the noise that below 25 Hz.
     """
@@ -86,7 +86,7 @@ class PlanGrowth(Struct, kw_only=True):
 
 
 class PlannedStage(Struct, kw_only=True):
-    """What the moves of one stage promise.
+    """The standard errors that the moves of one stage will give.
 
     `torque_error` is the standard deviation of the predicted torque that the parameters' errors
     will make in typical all-joint moves, N m. `condition` is that of the scaled regressor.

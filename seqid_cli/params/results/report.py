@@ -1,4 +1,4 @@
-"""What a report says, beside the page itself."""
+"""The verdict of a report, beside the page itself."""
 
 from __future__ import annotations
 

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.plan.limits import Limits
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 HARMONICS = 5
 COEFFICIENTS = 2 * HARMONICS

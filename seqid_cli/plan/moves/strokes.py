@@ -10,30 +10,25 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 REST_S = 0.3  # before the first stroke and after each
-POINTS = 9  # positions of a sweep at which torques are checked
-HALVINGS = 4  # of the acceleration, before a sweep is given up
-STEADY = 0.5  # share of its way that the fastest stroke keeps its speed
 
 
-def top_speed(limits: Limits, j: int, span: float) -> float:
-    """Largest speed that joint j can keep over `STEADY` of `span`: ramps take pi v^2 / (2 a)."""
-    ramps = (1.0 - STEADY) * span
+def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> float:
+    """Largest speed that joint j can keep over `steady` of `span`: ramps take pi v^2 / (2 a)."""
+    ramps = (1.0 - steady) * span
     return float(min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)))
 
 
-def calmer(belief: Belief) -> Iterator[Belief]:
+def reduced_accelerations(belief: Belief, *, max_halvings: int = 4) -> Iterator[Belief]:
     """The same with accelerations halved, again and again, for loads that leave no more."""
-    for halvings in range(HALVINGS + 1):
+    for halvings in range(max_halvings + 1):
         acceleration = belief.limits.acceleration / 2.0**halvings
         yield replace(belief, limits=replace(belief.limits, acceleration=acceleration))
 
@@ -95,17 +90,19 @@ def stroke_move(
     )
 
 
-def sweeps(belief: Belief, j: int, postures: Array, speed: float, seconds: float) -> Moves:
-    """Joint j at `POINTS` positions of its range in each of `postures` (P, n), both ways.
+def sweeps(
+    belief: Belief, j: int, postures: Array, speed: float, seconds: float, *, points: int = 9
+) -> Moves:
+    """Joint j at `points` positions of its range in each of `postures` (P, n), both ways.
 
     The times share out `seconds`, so that information is that of so long a way.
     """
     limits = belief.limits
-    q = np.repeat(postures[:, None], 2 * POINTS, axis=1)
-    q[:, :, j] = np.tile(np.linspace(limits.lower[j], limits.upper[j], POINTS), 2)
+    q = np.repeat(postures[:, None], 2 * points, axis=1)
+    q[:, :, j] = np.tile(np.linspace(limits.lower[j], limits.upper[j], points), 2)
     dq = np.zeros_like(q)
-    dq[:, :, j] = np.repeat([speed, -speed], POINTS)
-    return Moves(np.arange(2 * POINTS) * seconds / (2 * POINTS), q, dq, np.zeros_like(q))
+    dq[:, :, j] = np.repeat([speed, -speed], points)
+    return Moves(np.arange(2 * points) * seconds / (2 * points), q, dq, np.zeros_like(q))
 
 
 def overloads(belief: Belief, j: int, postures: Array, speed: float) -> Array:

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, Shapes
 from seqid_cli.plan.moves.strokes import REST_S, profile
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 RATE_HZ = 100.0  # of the rows; controllers interpolate between them
 

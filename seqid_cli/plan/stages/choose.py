@@ -17,18 +17,14 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, SPARSE, Drawn, Moves, Shapes, joined
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 VAGUE = 1e3  # torque error, in noise, that a parameter of which nothing is known could make
-DRAWN_AT_ONCE = 60  # moves whose regressors are held at a time
-CALMER = 0.5  # factor on the amplitude of a move that needs too much torque
-CALMED = 3  # times at most
+REDUCTION = 0.5  # factor on the amplitude of a move that needs too much torque
 
 
 @dataclass(frozen=True)
@@ -93,12 +89,14 @@ def draw_pool(
     groups: Sequence[tuple[int, ...]],
     size: int,
     rng: np.random.Generator,
+    *,
+    at_once: int = 60,
 ) -> Pool:
     """Draw moves of each group in turn; those of too much torque are made smaller or left out."""
     drawn, joints = _drawn(belief.limits, groups, size, rng)
     parts = [
-        _calmed(belief, goal, shapes, drawn[start : start + DRAWN_AT_ONCE])
-        for start in range(0, size, DRAWN_AT_ONCE)
+        _reduced(belief, goal, shapes, drawn[start : start + at_once])
+        for start in range(0, size, at_once)
     ]
     fit = np.flatnonzero(np.concatenate([overload <= 1.0 for _, _, overload in parts]))
     whole = joined([drawn for drawn, _, _ in parts])
@@ -106,14 +104,16 @@ def draw_pool(
     return Pool(whole[fit], information[fit], [joints[int(k)] for k in fit])
 
 
-def _calmed(belief: Belief, goal: Goal, shapes: Shapes, drawn: Drawn) -> tuple[Drawn, Array, Array]:
+def _reduced(
+    belief: Belief, goal: Goal, shapes: Shapes, drawn: Drawn, *, max_times: int = 3
+) -> tuple[Drawn, Array, Array]:
     """Moves, smaller where they needed too much torque, with information and overload."""
     information, overload = assess(belief, goal, shapes.moves(drawn, belief.limits))
-    for _ in range(CALMED):
+    for _ in range(max_times):
         over = np.flatnonzero(overload > 1.0)
         if not len(over):
             break
-        drawn = drawn.smaller(over, CALMER)
+        drawn = drawn.smaller(over, REDUCTION)
         moves = shapes.moves(drawn[over], belief.limits)
         information[over], overload[over] = assess(belief, goal, moves)
     return drawn, information, overload

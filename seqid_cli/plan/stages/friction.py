@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.strokes import (
-    calmer,
     overloads,
     postures_of,
+    reduced_accelerations,
     seconds_of,
     stroke_move,
     sweeps,
@@ -20,11 +19,9 @@ from seqid_cli.plan.moves.strokes import (
 )
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.inertia import Planned
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 SPEEDS = 10  # per joint, evenly spaced in the logarithm
-SLOWEST = 0.08  # of the fastest: friction's rise towards rest (Stribeck) lies below a tenth of it
 POSTURES = 60  # of the other joints, from which the one of the least torque is taken
 
 
@@ -50,12 +47,14 @@ def plan_friction(belief: Belief, options: PlanOptions) -> Planned:
     return Planned(moves, PlannedStage(torque_error=errors, duration_s=seconds))
 
 
-def _sweeps(belief: Belief, j: int, rng: np.random.Generator) -> PlannedMove:
+def _sweeps(
+    belief: Belief, j: int, rng: np.random.Generator, *, slowest: float = 0.08
+) -> PlannedMove:
     name = belief.robot.joint_names[j]
     belief, posture = lightest_posture(belief, j, float(belief.limits.range[j]), rng)
     limits = belief.limits
     top = top_speed(limits, j, float(limits.range[j]))
-    speeds = np.geomspace(SLOWEST * top, top, SPEEDS).tolist()
+    speeds = np.geomspace(slowest * top, top, SPEEDS).tolist()
     ends = (float(limits.lower[j]), float(limits.upper[j]))
     strokes = there_and_back(limits, j, speeds, ends)
     return stroke_move(belief, f"friction_{name}", "friction", j, posture, strokes)
@@ -74,14 +73,14 @@ def lightest_posture(
         It needs too much in all of them.
     """
     postures = postures_of(belief.limits, POSTURES, rng)
-    for calm in calmer(belief):
-        load = overloads(calm, j, postures, top_speed(calm.limits, j, span))
+    for reduced in reduced_accelerations(belief):
+        load = overloads(reduced, j, postures, top_speed(reduced.limits, j, span))
         best = int(np.argmin(load))
         if load[best] <= 1.0:
-            return calm, np.asarray(postures[best])
+            return reduced, np.asarray(postures[best])
     names = belief.robot.joint_names
-    swept = sweeps(calm, j, postures[[best]], top_speed(calm.limits, j, span), 1.0)
-    share = calm.torque(swept, calm.regressor(swept)).max(axis=(0, 1)) / calm.limits.torque
+    swept = sweeps(reduced, j, postures[[best]], top_speed(reduced.limits, j, span), 1.0)
+    share = reduced.torque(swept, reduced.regressor(swept)).max(axis=(0, 1)) / reduced.limits.torque
     message = (
         f"a sweep of joint {names[j]!r} breaks the torque limit of joint"
         f" {names[int(np.argmax(share))]!r} in all of {POSTURES} postures"

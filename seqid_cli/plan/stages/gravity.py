@@ -18,9 +18,9 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Drawn, Moves
 from seqid_cli.plan.moves.strokes import (
-    calmer,
     overloads,
     postures_of,
+    reduced_accelerations,
     stroke_move,
     sweeps,
     there_and_back,
@@ -29,14 +29,11 @@ from seqid_cli.plan.moves.strokes import (
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, Pool, choose
 from seqid_cli.plan.stages.inertia import Planned
-from seqid_cli.plan.stages.promise import promise_of, rank_and_condition
-
-Array = NDArray[np.float64]
+from seqid_cli.plan.stages.predicted_errors import predicted_stage, rank_and_condition
+from seqid_cli.robot.types import Array
 
 POSTURES = 60  # drawn per joint
-KEPT = 3  # sweeps planned per joint that gravity loads, on average
 SLOW = 0.3  # of the largest speed
-ROUNDS = 3  # of exchanges
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,9 @@ class _Sweeps:
     information: Array
 
 
-def plan_gravity(belief: Belief, stages: Stages, options: PlanOptions) -> Planned:
+def plan_gravity(
+    belief: Belief, stages: Stages, options: PlanOptions, *, per_joint: int = 3
+) -> Planned:
     """Choose sweeps for the gravity parameters; none where gravity loads no joint.
 
     Raises
@@ -63,13 +62,13 @@ def plan_gravity(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
         return Planned([], PlannedStage(rank=0, structural_rank=0, notes=[note]))
     fresh = replace(belief, prior=np.zeros_like(belief.prior))
     goal = Goal.of(fresh, options.seed)
-    *_, slow = calmer(fresh)  # slow sweeps need no more
+    *_, slow = reduced_accelerations(fresh)  # slow sweeps need no more
     pool = _pool(slow, goal, np.random.default_rng(options.seed))
     loaded = len(np.unique(pool.joint))
-    chosen = _exchanged(pool, _greedy(goal, pool, KEPT * loaded), wanted)
+    chosen = _exchanged(pool, _greedy(goal, pool, per_joint * loaded), wanted)
     chosen.sort(key=lambda k: -int(pool.joint[k]))
     moves = _described(slow, pool, chosen)
-    stage = promise_of(
+    stage = predicted_stage(
         fresh,
         goal,
         msgspec.structs.replace(stages, gravity=None),
@@ -79,8 +78,10 @@ def plan_gravity(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
         wanted=wanted,
     )
     seconds = sum(move.duration_s for move in moves)
-    told = pool.information[chosen].sum(axis=0) * np.outer(goal.scale, goal.scale)
-    return Planned(moves, msgspec.structs.replace(stage, duration_s=seconds, growth=[]), told)
+    information = pool.information[chosen].sum(axis=0) * np.outer(goal.scale, goal.scale)
+    return Planned(
+        moves, msgspec.structs.replace(stage, duration_s=seconds, growth=[]), information
+    )
 
 
 def _pool(belief: Belief, goal: Goal, rng: np.random.Generator) -> _Sweeps:
@@ -121,12 +122,14 @@ def _greedy(goal: Goal, pool: _Sweeps, count: int) -> list[int]:
     return choose(goal, candidates, count, np.zeros_like(goal.W))
 
 
-def _exchanged(pool: _Sweeps, chosen: list[int], wanted: NDArray[np.bool_]) -> list[int]:
+def _exchanged(
+    pool: _Sweeps, chosen: list[int], wanted: NDArray[np.bool_], *, rounds: int = 3
+) -> list[int]:
     """Exchange sweeps for others of the same joint while the condition falls and the rank stays."""
     chosen = list(chosen)
     parts = pool.information[:, wanted][:, :, wanted]
     best = _badness(parts[chosen].sum(axis=0))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         before = best
         for place, k in enumerate(chosen):
             rest = parts[chosen].sum(axis=0) - parts[k]

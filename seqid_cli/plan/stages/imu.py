@@ -9,15 +9,14 @@ other joints.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.strokes import (
-    calmer,
     overloads,
     postures_of,
+    reduced_accelerations,
     stroke_move,
     there_and_back,
     top_speed,
@@ -26,16 +25,13 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.friction import lightest_posture
 from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.robot.kinematics import forward
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 POSTURES = 6  # in which the first joint turns
-POOL = 300  # postures to choose from
 SPAN = 0.5  # of the range that a swing covers, about its middle
-TURNS = 3  # times there and back
 
 
-def plan_imu(belief: Belief, options: PlanOptions) -> Planned:
+def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planned:
     """Choose the postures and describe the swings.
 
     Raises
@@ -48,18 +44,18 @@ def plan_imu(belief: Belief, options: PlanOptions) -> Planned:
         hint = "Add an [[imu]] table, or plan another stage."
         raise ConfigError("the robot file lists no IMU", where=str(robot.source), hint=hint)
     rng = np.random.default_rng(options.seed)
-    drawn = postures_of(belief.limits, POOL, rng)
-    calm, postures = _turned(belief, first, drawn)
+    drawn = postures_of(belief.limits, pool, rng)
+    reduced, postures = _turned(belief, first, drawn)
     chosen = _chosen(_directions(belief, first, postures))
-    moves = [_swing(calm, first, postures[k], f"_{i}") for i, k in enumerate(chosen, start=1)]
+    moves = [_swing(reduced, first, postures[k], f"_{i}") for i, k in enumerate(chosen, start=1)]
     for j in belief.limits.moving[1:]:
         own, posture = lightest_posture(belief, j, float(SPAN * belief.limits.range[j]), rng)
         moves.append(_swing(own, j, posture))
-    told = _told(_directions(belief, first, postures)[:, chosen])
+    least = _least_information(_directions(belief, first, postures)[:, chosen])
     notes = [
         f"{imu.name}: turns about the worst axis are told {worst:.2f} times as well as by"
         f" {len(chosen)} directions at right angles to it"
-        for imu, worst in zip(robot.imus, told / len(chosen), strict=True)
+        for imu, worst in zip(robot.imus, least / len(chosen), strict=True)
     ]
     seconds = sum(move.duration_s for move in moves)
     return Planned(moves, PlannedStage(duration_s=seconds, notes=notes))
@@ -67,10 +63,10 @@ def plan_imu(belief: Belief, options: PlanOptions) -> Planned:
 
 def _turned(belief: Belief, first: int, drawn: Array) -> tuple[Belief, Array]:
     """The postures in which the first joint can swing, with the acceleration that they allow."""
-    for calm in calmer(belief):
-        fit = overloads(calm, first, drawn, _swing_speed(calm, first)) <= 1.0
+    for reduced in reduced_accelerations(belief):
+        fit = overloads(reduced, first, drawn, _swing_speed(reduced, first)) <= 1.0
         if np.sum(fit) >= POSTURES:
-            return calm, drawn[fit]
+            return reduced, drawn[fit]
     name = belief.robot.joint_names[first]
     message = f"swings of joint {name!r} break a torque limit in nearly all postures"
     hint = "Correct effort in the URDF, or narrow position_limits in the robot file."
@@ -85,7 +81,7 @@ def _directions(belief: Belief, first: int, postures: Array) -> Array:
     return np.array(seen)
 
 
-def _told(directions: Array) -> Array:
+def _least_information(directions: Array) -> Array:
     """Least sum (I,) of |u x d|^2 over unit axes u: k minus the largest eigenvalue of sum d d'."""
     spread = np.einsum("ipa,ipb->iab", directions, directions)
     return np.asarray(directions.shape[1] - np.linalg.eigvalsh(spread)[:, -1])
@@ -96,8 +92,8 @@ def _chosen(directions: Array) -> list[int]:
     chosen = [0]
     while len(chosen) < min(POSTURES, directions.shape[1]):
         others = [k for k in range(directions.shape[1]) if k not in chosen]
-        told = [float(_told(directions[:, [*chosen, k]]).min()) for k in others]
-        chosen.append(others[int(np.argmax(told))])
+        least = [float(_least_information(directions[:, [*chosen, k]]).min()) for k in others]
+        chosen.append(others[int(np.argmax(least))])
     return chosen
 
 
@@ -112,8 +108,10 @@ def _swing_speed(belief: Belief, j: int) -> float:
     return top_speed(belief.limits, j, high - low)
 
 
-def _swing(belief: Belief, j: int, posture: Array, label: str = "") -> PlannedMove:
-    speeds = [_swing_speed(belief, j)] * TURNS
+def _swing(
+    belief: Belief, j: int, posture: Array, label: str = "", *, turns: int = 3
+) -> PlannedMove:
+    speeds = [_swing_speed(belief, j)] * turns
     strokes = there_and_back(belief.limits, j, speeds, _ends(belief, j))
     name = f"imu_{belief.robot.joint_names[j]}{label}"
     return stroke_move(belief, name, "imu-calib", j, posture, strokes)

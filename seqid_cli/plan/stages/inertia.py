@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import FourierMotion, PlannedMove, PlannedStage
@@ -14,7 +13,7 @@ from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import COARSE_HZ, SPARSE, Drawn, Moves, Shapes
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import (
-    CALMER,
+    REDUCTION,
     Goal,
     Pool,
     assess,
@@ -22,10 +21,9 @@ from seqid_cli.plan.stages.choose import (
     draw_pool,
     groups_of,
 )
-from seqid_cli.plan.stages.promise import promise_of
+from seqid_cli.plan.stages.predicted_errors import predicted_stage
 from seqid_cli.plan.stages.refine import refine
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 DENSE_HZ = 200.0  # of the samples on which the limits of the final moves are held
 OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {torque:.4g} N m"
@@ -75,7 +73,7 @@ def plan_inertia(
     drawn, moves = within_torque(belief, refined, options)
     coarse = shapes.moves(drawn, belief.limits)
     each, _ = assess(belief, goal, coarse)
-    stage = promise_of(belief, goal, stages, coarse.every(SPARSE), each, known)
+    stage = predicted_stage(belief, goal, stages, coarse.every(SPARSE), each, known)
     return Planned(described(belief, drawn, moves, options), stage)
 
 
@@ -104,7 +102,7 @@ def within_torque(belief: Belief, drawn: Drawn, options: PlanOptions) -> tuple[D
     moves = shapes.moves(drawn, belief.limits)
     overload = _dense_overload(belief, moves)
     while (over := np.flatnonzero(overload > 1.0)).size:
-        drawn = drawn.smaller(over, 1.0 - (1.0 - CALMER) / 10)
+        drawn = drawn.smaller(over, 1.0 - (1.0 - REDUCTION) / 10)
         moves = shapes.moves(drawn, belief.limits)
         overload[over] = _dense_overload(belief, moves[over])
     return drawn, moves

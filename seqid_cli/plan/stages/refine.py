@@ -16,12 +16,7 @@ from scipy.optimize import Bounds, minimize
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, Drawn, Shapes, joined
 from seqid_cli.plan.stages.choose import Goal, assess
-
-Array = NDArray[np.float64]
-
-STEP = 1e-4  # of the coefficients and shares, whose size is 1
-ITERATIONS = 8  # of each move: a sweep over all moves gains more than a move's last percent
-PENALTY = 100.0  # on the square of the torque beyond its limit, in the log of the goal
+from seqid_cli.robot.types import Array
 
 
 @dataclass(frozen=True)
@@ -51,16 +46,16 @@ class _Problem:
         coefficients[:, self.group] = x[:, :-n].reshape(len(x), -1, COEFFICIENTS)
         return Drawn(coefficients, x[:, -n:], np.repeat(self.start.extent, len(x), axis=0))
 
-    def values(self, x: Array) -> Array:
+    def values(self, x: Array, *, penalty: float = 100.0) -> Array:
         """Log of the goal (P,) with the penalty on torque."""
         moves = self.shapes.moves(self.drawn(x), self.belief.limits)
         information, overload = assess(self.belief, self.goal, moves)
         error = np.log(self.goal.errors(self.rest + information))
-        return np.asarray(error + PENALTY * np.maximum(overload - 1.0, 0.0) ** 2)
+        return np.asarray(error + penalty * np.maximum(overload - 1.0, 0.0) ** 2)
 
-    def with_gradient(self, x: Array) -> tuple[float, Array]:
+    def with_gradient(self, x: Array, *, step: float = 1e-4) -> tuple[float, Array]:
         """Value and gradient, by steps that lead inwards from the bounds."""
-        steps = np.where(x > 0, -STEP, STEP)
+        steps = np.where(x > 0, -step, step)
         found = self.values(np.vstack([x, x + np.diag(steps)]))
         return float(found[0]), (found[1:] - found[0]) / steps
 
@@ -90,7 +85,7 @@ def refine(
     return joined(drawn)
 
 
-def _improved(problem: _Problem) -> Drawn:
+def _improved(problem: _Problem, *, iterations: int = 8) -> Drawn:
     x = problem.x
     places = problem.start.place.shape[1]
     low = np.append(np.full(len(x) - places, -1.0), np.zeros(places))
@@ -100,7 +95,7 @@ def _improved(problem: _Problem) -> Drawn:
         jac=True,
         method="L-BFGS-B",
         bounds=Bounds(low, np.ones(len(x))),
-        options={"maxiter": ITERATIONS},
+        options={"maxiter": iterations},
     )
     better = problem.drawn(np.asarray(found.x)[None])
     moves = problem.shapes.moves(better, problem.belief.limits)

@@ -14,11 +14,10 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, draw_pool
 from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_torque
 
-MOVES = 4
-OWN_SEED = 1_000_003  # added to the plan's: the judge is not drawn from the pool of the accused
 
-
-def plan_validation(belief: Belief, options: PlanOptions) -> Planned:
+def plan_validation(
+    belief: Belief, options: PlanOptions, *, count: int = 4, own_seed: int = 1_000_003
+) -> Planned:
     """Draw moves of all joints, the first that keep the torque limits.
 
     Raises
@@ -26,13 +25,13 @@ def plan_validation(belief: Belief, options: PlanOptions) -> Planned:
     ConfigError
         None does.
     """
-    own = replace(options, seed=options.seed + OWN_SEED)
+    own = replace(options, seed=options.seed + own_seed)
     goal = Goal.of(belief, own.seed)
     shapes = Shapes.over(own.length_s, COARSE_HZ)
     rng = np.random.default_rng(own.seed)
-    pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * MOVES, rng)
+    pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
     check_torque(belief, pool, own)
-    drawn, moves = within_torque(belief, pool.drawn[slice(MOVES)], own)
+    drawn, moves = within_torque(belief, pool.drawn[slice(count)], own)
     named = [
         msgspec.structs.replace(move, name=f"validation_{k}", stage="validation")
         for k, move in enumerate(described(belief, drawn, moves, own), start=1)

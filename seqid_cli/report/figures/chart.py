@@ -72,8 +72,8 @@ class Panel:
         text = points_text((self.x(x), self.y(y)) for x, y in points)
         if not text:
             return
-        told = {"data-name": name, "data-unit": unit} if name else {}
-        self._marks.append(element("polyline", {"class": f"line {style}", "points": text, **told}))
+        data = {"data-name": name, "data-unit": unit} if name else {}
+        self._marks.append(element("polyline", {"class": f"line {style}", "points": text, **data}))
 
     def band(self, low: Sequence[Point], high: Sequence[Point], style: str) -> None:
         """Fill between two lines."""
@@ -87,7 +87,7 @@ class Panel:
         """Shade an interval of x over the whole height."""
         left, right = self.x(low), self.x(high)
         width = max(right - left, 1.0)
-        self.add(rect(f"span {style}", left, self.box.top, width, self.box.height, told=title))
+        self.add(rect(f"span {style}", left, self.box.top, width, self.box.height, tooltip=title))
 
     def upright(self, value: float, style: str, text: str = "") -> None:
         """Draw a vertical line at a value, with a word at its upper end."""
@@ -107,12 +107,12 @@ class Panel:
         self._marks.append(mark)
 
     def render(self) -> Markup:
-        """Return axes and marks, with what the script needs to read values back."""
-        told: Attributes = {"class": "panel"}
+        """Return axes and marks, with the scales by which the script reads values back."""
+        attributes: Attributes = {"class": "panel"}
         if self.hover:
-            told["data-x"] = f"{self.hover}|{_ends(self.x)}"
-            told["data-y"] = _ends(self.y)
-        return element("g", told, *self._axes(), *self._marks)
+            attributes["data-x"] = f"{self.hover}|{_ends(self.x)}"
+            attributes["data-y"] = _ends(self.y)
+        return element("g", attributes, *self._axes(), *self._marks)
 
     def _axes(self) -> list[Markup]:
         box, parts = self.box, []

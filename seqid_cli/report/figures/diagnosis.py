@@ -46,8 +46,8 @@ def timeline(events: Sequence[EventEntry]) -> Figure | None:
     chart = RowChart(names, max(event.end for event in events), "time since its log's start, s")
     for row, log in enumerate(logs[:_MOST_LOGS]):
         for event in [event for event in events if event.log == log][:_MOST_EVENTS]:
-            told = f"{event.start:.2f} to {event.end:.2f} s: {', '.join(event.joints)}"
-            chart.bar(row, event.start, event.end, "span event", told)
+            tooltip = f"{event.start:.2f} to {event.end:.2f} s: {', '.join(event.joints)}"
+            chart.bar(row, event.start, event.end, "span event", tooltip)
     title = "Events: something pushed the arm"
     text = f"{plural(len(events), 'event')} in {plural(len(logs), 'log')}; the table lists them."
     return Figure(title, chart.render(title, text), [Key("event", "pushed")], wide=True)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from seqid_cli.robot.types import Array
 
-GAP = 5.0  # times the usual step: above it a line is broken
+Indices = NDArray[np.int64]
 
 
 def extremes(x: Array, y: Array, columns: int) -> Indices:
@@ -46,14 +45,16 @@ def _first(marked: NDArray[np.bool_], starts: Indices) -> Indices:
     return np.asarray(np.minimum.reduceat(place, starts), dtype=np.int64)
 
 
-def pieces(t: Array, good: NDArray[np.bool_]) -> list[slice]:
+def pieces(t: Array, good: NDArray[np.bool_], *, max_gap: float = 5.0) -> list[slice]:
     """Return the runs of good samples without a gap in time, as slices."""
     if not len(t):
         return []
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     # With few steps, all long, the median is no measure: then nothing counts as a gap.
-    cut = np.concatenate([[True], (steps > GAP * usual) if usual else np.zeros(len(steps), bool)])
+    cut = np.concatenate(
+        [[True], (steps > max_gap * usual) if usual else np.zeros(len(steps), bool)]
+    )
     cut |= np.concatenate([[False], good[1:] != good[:-1]])
     starts = np.flatnonzero(cut)
     ends = np.append(starts[1:], len(t))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint
@@ -24,8 +23,7 @@ from seqid_cli.report.figures.svg import (
 from seqid_cli.report.figures.torque import SMALL, Place
 from seqid_cli.report.views import Column, Figure, Key, Table
 from seqid_cli.report.words import Z95, number, unit_text
-
-Array = NDArray[np.float64]
+from seqid_cli.robot.types import Array
 
 _CELLS = (22, 11)  # of the surface: along position, along speed in either direction
 _COLOURS = 12

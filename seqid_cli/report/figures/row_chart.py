@@ -30,11 +30,11 @@ class RowChart:
         x, box = self._panel.x(value), self._panel.box
         self._panel.add(line(f"rule {style}", x, box.top, x, box.bottom))
 
-    def bar(self, row: int, low: float, high: float, style: str, told: str = "") -> None:
-        """Draw a bar from one value to another; `told` shows when it is pointed at."""
+    def bar(self, row: int, low: float, high: float, style: str, tooltip: str = "") -> None:
+        """Draw a bar from one value to another; `tooltip` shows when it is pointed at."""
         left, right = self._panel.x(low), self._panel.x(high)
         width = max(right - left, 1.5)
-        self._panel.add(rect(style, left, self._y(row) - 7, width, 14, told=told))
+        self._panel.add(rect(style, left, self._y(row) - 7, width, 14, tooltip=tooltip))
 
     def dot(self, row: int, value: float, style: str) -> None:
         """Draw a dot at a value."""

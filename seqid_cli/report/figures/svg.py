@@ -41,9 +41,11 @@ def circle(style: str, x: float, y: float, radius: float) -> Markup:
     return element("circle", {"class": style, "cx": x, "cy": y, "r": radius})
 
 
-def rect(style: str, x: float, y: float, width: float, height: float, *, told: str = "") -> Markup:
-    """Return a rectangle; `told` shows when it is pointed at."""
-    inside = [element("title", {}, told)] if told else []
+def rect(
+    style: str, x: float, y: float, width: float, height: float, *, tooltip: str = ""
+) -> Markup:
+    """Return a rectangle; `tooltip` shows when it is pointed at."""
+    inside = [element("title", {}, tooltip)] if tooltip else []
     corner: Attributes = {"class": style, "x": x, "y": y, "width": width, "height": height}
     return element("rect", corner, *inside)
 

@@ -22,8 +22,8 @@ from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.torques import Series
 from seqid_cli.report.views import Column, Figure, Key, Table
 from seqid_cli.report.words import number, plural, short_path, unit_text
+from seqid_cli.robot.types import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Event = tuple[float, float]
 
@@ -31,9 +31,6 @@ WIDE, SMALL = 580.0, 372.0
 _LEFT, _RIGHT = 62.0, 12.0
 _ROWS = 20  # of the tables of time series
 _BINS = 40
-_LEAST = 4  # samples for a bin to show
-_LINES = 5
-_FALSE_ALARMS = 0.01  # per figure
 
 
 @dataclass(frozen=True)
@@ -194,8 +191,8 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     )
     panel.band([(b[0], b[1]) for b in bins], [(b[0], b[5]) for b in bins], "faint")
     panel.band([(b[0], b[2]) for b in bins], [(b[0], b[4]) for b in bins], "residual")
-    told = unit_text(place.torque_unit)
-    panel.line([(b[0], b[3]) for b in bins], "residual", name="median", unit=told)
+    torque_unit = unit_text(place.torque_unit)
+    panel.line([(b[0], b[3]) for b in bins], "residual", name="median", unit=torque_unit)
     title = f"Residual of {place.joint} over {quantity}"
     text = (
         f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')} of "
@@ -206,14 +203,16 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     legend = [Key("residual", "median"), Key("band-residual", "90 %"), Key("faint", "extremes")]
     heads = (quantity, "least", "5 %", "median", "95 %", "most")
     columns = [
-        Column(head, numeric=True, unit=unit_text(unit) if not i else told)
+        Column(head, numeric=True, unit=unit_text(unit) if not i else torque_unit)
         for i, head in enumerate(heads)
     ]
     rows = [tuple(number(value) for value in row) for row in bins]
     return Figure(f"Residual over {quantity}", svg, legend, Table(title, columns, rows))
 
 
-def _binned(x: Array, r: Array) -> list[tuple[float, float, float, float, float, float]]:
+def _binned(
+    x: Array, r: Array, *, min_samples: int = 4
+) -> list[tuple[float, float, float, float, float, float]]:
     low, high = float(x.min()), float(x.max())
     if not high > low:
         return []
@@ -222,7 +221,7 @@ def _binned(x: Array, r: Array) -> list[tuple[float, float, float, float, float,
     parts = np.split(r[order], np.searchsorted(place[order], np.arange(1, _BINS)))
     rows = []
     for k, part in enumerate(parts):
-        if len(part) >= _LEAST:
+        if len(part) >= min_samples:
             low5, middle, high95 = (float(v) for v in np.quantile(part, [0.05, 0.5, 0.95]))
             centre = low + (k + 0.5) * (high - low) / _BINS
             rows.append((centre, float(part.min()), low5, middle, high95, float(part.max())))
@@ -273,7 +272,9 @@ def spectrum(
     return Figure("Spectrum of the residual", svg, legend, table, note)
 
 
-def certain_lines(signals: Sequence[Signal], top_hz: float) -> list[float]:
+def certain_lines(
+    signals: Sequence[Signal], top_hz: float, *, most: int = 5, false_alarms: float = 0.01
+) -> list[float]:
     """Return the frequencies (Hz) of lines that noise would show in one report of a hundred.
 
     The squared amplitude that noise of density S has at one frequency over a time T is
@@ -283,11 +284,11 @@ def certain_lines(signals: Sequence[Signal], top_hz: float) -> list[float]:
     longest = max(signals, key=lambda signal: signal.length_s)
     chances = 2.0 * top_hz * longest.length_s
     found = []
-    for line in strongest_lines(signals, 0.0, 3 * _LINES):
+    for line in strongest_lines(signals, 0.0, 3 * most):
         size = sum(_over_noise(signal, line) for signal in signals)
-        if line <= top_hz and chances * float(gamma.sf(size, len(signals))) < _FALSE_ALARMS:
+        if line <= top_hz and chances * float(gamma.sf(size, len(signals))) < false_alarms:
             found.append(line)
-    return found[:_LINES]
+    return found[:most]
 
 
 def _over_noise(signal: Signal, line: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
     EventEntry,
@@ -17,12 +16,12 @@ from seqid_cli.report.collection import Collection, Diagnosed
 from seqid_cli.report.figures.diagnosis import against_floor, timeline
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.judgement import known_effects
+from seqid_cli.report.sections.parameters import value_rows
 from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
 from seqid_cli.report.words import (
     command,
     effect_at,
     effect_words,
-    interval,
     limits,
     listed,
     number,
@@ -30,7 +29,6 @@ from seqid_cli.report.words import (
     plural,
     short_path,
     unit_text,
-    with_error,
 )
 
 _MOST_EVENTS = 200
@@ -156,25 +154,7 @@ def _about(effect: str) -> str:
 
 
 def _parameters(item: FindingEntry) -> Table | None:
-    rows = [
-        (
-            value.name.replace("_", " "),
-            *(
-                with_error(value.value, value.std_error)
-                if value.std_error > 0.0
-                else (number(value.value), "fixed")
-            ),
-            interval(value.value, value.std_error),
-            unit_text(value.unit),
-        )
-        for value in item.parameters
-    ]
-    named, units = {value.name for value in item.parameters}, setting_units(item.effect)
-    rows += [
-        (name.replace("_", " "), number(value), "fixed", "", unit_text(units.get(name, "")))
-        for name, value in item.settings.items()
-        if name not in named
-    ]
+    rows = value_rows(item)
     if not rows:
         return None
     return Table(f"Parameters of {effect_at(item.effect, item.joint)}", VALUE_COLUMNS, rows)

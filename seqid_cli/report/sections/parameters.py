@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from markupsafe import Markup
 
 from seqid_cli.model.effects.units import setting_units
+from seqid_cli.params.results.diagnosis import FindingEntry
 from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
 from seqid_cli.report.collection import Collection, Model
 from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import Scale, circle, line
-from seqid_cli.report.views import Absent, Cell, Column, Group, Section, Table
+from seqid_cli.report.views import VALUE_COLUMNS, Absent, Cell, Column, Group, Section, Table
 from seqid_cli.report.words import (
     Z95,
     effect_at,
@@ -190,37 +191,31 @@ def _per_joint(name: str, stage: RigidStage, collection: Collection) -> Table:
 
 
 def _effects(effects: Sequence[EffectOfJoint]) -> Group:
-    columns = (
-        Column("effect"),
-        Column("parameter"),
-        Column("value", numeric=True),
-        Column("std error", numeric=True),
-        Column("95 % interval", numeric=True),
-        Column("unit"),
-    )
-    rows = []
-    for item in effects:
-        where = effect_at(item.effect, item.joint or "the whole arm")
-        named = {value.name for value in item.parameters}
-        for value in item.parameters:
-            known = value.std_error > 0.0
-            rows.append(
-                (
-                    where,
-                    value.name.replace("_", " "),
-                    *(with_error(value.value, value.std_error) if known else _exact(value.value)),
-                    interval(value.value, value.std_error),
-                    unit_text(value.unit),
-                )
-            )
-        units = setting_units(item.effect)
-        for name, setting in item.settings.items():
-            if name not in named:
-                text = number(setting) if isinstance(setting, float) else str(setting)
-                unit = unit_text(units.get(name, ""))
-                rows.append((where, name.replace("_", " "), text, "fixed", number(None), unit))
+    rows = [
+        (effect_at(item.effect, item.joint or "the whole arm"), *row)
+        for item in effects
+        for row in value_rows(item)
+    ]
+    columns = (Column("effect"), *VALUE_COLUMNS)
     table = Table("Effects that refinement added", columns, rows)
     return Group("effects", "Effects", tables=[table] if rows else [])
+
+
+def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:
+    """Return the rows of an effect's parameters and settings, for `VALUE_COLUMNS`."""
+    rows: list[tuple[str, ...]] = []
+    for value in item.parameters:
+        known = value.std_error > 0.0
+        texts = with_error(value.value, value.std_error) if known else _exact(value.value)
+        span = interval(value.value, value.std_error)
+        rows.append((value.name.replace("_", " "), *texts, span, unit_text(value.unit)))
+    named, units = {value.name for value in item.parameters}, setting_units(item.effect)
+    for name, setting in item.settings.items():
+        if name not in named:
+            text = number(setting) if isinstance(setting, float) else str(setting)
+            unit = unit_text(units.get(name, ""))
+            rows.append((name.replace("_", " "), text, "fixed", number(None), unit))
+    return rows
 
 
 def _exact(value: float) -> tuple[str, str]:

@@ -29,7 +29,19 @@ INSTEAD = {
     "nobody": "not known, not given",
 }
 # Rooms of the package whose docstrings and messages have been read through; others follow.
-ROOMS = ("export", "identify", "params", "plan", "report", "robot")
+ROOMS = (
+    "compare",
+    "export",
+    "identify",
+    "inspect",
+    "model/bodies",
+    "motion",
+    "params",
+    "plan",
+    "report",
+    "robot",
+    "scale",
+)
 WORD = re.compile(rf"\b(?:{'|'.join(INSTEAD)})\b", re.IGNORECASE)
 MARKED = re.compile(r"<!-- study:.*?<!-- /study -->|```.*?```|`[^`\n]*`", re.DOTALL)
 GENERATED = "docs/effects.md"  # from docstrings of a room that follows

@@ -27,7 +27,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     torques = write_torques(folder / "t.parquet")
     path = folder / "report.html"
-    path.write_text(make_report(all_documents(), torques=torques), encoding="utf-8")
+    path.write_text(make_report(all_documents(), torques=torques).html, encoding="utf-8")
     return path
 
 
@@ -86,14 +86,14 @@ def test_hostile_names_run_nothing(tab: Tab, tmp_path: Path) -> None:
     for item in documents:
         item.content.robot.name = HOSTILE
     path = tmp_path / "report.html"
-    path.write_text(make_report(documents, title=HOSTILE), encoding="utf-8")
+    path.write_text(make_report(documents, title=HOSTILE).html, encoding="utf-8")
     tab.open(path, width=1280)
     assert tab.complaints == []
     assert tab.run("document.querySelector('h1').textContent") == HOSTILE
 
 
 def test_the_policy_stops_what_got_in(tab: Tab, tmp_path: Path) -> None:
-    html = make_report(good_documents())
+    html = make_report(good_documents()).html
     inside = "<script>window.got = 1</script><img src='http://127.0.0.1:9/x' onerror='got = 2'>"
     path = tmp_path / "report.html"
     path.write_text(html.replace("</main>", inside + "</main>"), encoding="utf-8")
@@ -111,7 +111,7 @@ def test_long_names_do_not_widen_the_page(tab: Tab, tmp_path: Path, width: int) 
         for entry in item.content.inputs:
             entry.path = name
     path = tmp_path / "report.html"
-    path.write_text(make_report(documents), encoding="utf-8")
+    path.write_text(make_report(documents).html, encoding="utf-8")
     tab.open(path, width=width)
     tab.run("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
     assert tab.run("[document.documentElement.scrollWidth, innerWidth]") == [width, width]

@@ -24,7 +24,7 @@ def page(*uses: MotionUse) -> str:
     file: ParameterFile = full_file()
     assert file.stages.inertia is not None
     file.stages.inertia.motion_use = list(uses)
-    return make_report([source("inertia.json", file)])
+    return make_report([source("inertia.json", file)]).html
 
 
 def test_motion_of_every_log_with_its_errors() -> None:

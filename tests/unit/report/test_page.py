@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.params.schema import RigidStage
-from seqid_cli.report.make import build_report, make_report
+from seqid_cli.report.make import make_report
 from tests.unit.params.documents import friction_file, inertia_file
 from tests.unit.report.pages import (
     all_documents,
@@ -69,12 +69,12 @@ def outline(html: str) -> Outline:
 def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = tmp_path_factory.mktemp("page")
     torques = write_torques(folder / "t.parquet")
-    return make_report(all_documents(), torques=torques)
+    return make_report(all_documents(), torques=torques).html
 
 
 def test_every_section_is_there_with_its_data(page: str, tmp_path: Path) -> None:
     torques = write_torques(tmp_path / "t.parquet")
-    report = build_report(all_documents(), torques=torques)
+    report = make_report(all_documents(), torques=torques)
     assert list(report.sections) == [
         "verdict",
         "pipeline",
@@ -196,7 +196,7 @@ def test_names_from_files_stay_text(tmp_path: Path) -> None:
     prediction = prediction_file()
     prediction.robot.name = joint
     prediction.notes = [joint]
-    html = make_report(documents, title=joint)  # type: ignore[arg-type]
+    html = make_report(documents, title=joint).html  # type: ignore[arg-type]
     assert "alert(1)</script>" not in html
     assert "&lt;script&gt;alert(1)" in html
     assert "49" not in re.findall(r"<title>(.*?)</title>", html)[0]
@@ -211,7 +211,7 @@ def test_hostile_joint_names_stay_text(tmp_path: Path) -> None:
     joints = file.stages.friction.joints
     file.stages.friction.joints = {HOSTILE: joints["shoulder"], "elbow": joints["elbow"]}
     file.stages.friction.verdicts = []
-    html = make_report([source("f.json", file)])
+    html = make_report([source("f.json", file)]).html
     assert [tag for tag, _ in outline(html).tags].count("script") == 1
     assert "&lt;script&gt;alert(1)" in html
 
@@ -224,7 +224,7 @@ def test_hostile_joint_names_stay_text(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_missing_comes_with_its_command(given: int, commands: list[str]) -> None:
-    report = build_report([good_documents()[given]])
+    report = make_report([good_documents()[given]])
     assert not all(report.sections.values())
     for command in commands:
         assert command in report.html
@@ -235,7 +235,7 @@ def test_a_planar_arm_has_nothing_to_identify_and_that_is_said() -> None:
     file.stages.gravity = RigidStage(
         parameters=[], condition=0.0, rank=0, notes=["gravity loads no joint"]
     )
-    html = make_report([source("inertia.json", file)])
+    html = make_report([source("inertia.json", file)]).html
     assert "nothing to identify" in html
     assert "gravity loads no joint" in html
 
@@ -244,7 +244,7 @@ def test_a_joint_that_slides_along_has_its_own_units() -> None:
     file = friction_file()
     assert file.stages.friction is not None
     file.stages.friction.joints["elbow"].unit = "N"
-    html = make_report([source("friction.json", file)])
+    html = make_report([source("friction.json", file)]).html
     elbow = html.split('id="friction-2"')[1].split("</section>")[0]
     assert "velocity, m/s" in elbow
     assert "friction, N<" in elbow
@@ -271,7 +271,7 @@ def test_odd_surfaces_do_no_harm(odd: dict[str, object]) -> None:
     assert file.stages.friction is not None
     for name, value in odd.items():
         setattr(file.stages.friction.joints["elbow"], name, value)
-    html = make_report([source("f.json", file)])
+    html = make_report([source("f.json", file)]).html
     drawn = re.findall(r'points="([^"]*)"', html)
     assert drawn
     assert not any("n" in points for points in drawn)  # neither nan nor inf

@@ -19,7 +19,7 @@ from seqid_cli.report.figures.torque import (
     over_time,
     spectrum,
 )
-from seqid_cli.report.make import build_report, make_report
+from seqid_cli.report.make import make_report
 from seqid_cli.report.torques import Series, TorqueTable
 from tests.unit.params.documents import inertia_file
 from tests.unit.report.pages import (
@@ -61,7 +61,7 @@ def test_older_files_have_no_motion(tmp_path: Path) -> None:
     (first, _) = opened(path).series("shoulder")
     assert first.position is None
     assert first.used.all()
-    html = make_report(good_documents(), torques=path)
+    html = make_report(good_documents(), torques=path).html
     assert "holds no position and velocity" in html
 
 
@@ -168,13 +168,13 @@ def test_other_tables_are_refused(tmp_path: Path, columns: dict[str, list[object
 def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> None:
     parameters, prediction = good_documents()
     documents = [parameters, source(str(tmp_path / "prediction.json"), prediction.content)]
-    assert build_report(documents).torques == ""
+    assert make_report(documents).torques == ""
     write_torques(tmp_path / "torques.parquet")
-    assert build_report(documents).torques == str(tmp_path / "torques.parquet")
+    assert make_report(documents).torques == str(tmp_path / "torques.parquet")
     write_torques(tmp_path / "torques.parquet", logs=LOGS[:1])
-    assert build_report(documents).torques == ""
+    assert make_report(documents).torques == ""
     shutil.copy(__file__, tmp_path / "torques.parquet")
-    assert build_report(documents).torques == ""
+    assert make_report(documents).torques == ""
 
 
 def _series(path: Path) -> list[Series]:
@@ -256,7 +256,7 @@ def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
     ]
     documents = [source("inertia.json", inertia_file()), source("prediction.json", prediction)]
     torques = write_torques(tmp_path / "t.parquet", logs=logs)
-    html = make_report(documents, torques=torques)
+    html = make_report(documents, torques=torques).html
     assert "the 3 of 8 logs with the largest errors" in html
     shown = [path for path in logs if f"<figcaption>{path}</figcaption>" in html]
     assert shown == list(logs[5:])

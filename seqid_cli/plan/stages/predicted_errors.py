@@ -14,10 +14,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.stages.choose import VAGUE, Goal
-
-Array = NDArray[np.float64]
-
-OPEN_SHARE = 0.1  # of the vague prior's standard deviation: above it nothing was learnt
+from seqid_cli.robot.types import Array
 
 
 @dataclass(frozen=True)
@@ -40,16 +37,16 @@ def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Ar
     step = float(some.t[1] - some.t[0])
     slide = some.dq**2 / (some.dq**2 + belief.slow**2)
     prior = gravity_prior(stages.gravity, belief.basis)
-    told = sensitivity_of(stages.gravity, belief.robot.joint_names) if stages.gravity else {}
+    sensitivity = sensitivity_of(stages.gravity, belief.robot.joint_names) if stages.gravity else {}
     for j, surface in enumerate(belief.surfaces):
         if surface is None:
             continue
         F = surface.columns(some.q[..., j].ravel(), some.dq[..., j].ravel())
         weight = step * belief.density[j] * slide[..., j].ravel()
         moved = -C @ ((weight[:, None] * H[:, :, j].reshape(-1, len(C))).T @ F)
-        if prior is not None and stages.gravity is not None and j in told:
+        if prior is not None and stages.gravity is not None and j in sensitivity:
             gain = C @ prior.A.T
-            moved += gain @ whitened(np.array(stages.gravity.covariance)) @ told[j]
+            moved += gain @ whitened(np.array(stages.gravity.covariance)) @ sensitivity[j]
         whole += moved @ surface.covariance @ moved.T
     return Spread(C, whole)
 
@@ -81,7 +78,7 @@ def growth_of(goal: Goal, have: Array, each: Array, seconds: float) -> list[Plan
     return found
 
 
-def promise_of(
+def predicted_stage(
     belief: Belief,
     goal: Goal,
     stages: Stages,
@@ -90,6 +87,7 @@ def promise_of(
     have: Array,
     *,
     wanted: NDArray[np.bool_] | None = None,
+    open_share: float = 0.1,
 ) -> PlannedStage:
     """Describe what moves add to `have`; `each` (M, b, b) is their scaled information.
 
@@ -101,10 +99,10 @@ def promise_of(
     total = have + each.sum(axis=0)
     spread = spread_of(belief, goal, stages, moves, total)
     errors = np.sqrt(np.diag(spread.whole))
-    vague = errors * goal.scale > OPEN_SHARE * VAGUE
+    vague = errors * goal.scale > open_share * VAGUE
     known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
-    told = goal.prior - np.eye(len(total)) / VAGUE**2
-    rank, condition = rank_and_condition((total + told)[np.ix_(wanted, wanted)])
+    earlier = goal.prior - np.eye(len(total)) / VAGUE**2
+    rank, condition = rank_and_condition((total + earlier)[np.ix_(wanted, wanted)])
     seconds = float(moves.t[-1])
     return PlannedStage(
         parameters=[

@@ -12,7 +12,18 @@ from importlib import import_module
 from types import ModuleType
 
 __version__ = "0.1.0"
-PACKAGES = ("compare", "discover", "export", "identify", "inspect", "plan", "report", "scale")
+PACKAGES = (
+    "compare",
+    "discover",
+    "export",
+    "identify",
+    "inspect",
+    "payload",
+    "plan",
+    "report",
+    "scale",
+    "trend",
+)
 
 
 def __getattr__(name: str) -> ModuleType:

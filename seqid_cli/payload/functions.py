@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.identify.inputs import Models, imu_stage_for, prepare
-from seqid_cli.identify.keywords import OnProgress
+from seqid_cli.identify.keywords import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike
 from seqid_cli.params.document import present
 from seqid_cli.params.io import write_json_atomic
@@ -17,14 +17,13 @@ if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
 
+@documented(Keywords)
 def payload(
     logs: Logs,
     robot: PathLike | Robot,
     parameters: Models,
     options: PayloadOptions = PayloadOptions(),
-    *,
-    output: PathLike | None = None,
-    on_progress: OnProgress | None = None,
+    **keywords: Unpack[Keywords],
 ) -> PayloadFile:
     """Identify the body that the last link carries.
 
@@ -32,30 +31,11 @@ def payload(
     ----------
     logs : path, table, recording, or a sequence of them
         Moves with the payload; those of the last joints against gravity tell most.
-    robot : path or Robot
-        The robot file.
     parameters : path or ParameterFile, or a sequence of them
         The model without the payload.
-    options : PayloadOptions
-    output : path, optional
-        Where the document goes.
-    on_progress : callable, optional
-        Given a `Progress` before and after each log.
-
-    Raises
-    ------
-    SeqidError
-        Where the command would exit with 1 or 2.
     """
-    inputs = prepare(
-        logs,
-        robot,
-        parameters,
-        options,
-        output=output,
-        needs=imu_stage_for(options.source),
-        on_progress=on_progress,
-    )
+    needs = imu_stage_for(options.source)
+    inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     if not {"gravity", "inertia"} & present(inputs.stages).keys():
         where = ", ".join(name for name, _ in inputs.models)
         hint = "Give the result of seqid inertia, or of seqid gravity for slow moves."

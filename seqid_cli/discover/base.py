@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface

@@ -13,12 +13,12 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
-from seqid_cli.discover.aside import EventAside, events_aside
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.events import GATE, Interval
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed
+from seqid_cli.discover.excerpts.out_of_sample import EventAside, events_aside
+from seqid_cli.discover.excess import Loud, expected, looks_like, louder_joints
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.loud import Loud, expected, looks_like, louder_joints
+from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import (
     deflection_notes,
     file_notes,
@@ -33,8 +33,8 @@ from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.selection import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.usable import usable_logs
-from seqid_cli.discover.whiteness import white
+from seqid_cli.discover.survey.events import GATE, Interval
+from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.fitted import fitted_effects

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Unpack
 
 from msgspec import structs
 
-from seqid_cli.discover.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
+from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.identify.functions import announcement
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.keywords import Keywords, documented
@@ -22,7 +22,7 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:
-    from seqid_cli.discover.gather import Gathered
+    from seqid_cli.discover.excerpts.excerpts import Gathered
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.logs.recording import Recording
     from seqid_cli.robot.types import Robot
@@ -48,7 +48,7 @@ def diagnose(
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.discover.diagnosis import diagnose as diagnosed
-    from seqid_cli.discover.gather import one_each
+    from seqid_cli.discover.excerpts.excerpts import one_each
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
@@ -126,7 +126,7 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
 def _gathered(
     inputs: Inputs, logs: LogSet, search: DiscoverOptions, *, aside: bool = True
 ) -> Gathered:
-    from seqid_cli.discover.gather import gather
+    from seqid_cli.discover.excerpts.excerpts import gather
 
     logs.before = announcement(inputs.stages.imu, search.motion.source)
     return gather(logs, inputs.robot, inputs.stages, options=search.motion, aside=aside)
@@ -135,11 +135,11 @@ def _gathered(
 def _refined(
     inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
 ) -> ParameterFile:
-    from seqid_cli.discover.confirm import confirm
-    from seqid_cli.discover.earlier_logs import read_earlier
-    from seqid_cli.discover.gather import one_each
-    from seqid_cli.discover.heldout import WholeLogs
-    from seqid_cli.discover.refinement import refine as decide
+    from seqid_cli.discover.excerpts.excerpts import one_each
+    from seqid_cli.discover.refinement.confirm import confirm
+    from seqid_cli.discover.refinement.earlier_logs import read_earlier
+    from seqid_cli.discover.refinement.held_out import WholeLogs
+    from seqid_cli.discover.refinement.rounds import refine as decide
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
@@ -193,6 +193,6 @@ def _refined(
 
 def _places(recordings: Sequence[Recording]) -> dict[str, Path]:
     """Where each log is, by its SHA-256."""
-    from seqid_cli.discover.gather import by_digest
+    from seqid_cli.discover.excerpts.excerpts import by_digest
 
     return {sha256: some[0].path for sha256, some in by_digest(recordings).items()}

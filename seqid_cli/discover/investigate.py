@@ -15,15 +15,15 @@ from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.echo import echoes
-from seqid_cli.discover.events import GATE, Interval, event_masks, find_events
-from seqid_cli.discover.floor import NoiseFloor, noise_floor
+from seqid_cli.discover.noise.encoder import echoes
+from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.selection import Options, Selected, select, select_again
+from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
+from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages

@@ -7,10 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.floor import rms
+from seqid_cli.discover.excess import LOUD, Loud
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.loud import LOUD, Loud
-from seqid_cli.discover.rows import extrapolated
+from seqid_cli.discover.noise.floor import rms
+from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.identify.imu_calibration.result import deflecting, unit_of
 from seqid_cli.identify.prediction.log_prediction import OUTSIDE_NOTE
 from seqid_cli.params.schema import Stages

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover import earlier_logs
-from seqid_cli.discover import gather as gathering
-from seqid_cli.discover.earlier_logs import read_earlier
-from seqid_cli.discover.gather import Gathered, gather
-from seqid_cli.discover.log_sets import EarlierLogs
+from seqid_cli.discover.excerpts import excerpts as gathering
+from seqid_cli.discover.excerpts.excerpts import Gathered, gather
+from seqid_cli.discover.refinement import earlier_logs
+from seqid_cli.discover.refinement.earlier_logs import read_earlier
+from seqid_cli.discover.refinement.log_sets import EarlierLogs
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions, LogOptions

@@ -19,10 +19,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.echo import echoes
-from seqid_cli.discover.floor import noise_floor, rms
-from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.noise.encoder import echoes
+from seqid_cli.discover.noise.floor import noise_floor, rms
 from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.effects.scene import Scene
 from tests import ROOT

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.choose import MOST_PIECES, PIECE_S, chosen
-from seqid_cli.discover.events import Interval
-from seqid_cli.discover.gather import ASIDE_S, INNER_S, MOST_ASIDE, about_places
-from seqid_cli.discover.look_over import BLOCK_S, LOOKS_PER_S, LookedOver
+from seqid_cli.discover.excerpts.design import MOST_PIECES, PIECE_S, chosen
+from seqid_cli.discover.excerpts.excerpts import ASIDE_S, INNER_S, MOST_ASIDE, about_places
+from seqid_cli.discover.excerpts.residual_survey import BLOCK_S, LOOKS_PER_S, LookedOver
+from seqid_cli.discover.survey.events import Interval
 from seqid_cli.logs.recording import Whole
 
 Array = NDArray[np.float64]

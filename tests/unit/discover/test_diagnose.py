@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.diagnosis import described, diagnose, share_above
-from seqid_cli.discover.floor import NoiseFloor
+from seqid_cli.discover.excess import expected, louder_joints
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.loud import expected, louder_joints
+from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.notes import file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.echo import Noiseless
-from seqid_cli.discover.floor import rms
+from seqid_cli.discover.noise.encoder import Noiseless
+from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous

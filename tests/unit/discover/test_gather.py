@@ -13,10 +13,10 @@ import pytest
 from msgspec import structs
 from numpy.typing import NDArray
 
-from seqid_cli.discover import gather as gathering
-from seqid_cli.discover import look_over as looking
 from seqid_cli.discover.diagnosis import diagnose
-from seqid_cli.discover.gather import Gathered, gather, one_each
+from seqid_cli.discover.excerpts import excerpts as gathering
+from seqid_cli.discover.excerpts import residual_survey as looking
+from seqid_cli.discover.excerpts.excerpts import Gathered, gather, one_each
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions

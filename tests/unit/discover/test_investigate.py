@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqid_cli.discover.events import Interval
 from seqid_cli.discover.investigate import of_law, of_shape
 from seqid_cli.discover.select.model import Model
+from seqid_cli.discover.survey.events import Interval
 from tests.unit.discover.arms import arm_scenes, candidate, model_of
 
 PUSH = Interval(scene=0, start=5.0, end=5.3, joints=(1,), score=9.0)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqid_cli.discover.periods import period_of, repeats_of
+from seqid_cli.discover.noise.repeats import period_of, repeats_of
 from tests.unit.discover.drawn_logs import (
     CUTOFF_HZ,
     PERIOD_S,

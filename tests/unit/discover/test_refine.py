@@ -9,15 +9,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from seqid_cli.discover.confirm import confirm
-from seqid_cli.discover.events import Interval
-from seqid_cli.discover.floor import NoiseFloor
-from seqid_cli.discover.heldout import Gain, HeldOutError, gain, gain_of
-from seqid_cli.discover.left_out import FOLDS, Folds
-from seqid_cli.discover.loop import Loop
+from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement import ALL_ALONG, LATE, quiet, refine
-from seqid_cli.discover.reidentify import Material, Refitted, refitted
+from seqid_cli.discover.refinement.confirm import confirm
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of
+from seqid_cli.discover.refinement.left_out import FOLDS, Folds
+from seqid_cli.discover.refinement.loop import Loop
+from seqid_cli.discover.refinement.reidentify import Material, Refitted, refitted
+from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
+from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
@@ -103,7 +103,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert not any("doubtful" in note for note in loop.notes)
     left = np.array([loop.after["joint_1"].rmse])
     above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left, ("spectrum",))
-    monkeypatch.setattr("seqid_cli.discover.confirm.noise_floor", lambda *_: above)
+    monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_: above)
     doubtful = confirm(found, held_out)
     assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
     assert any("doubtful" in note for note in doubtful.notes)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover import gather as gathering
-from seqid_cli.discover import heldout
-from seqid_cli.discover.confirm import confirm
-from seqid_cli.discover.gather import Gathered, gather
-from seqid_cli.discover.heldout import WholeLogs, held_out_error
+from seqid_cli.discover.excerpts import excerpts as gathering
+from seqid_cli.discover.excerpts.excerpts import Gathered, gather
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement import on_the_same_samples, refine
+from seqid_cli.discover.refinement import held_out as heldout
+from seqid_cli.discover.refinement.confirm import confirm
+from seqid_cli.discover.refinement.held_out import WholeLogs, held_out_error
+from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.logs.read import read_recording

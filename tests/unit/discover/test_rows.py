@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from seqid_cli.discover.rows import (
+from seqid_cli.discover.survey.rows import (
     BLOCK_S,
     FOLDS,
     FOLDS_OF_ONE,
@@ -92,7 +92,7 @@ def test_a_short_log_is_one_fold() -> None:
 def test_very_long_logs_are_thinned_by_whole_blocks(
     scenes: list[Scene], rows: Rows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("seqid_cli.discover.rows.MOST_ROWS", 1200)
+    monkeypatch.setattr("seqid_cli.discover.survey.rows.MOST_ROWS", 1200)
     few = rows_of(scenes)
     for whole, thin, own in zip(rows.block, few.block, few.picked, strict=True):
         assert set(thin) < set(whole)

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.rows import Rows, rows_of
-from seqid_cli.discover.turning import turns
+from seqid_cli.discover.survey.reversals import turns
+from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from tests.plants.robots.two_joint import COULOMB

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from seqid_cli.discover.rows import Rows
-from seqid_cli.discover.whiteness import covariance, white
+from seqid_cli.discover.noise.whiteness import covariance, white
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from tests.unit.discover.drawn_logs import (
     CUTOFF_HZ,

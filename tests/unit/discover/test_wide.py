@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
-from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.select.linear import Part
 from seqid_cli.discover.select.selection import Selected, select
-from seqid_cli.discover.wide import both_bands, full_residual, high_band
+from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from tests.unit.discover.arms import Extra, arm_scenes, at_joint, ground_of, measuring

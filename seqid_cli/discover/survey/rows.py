@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.turning import Turn, turns
+from seqid_cli.discover.survey.reversals import Turn, turns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import REACH
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 
 Array = NDArray[np.float64]

@@ -20,19 +20,19 @@ import msgspec
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.events import Interval
 from seqid_cli.discover.evidence import evidence_of
-from seqid_cli.discover.heldout import LEAST_GAIN, Gain, gain, gain_of
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.left_out import FOLDS, STRETCH_S, Folds
-from seqid_cli.discover.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.reidentify import Key, Material, Refitted, key_of
+from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, gain, gain_of
+from seqid_cli.discover.refinement.left_out import FOLDS, STRETCH_S, Folds
+from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_model, with_effects
+from seqid_cli.discover.refinement.reidentify import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.selection import Options, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.usable import usable_logs
+from seqid_cli.discover.survey.events import Interval
+from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.identify.prediction.log_prediction import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects

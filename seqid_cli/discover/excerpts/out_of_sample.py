@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.event_windows import (
+from seqid_cli.discover.investigate import STANDS_OUT, Investigation, no_push
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.select.model import Ground, Model
+from seqid_cli.discover.survey.event_windows import (
     Track,
     residual_series,
     top_speeds,
     tracks_of,
     windows_of_tracks,
 )
-from seqid_cli.discover.events import GATE, LENGTHS_S, Interval, events_of_scene, scores
-from seqid_cli.discover.investigate import STANDS_OUT, Investigation, no_push
-from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, extrapolated, rows_of
-from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.select.model import Ground, Model
+from seqid_cli.discover.survey.events import GATE, LENGTHS_S, Interval, events_of_scene, scores
+from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF, extrapolated, rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.results.diagnosis import EventEntry

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
-from seqid_cli.discover.noise import nearest
+from seqid_cli.discover.noise.spectra import nearest
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface

@@ -36,10 +36,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend
 
-from seqid_cli.discover.noise import LEAST_SHARE, median_spectrum, nearest, power_gain, stretches
-from seqid_cli.discover.noise_level import Level, Spectrum, level_of, passed
-from seqid_cli.discover.periods import repeats_of
-from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.noise.level import Level, Spectrum, level_of, passed
+from seqid_cli.discover.noise.repeats import repeats_of
+from seqid_cli.discover.noise.spectra import (
+    LEAST_SHARE,
+    median_spectrum,
+    nearest,
+    power_gain,
+    stretches,
+)
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.bandwidth import encoder_step

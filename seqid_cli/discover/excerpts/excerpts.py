@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.choose import chosen
-from seqid_cli.discover.look_over import BLOCK_S, LookedOver, look_over
+from seqid_cli.discover.excerpts.design import chosen
+from seqid_cli.discover.excerpts.residual_survey import BLOCK_S, LookedOver, look_over
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.streaming import open_if_long

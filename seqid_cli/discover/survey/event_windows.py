@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.survey.rows import Rows
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

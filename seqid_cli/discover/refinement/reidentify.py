@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.scenes import scenes_of, shared_starts
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity

@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from seqid_cli.discover.event_windows import (
+from seqid_cli.discover.survey.event_windows import (
     OVERLAP,
     Windows,
     residual_series,
     windows_of,
 )
-from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF, Rows
+from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN, gaussian_spread

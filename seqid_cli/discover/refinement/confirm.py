@@ -8,14 +8,14 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.discover.base import base_of
-from seqid_cli.discover.echo import echoes
-from seqid_cli.discover.floor import NoiseFloor, noise_floor
-from seqid_cli.discover.heldout import HeldOutError, WholeLogs, gain, held_out_error
-from seqid_cli.discover.loop import joints_of, key_of_round, with_effects
-from seqid_cli.discover.refinement import Refinement
-from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.noise.encoder import echoes
+from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
+from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
+from seqid_cli.discover.refinement.loop import joints_of, key_of_round, with_effects
+from seqid_cli.discover.refinement.rounds import Refinement
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.usable import usable_logs
+from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import ClosedLoop, JointRmse, RefinementRound, Stages

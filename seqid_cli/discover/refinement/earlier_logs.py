@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from seqid_cli.discover.gather import Gathered, by_digest, gather, values_of
-from seqid_cli.discover.log_sets import EarlierLogs
+from seqid_cli.discover.excerpts.excerpts import Gathered, by_digest, gather, values_of
+from seqid_cli.discover.refinement.log_sets import EarlierLogs
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.discover.noise import DETAIL, power_gain
+from seqid_cli.discover.noise.spectra import DETAIL, power_gain
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.motion import Motion

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.look_over import BLOCK_S, LookedOver
+from seqid_cli.discover.excerpts.residual_survey import BLOCK_S, LookedOver
 from seqid_cli.logs.pieces import Range
 
 Array = NDArray[np.float64]

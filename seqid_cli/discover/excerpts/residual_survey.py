@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.event_windows import Track, windows_of_tracks
-from seqid_cli.discover.events import GATE, LENGTHS_S, Interval, standing_out
-from seqid_cli.discover.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.discover.survey.event_windows import Track, windows_of_tracks
+from seqid_cli.discover.survey.events import GATE, LENGTHS_S, Interval, standing_out
+from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.identify.prediction.predict import LongPrediction, predict

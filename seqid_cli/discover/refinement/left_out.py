@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.heldout import BlockSums, HeldOutError, joined
+from seqid_cli.discover.refinement.held_out import BlockSums, HeldOutError, joined
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.logs.recording import Recording

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solve_banded
 from scipy.stats import ncx2
 
-from seqid_cli.discover.noise import power_gain
-from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.noise.spectra import power_gain
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.motion import Motion
 

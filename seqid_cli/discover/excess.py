@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.floor import rms
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.noise import DETAIL
+from seqid_cli.discover.noise.floor import rms
+from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_terms
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from seqid_cli.discover.noise import power_gain
+from seqid_cli.discover.noise.spectra import power_gain
 from seqid_cli.motion.motion import Motion
 
 Array = NDArray[np.float64]

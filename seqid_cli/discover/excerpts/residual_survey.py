@@ -1,9 +1,9 @@
-"""One pass over a log of any length: how the residual runs, and where it is unlike the rest.
+"""Residual survey: one pass over a log of any length.
 
-The torque is predicted part by part (see `identify.prediction`). Kept of it are sums of squares
-over short blocks of time, the motion a few times a second, and the strongest places at which the
-residual stands out against all others of a span of the log (see `events`). None of it says what
-the model lacks; it says where to look (see `choose`), and that nothing is overlooked.
+The torque is predicted part by part (see `identify.prediction`). Kept are sums over short blocks
+of time, and the strongest places at which the residual stands out against all others of a span of
+the log (see `survey.events`). None of it says what the model lacks. It says where to look (see
+`design`).
 """
 
 from __future__ import annotations
@@ -23,27 +23,23 @@ from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.identify.prediction.predict import LongPrediction, predict
 from seqid_cli.logs.pieces import whole_of
 from seqid_cli.logs.recording import Recording, Whole
-from seqid_cli.model.effects.fitted import Fitted, fitted_effects
+from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel, known_rotors
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-BLOCK_S = 2.0  # over which squares are summed
-LOOKS_PER_S = 10.0  # at the motion
+BLOCK_S = 2.0  # over which sums are taken
 SPAN = 60_000  # kept samples, at least, within which places are compared with each other
 OVERLAP_S = 2.0  # between spans
 MOST_PLACES = 12  # of one log
-SINGLE = np.float32
 SERIES = ("t", "q", "dq", "ddq", "load", "residual")  # of a track, sample by sample
 
 
 @dataclass(frozen=True)
-class LookedOver:
+class ResidualSurvey:
     """What a pass over one log remembers.
 
     Attributes
@@ -55,10 +51,10 @@ class LookedOver:
     squares, counts : (B, n) arrays
         Sum of the squared residual [(N m)^2] over each `BLOCK_S`, and how many samples are in it;
         those at which a joint certainly slides.
-    t, q, dq : (L,), (L, n), (L, n) arrays
-        The motion, some times a second; `slides` (L, n) tells where its residual counts.
-    usable : (L,) mask
-        Where the log has no gap and its filters have settled.
+    travel : (B, n, 2) array
+        The way [rad] that each joint slides in each block, forward and backward.
+    usable : (B,) array
+        Samples of each block without a gap, once the filters have settled.
     places : tuple of Interval
         Where the residual stands out, the strongest first; s since the first sample.
     """
@@ -70,11 +66,8 @@ class LookedOver:
     kind: str
     squares: Array
     counts: Array
-    t: Array
-    q: NDArray[np.float32]
-    dq: NDArray[np.float32]
-    slides: Mask
-    usable: Mask
+    travel: Array
+    usable: Array
     places: tuple[Interval, ...]
 
     @property
@@ -85,9 +78,9 @@ class LookedOver:
             return np.asarray(np.sqrt(self.squares.sum(axis=0) / counts))
 
 
-def look_over(
+def residual_survey(
     log: Recording | SurveyedLog, robot: Robot, stages: Stages, *, options: InertiaOptions
-) -> LookedOver:
+) -> ResidualSurvey:
     """Pass over one log.
 
     Parameters
@@ -107,25 +100,24 @@ def look_over(
         If the log carries neither torque nor current, or no stretch is long enough to filter.
     """
     model = TorqueModel.from_stages(stages, robot)
-    looks = _Looks(model)
+    survey = _Survey(model)
     for part in _parts(log, robot, stages, model, options):
-        looks.push(part)
-    looks.end()
+        survey.push(part)
+    survey.end()
+    sums = survey.table()
+    n = robot.n
     streamed = isinstance(log, SurveyedLog)
-    return LookedOver(
+    return ResidualSurvey(
         path=log.path,
         whole=whole_of(log),
         samples=log.samples if isinstance(log, SurveyedLog) else len(log.t),
         rate_hz=log.rate_hz,
         kind=log.format if streamed else "",
-        squares=looks.table(looks.squares),
-        counts=looks.table(looks.counts),
-        t=np.concatenate(looks.t),
-        q=np.concatenate(looks.q),
-        dq=np.concatenate(looks.dq),
-        slides=np.concatenate(looks.slides),
-        usable=np.concatenate(looks.usable),
-        places=_strongest(looks.places),
+        squares=sums[:, :n],
+        counts=sums[:, n : 2 * n],
+        travel=sums[:, 2 * n : 4 * n].reshape(-1, 2, n).swapaxes(1, 2),
+        usable=sums[:, -1],
+        places=_strongest(survey.places),
     )
 
 
@@ -139,13 +131,8 @@ def _parts(
     options = replace(options, source="encoder")
     if not isinstance(log, SurveyedLog):
         return predict([log], robot, stages, options=options, unexplained=True)
-    effects = told_part_by_part(fitted_effects(stages, robot, unexplained=True))
+    effects = [x for x in fitted_effects(stages, robot, unexplained=True) if x.local]
     return LongPrediction.of(log, model, stages, options, effects).parts()
-
-
-def told_part_by_part(effects: Iterable[Fitted]) -> list[Fitted]:
-    """Effects whose torque follows from the motion around each moment, measured ones aside."""
-    return [x for x in effects if x.local]
 
 
 def _strongest(places: Iterable[Interval]) -> tuple[Interval, ...]:
@@ -158,17 +145,11 @@ def _strongest(places: Iterable[Interval]) -> tuple[Interval, ...]:
 
 
 @dataclass
-class _Looks:
+class _Survey:
     """Takes the parts of a prediction one after the other."""
 
     model: TorqueModel
-    squares: dict[int, Array] = field(default_factory=dict)  # by block
-    counts: dict[int, Array] = field(default_factory=dict)
-    t: list[Array] = field(default_factory=list)
-    q: list[NDArray[np.float32]] = field(default_factory=list)
-    dq: list[NDArray[np.float32]] = field(default_factory=list)
-    slides: list[Mask] = field(default_factory=list)
-    usable: list[Mask] = field(default_factory=list)
+    sums: dict[int, Array] = field(default_factory=dict)  # (4 n + 1,) by block
     places: list[Interval] = field(default_factory=list)
     _tracks: list[Track] = field(default_factory=list)
     _held: int = 0
@@ -176,41 +157,29 @@ class _Looks:
 
     def push(self, part: LogPrediction) -> None:
         """Take the next samples."""
-        assert part.q is not None
-        assert part.dq is not None
-        assert part.ddq is not None
-        left = part.tau - part.predicted
-        counts = part.sliding & part.used[:, None]
-        self._add_blocks(part.t, np.where(counts, left, 0.0), counts)
-        rate = 1.0 / float(part.t[1] - part.t[0]) if len(part.t) > 1 else LOOKS_PER_S
-        at = self._every(len(part.t), rate / LOOKS_PER_S)
-        self.t.append(part.t[at])
-        self.q.append(part.q[at].astype(SINGLE))
-        self.dq.append(part.dq[at].astype(SINGLE))
-        self.slides.append(counts[at])
-        self.usable.append(part.used[at])
-        kept = self._every(len(part.t), rate / (SAMPLES_PER_CUTOFF * part.cutoff_hz))
+        left, counts = part.tau - part.predicted, part.sliding & part.used[:, None]
+        step = float(part.t[1] - part.t[0]) if len(part.t) > 1 else 0.0
+        self._add_sums(part, np.where(counts, left, 0.0), counts, step)
+        stride = 1.0 / (SAMPLES_PER_CUTOFF * part.cutoff_hz * max(step, 1e-9))
+        every = max(1, int(stride + 1e-6))  # the stride of a rate that is known from its steps
+        kept = np.arange(-self._seen % every, len(part.t), every)
         self._seen += len(part.t)
         self._add_track(part, np.where(counts, left, np.nan), kept)
 
-    def _every(self, samples: int, stride: float) -> NDArray[np.intp]:
-        """Samples of the next part that lie on a grid over the whole log."""
-        step = max(1, int(stride + 1e-6))  # the stride of a rate that is known from its steps
-        return np.arange(-self._seen % step, samples, step)
-
-    def _add_blocks(self, t: Array, left: Array, counts: Mask) -> None:
-        block = (t / BLOCK_S).astype(np.intp)
+    def _add_sums(self, part: LogPrediction, left: Array, counts: Mask, step: float) -> None:
+        assert part.dq is not None
+        block = (part.t / BLOCK_S).astype(np.intp)
         starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
-        sums = np.add.reduceat(left**2, starts, axis=0)
-        number = np.add.reduceat(counts.astype(np.float64), starts, axis=0)
-        for k, own, there in zip(block[starts].tolist(), sums, number, strict=True):
-            self.squares[k] = self.squares.get(k, 0.0) + own
-            self.counts[k] = self.counts.get(k, 0.0) + there
+        way = np.where(counts, part.dq * step, 0.0)
+        every = [left**2, counts, np.maximum(way, 0.0), np.maximum(-way, 0.0), part.used[:, None]]
+        sums = np.add.reduceat(np.hstack(every), starts, axis=0)
+        for k, own in zip(block[starts].tolist(), sums, strict=True):
+            self.sums[k] = self.sums.get(k, 0.0) + own
 
-    def table(self, sums: dict[int, Array]) -> Array:
-        """The sums of all blocks, (B, n)."""
-        result = np.zeros((max(sums) + 1, self.model.robot.n))
-        for k, own in sums.items():
+    def table(self) -> Array:
+        """The sums of all blocks, (B, 4 n + 1)."""
+        result = np.zeros((max(self.sums) + 1, 4 * self.model.robot.n + 1))
+        for k, own in self.sums.items():
             result[k] = own
         return result
 

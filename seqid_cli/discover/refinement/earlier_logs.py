@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from seqid_cli.discover.excerpts.excerpts import Gathered, by_digest, gather, values_of
+from seqid_cli.discover.excerpts.excerpts import Excerpts, by_digest, take_excerpts, values_of
 from seqid_cli.discover.refinement.log_sets import EarlierLogs
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
@@ -28,7 +28,7 @@ class Earlier:
 
 
 def read_earlier(
-    inputs: Inputs, found: EarlierLogs, fitted: Gathered, options: InertiaOptions
+    inputs: Inputs, found: EarlierLogs, fitted: Excerpts, options: InertiaOptions
 ) -> Earlier:
     """Read the logs of earlier stages; one that is fitted anyway is not read a second time.
 
@@ -52,12 +52,12 @@ def read_earlier(
     whole = {x.sha256: [x] for x in _logs(inputs, needed.values())} if needed else {}
     rest: dict[str, list[Recording]] = {}
     if others:
-        pieces = gather(
+        pieces = take_excerpts(
             _logs(inputs, others.values()),
             inputs.robot,
             inputs.stages,
             options=options,
-            aside=False,
+            places=False,
         )
         rest = by_digest(pieces.recordings)
     by_stage = {

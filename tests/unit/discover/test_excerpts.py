@@ -14,9 +14,8 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from seqid_cli.discover.diagnosis import diagnose
-from seqid_cli.discover.excerpts import excerpts as gathering
-from seqid_cli.discover.excerpts import residual_survey as looking
-from seqid_cli.discover.excerpts.excerpts import Gathered, gather, one_each
+from seqid_cli.discover.excerpts import excerpts, residual_survey
+from seqid_cli.discover.excerpts.excerpts import Excerpts, one_each, take_excerpts
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
@@ -30,24 +29,23 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.er
 
 OPTIONS = DiscoverOptions()
 MOST = 68_000  # as MOST_VALUES counts: a good half of the log
-PUSHED = 30.0  # s, in no piece of the clean log
+PUSHED = 66.0  # s, in no piece of the clean log
 
 
 @pytest.fixture(autouse=True)
 def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gathering, "PASSED_OVER", 1000)
+    monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
 
 
-def gathered(case: LongCase, folder: Path, most: int = MOST) -> Gathered:
+def gathered(case: LongCase, folder: Path, most: int = MOST) -> Excerpts:
     path = case.written(folder / "long.parquet")
     files = LogSet([path], case.robot)
     options = OPTIONS.motion
-    return gather(files, case.robot, case.stages, options=options, most_values=most)
+    return take_excerpts(files, case.robot, case.stages, options=options, most_values=most)
 
 
-def diagnosed(case: LongCase, pieces: Gathered) -> DiagnosisFile:
-    logs, apart = pieces.recordings, pieces.aside
-    found = diagnose(logs, case.robot, case.stages, options=OPTIONS, aside=apart)
+def diagnosed(case: LongCase, pieces: Excerpts) -> DiagnosisFile:
+    found = diagnose(pieces.recordings, case.robot, case.stages, options=OPTIONS)
     return structs.replace(found, created="")
 
 
@@ -60,7 +58,7 @@ def push(size: float = 1.0) -> LongCase:
 
 
 @cache
-def clean_pieces(folder: Path) -> Gathered:
+def clean_pieces(folder: Path) -> Excerpts:
     return gathered(long_case(), folder)
 
 
@@ -97,7 +95,7 @@ def test_pieces_reach_over_the_whole_time(folder: Path) -> None:
     for part, piece in enumerate(pieces.recordings):
         centre = piece.offset + 0.5 * float(piece.t[-1])
         assert part / 2 <= centre / length <= (part + 1) / 2
-    assert not pieces.aside
+    assert not pieces.about_places
 
 
 def test_nothing_is_missing_where_nothing_is(folder: Path) -> None:
@@ -114,7 +112,7 @@ def test_the_notes_say_what_was_looked_at(folder: Path) -> None:
     counts = log.used[:, None] & log.sliding
     left = np.where(counts, log.tau - log.predicted, 0.0)
     rms = np.sqrt(np.sum(left**2, axis=0) / counts.sum(axis=0))
-    np.testing.assert_allclose(pieces.looks[0].rms, rms, rtol=1e-7)
+    np.testing.assert_allclose(pieces.surveys[0].rms, rms, rtol=1e-7)
     assert residual.endswith(f"shoulder {rms[0]:.3g}, elbow {rms[1]:.3g}")
     assert not others
 
@@ -132,23 +130,18 @@ def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
     case = push()
     pieces = gathered(case, folder)
     same = [x.offset for x in clean_pieces(folder).recordings]
-    assert [x.offset for x in pieces.recordings] == same  # the residual has no say in them
+    others = [x.offset for x in pieces.recordings]
+    assert [x for x in others if x in same] == same  # the residual has no say in them
     assert not any(x <= PUSHED <= x + 20.0 for x in same)
-    assert len(pieces.aside) == 1
+    assert pieces.about_places == len(others) - len(same) == 1
     found = diagnosed(case, pieces)
     (event,) = found.events
     assert event.start < PUSHED < event.end < event.start + 1.0
     assert event.log == str(folder / "long.parquet")
     assert [f.effect for f in found.findings] == ["external_contact"]
     assert found.findings[0].confidence > 0.5
-    assert found.joints == clean_diagnosis(folder).joints
-
-
-def test_a_piece_aside_without_an_event_changes_nothing(folder: Path) -> None:
-    pieces = clean_pieces(folder)
-    (aside,) = gathered(push(0.0), folder, most=34_000).recordings[:1]
-    found = diagnosed(long_case(), replace(pieces, aside=(aside,)))
-    assert found == clean_diagnosis(folder)
+    for name, joint in clean_diagnosis(folder).joints.items():
+        assert found.joints[name].rmse == pytest.approx(joint.rmse, rel=0.2)
 
 
 def test_a_slow_drift_is_found(folder: Path) -> None:
@@ -169,9 +162,9 @@ def test_logs_that_fit_are_held_as_they_are(folder: Path) -> None:
     case = long_case()
     path = case.written(folder / "fits.parquet")
     files, most = LogSet([path], case.robot), 4 * len(case.log.t)
-    held = gather(files, case.robot, case.stages, options=OPTIONS.motion, most_values=most)
-    assert not held.looks
-    assert not held.aside
+    held = take_excerpts(files, case.robot, case.stages, options=OPTIONS.motion, most_values=most)
+    assert not held.surveys
+    assert not held.about_places
     assert held.notes(case.robot) == ()
     (log,) = held.recordings
     assert log.whole is None
@@ -180,7 +173,9 @@ def test_logs_that_fit_are_held_as_they_are(folder: Path) -> None:
 
 def test_a_log_that_is_at_hand_is_cut_alike(folder: Path) -> None:
     case, pieces = long_case(), clean_pieces(folder)
-    held = gather([case.log], case.robot, case.stages, options=OPTIONS.motion, most_values=MOST)
+    held = take_excerpts(
+        [case.log], case.robot, case.stages, options=OPTIONS.motion, most_values=MOST
+    )
     assert [x.offset for x in held.recordings] == pytest.approx(
         [x.offset for x in pieces.recordings], abs=1e-9
     )
@@ -191,7 +186,7 @@ def test_a_log_that_is_at_hand_is_cut_alike(folder: Path) -> None:
 def test_memory_of_the_pass_does_not_grow_with_the_log(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(looking, "SPAN", 500)
+    monkeypatch.setattr(residual_survey, "SPAN", 500)
     short, long = (_peak(rounds, folder) for rounds in (3, 9))
     assert long < 1.15 * short
 
@@ -212,7 +207,7 @@ def _peak(times: int, folder: Path) -> int:
     assert surveyed is not None
     gc.collect()
     tracemalloc.start()
-    looking.look_over(surveyed, case.robot, case.stages, options=InertiaOptions())
+    residual_survey.residual_survey(surveyed, case.robot, case.stages, options=InertiaOptions())
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return peak

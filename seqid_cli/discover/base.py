@@ -28,9 +28,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 _NO_TERMS: Index = np.zeros(0, dtype=np.intp)
 MOST_TORQUE = 2.0  # of a column, over what the file leaves
@@ -106,7 +104,7 @@ class Base:
         return tuple(np.zeros_like(X) for X in self.timing)
 
     def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
-        """Torque (N, n) N m of the base's deviations at every sample of each scene."""
+        """Torque (N, n) N m of the base's deviations at every sample of each data set."""
         rigid = theta_rigid.astype(np.float32)
         result = []
         for whole in self.whole:
@@ -126,7 +124,7 @@ def _freed(held: Array, terms: Index, bound: Array) -> Array:
 
 @dataclass(frozen=True)
 class Whole:
-    """Base columns of one scene at all of its samples: H (N, n, b), friction[j] (N, k_j)."""
+    """Base columns of one data set at all of its samples: H (N, n, b), friction[j] (N, k_j)."""
 
     H: NDArray[np.float32]
     friction: tuple[Array, ...]

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed
@@ -54,8 +53,7 @@ from seqid_cli.params.results.diagnosis import (
 )
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
@@ -271,7 +269,7 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
 
 
 def _loud(found: Investigation, robot: Robot, loud: Loud) -> UnexplainedPart:
-    """Describe what is left at a joint that is louder than noise."""
+    """Describe the excess residual of a joint."""
     name, what = robot.joint_names[loud.joint], looks_like(found, loud.joint)
     if what is None:
         return UnexplainedPart(joint=name, depends_on=[], share=loud.share)

@@ -1,7 +1,7 @@
-"""Joints whose residual is louder than noise and encoder make it, whatever it depends on.
+"""Excess residual: more than noise and encoder make, whatever it depends on.
 
-An effect that nothing here foretells, in a single quick move say, is not selected; but then what is
-left is more than what a right model would leave.
+An effect that left-out blocks do not show, in a single quick move say, is not selected. What is
+left then exceeds what a right model would leave.
 """
 
 from __future__ import annotations
@@ -9,22 +9,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_terms
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 LOUD = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 
 
 @dataclass(frozen=True)
 class Loud:
-    """One such joint, and what is left there over what is expected."""
+    """One joint with excess residual, and what is left there over what is expected."""
 
     joint: int
     times: float
@@ -47,9 +45,9 @@ def expected(found: Investigation) -> Array:
 
 
 def louder_joints(found: Investigation, ordinary: Array) -> tuple[Loud, ...]:
-    """Joints that are louder than `ordinary` (n,) N m after all that was found, the loudest first.
+    """Joints with more than `ordinary` (n,) N m left after all that was found, the largest first.
 
-    Not those that the file alone fits as well as expected.
+    Joints that the file alone fits as well as expected are left out.
     """
     left = np.minimum(found.model.rms(), found.start)
     times = left / np.maximum(ordinary, 1e-12)
@@ -58,7 +56,7 @@ def louder_joints(found: Investigation, ordinary: Array) -> tuple[Loud, ...]:
 
 
 def looks_like(found: Investigation, joint: int) -> SmoothFunction | None:
-    """The function that a joint's residual is most like, however little that foretells."""
+    """The smooth term that a joint's residual is most like, however little it predicts."""
     ground = found.ground
     terms = [t for t in smooth_terms(ground.stage.rows, ground.size) if t.joint == joint]
     gained = found.model.linear.gained([term.part for term in terms])

@@ -1,7 +1,7 @@
-"""The investigation behind a diagnosis: scenes, rows, selection, events, noise floor.
+"""The investigation behind a diagnosis: data sets, rows, selection, events, noise floor.
 
 Short stretches that stand out against everything else the logs show are events. They are taken out,
-and so are samples at which nobody can say what torque an effect has; then the selection goes on.
+and so are samples at which the torque of an effect is not known. Then the selection goes on.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import base_of
@@ -28,9 +27,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 LAW = 0.02  # of the swing of the model's torque: less may be the error of any of its laws
@@ -54,7 +51,7 @@ class Investigation:
 
     @property
     def ground(self) -> Ground:
-        """Rows and scenes, events left out."""
+        """Rows and data sets, events left out."""
         return self.found.model.ground
 
     @property
@@ -107,7 +104,7 @@ def floor_of(logs: Sequence[Recording], model: Model, events: Sequence[Interval]
 
 
 def guessed(model: Model) -> list[Mask]:
-    """Samples (N, n) of each scene at which effects of the model may have any torque."""
+    """Samples (N, n) of each data set at which effects of the model may have any torque."""
     scenes = model.ground.stage.scenes
     masks = [np.zeros_like(scene.slides) for scene in scenes]
     for what in (term.what for term in model.terms):
@@ -134,7 +131,7 @@ def events_of(model: Model) -> list[Interval]:
 def no_push(
     model: Model, event: Interval, scene: Scene, residual: Sequence[Array], shown: Sequence[Array]
 ) -> bool:
-    """Whether an event may be an error of the model's laws; (N, n) N m per scene."""
+    """Whether an event may be an error of the model's laws; (N, n) N m per data set."""
     return of_law(event, scene, residual) or of_shape(model, event, scene, residual, shown)
 
 
@@ -149,7 +146,7 @@ def of_law(event: Interval, scene: Scene, residual: Sequence[Array]) -> bool:
 def of_shape(
     model: Model, event: Interval, scene: Scene, residual: Sequence[Array], shown: Sequence[Array]
 ) -> bool:
-    """Whether an event's residual is small beside its log's effects around it, (N, n) per scene.
+    """Whether an event's residual is small beside its log's effects around it, (N, n) each.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect
     shows is looked at a little around the event too, where it shows most in as short a time, and

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.excess import LOUD, Loud
 from seqid_cli.discover.investigate import Investigation
@@ -16,8 +15,7 @@ from seqid_cli.identify.prediction.log_prediction import OUTSIDE_NOTE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 FITTED = 0.5  # of what the file leaves, below which its values are to blame
 DEFLECTING = ("joint_elasticity", "backlash")

@@ -15,7 +15,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.excerpts.design import excerpts_of
 from seqid_cli.discover.excerpts.residual_survey import BLOCK_S, ResidualSurvey, residual_survey
@@ -31,8 +30,6 @@ from seqid_cli.logs.storage.remote import StoredLog, local_copy
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
 
 # What is held of logs, in samples times joints, if every second counts as PER_SECOND samples more
 # than it has: a search takes half a kB for each sample of each joint at the log's own rate, and

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
@@ -29,9 +28,7 @@ from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 SHARP = 1e-9  # width of the sign [rad/s]
 SLOWEST = 1e-6  # rad/s, at which the friction of a direction is evaluated at least
@@ -53,12 +50,12 @@ def echoes(
     ----------
     recordings : sequence of Recording
         With torque.
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         Of the same logs, with the model that is to be right.
     deviation : sequence of (N, n) arrays, optional
-        Low-passed torque [N m] that the refitted base adds to the scene's model.
+        Low-passed torque [N m] that the refitted base adds to the model.
     events : sequence of (N,) masks, optional
-        The scene's samples at which something else acts on the arm.
+        Samples of the data set at which something else acts on the arm.
     """
     added = deviation or [np.zeros_like(scene.motion.q) for scene in scenes]
     apart = events or [np.zeros(scene.samples, dtype=bool) for scene in scenes]
@@ -144,7 +141,7 @@ class Noiseless:
 
     @property
     def _rigid(self) -> Array:
-        """Rigid-body torque (M, n) at the scene's samples; accelerations of IMUs where it has."""
+        """Rigid-body torque (M, n) at the data set's samples; IMUs' accelerations if any."""
         motion = self.scene.motion
         if motion.source != "encoder":
             return self.scene.rigid
@@ -161,7 +158,7 @@ class Noiseless:
         return np.where(forward, self.at_log(ahead), self.at_log(back))
 
     def _friction_of_directions(self) -> tuple[Array, Array]:
-        """Friction (M, n) at the scene's positions and speeds, forward and backward."""
+        """Friction (M, n) at the data set's positions and speeds, forward and backward."""
         motion, surfaces = self.scene.motion, self.scene.model.surfaces
         ahead, back = np.zeros(motion.q.shape), np.zeros(motion.q.shape)
         for j, surface in enumerate(surfaces):
@@ -181,11 +178,11 @@ class Noiseless:
         return result
 
     def at_log(self, values: Array) -> Array:
-        """Values (M, n) at the scene's samples, at the log's own (N, n)."""
+        """Values (M, n) at the data set's samples, at the log's own (N, n)."""
         if len(values) == len(self.recording.t):
             return values
         t, own = self.recording.t, self.scene.motion.t
-        # Past the scene's last sample there is less than one of its intervals.
+        # Past the last sample there is less than one of its intervals.
         return np.asarray(CubicSpline(own, values)(np.minimum(t, own[-1])))
 
 

@@ -33,7 +33,6 @@ from functools import reduce
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import detrend
 
 from seqid_cli.discover.noise.level import Level, Spectrum, level_of, passed
@@ -52,9 +51,8 @@ from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.motion.motion import NOISE_BANDWIDTH, Motion, encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
+from seqid_cli.typing import Array
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Way = Literal["repeats", "rests", "spectrum"]
 
 SEED = 0  # of the draws behind the interval
@@ -130,12 +128,12 @@ def noise_floor(
     ----------
     recordings : sequence of Recording
         With torque.
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         Of the same logs.
     rows : Rows
-        Of the same scenes.
+        Of the same data sets.
     residual : sequence of (N, n) arrays
-        Low-passed residual [N m] at the scenes' samples after all that was found has been taken
+        Low-passed residual [N m] at the data sets' samples after all that was found has been taken
         out; zero where it does not count.
     echo : sequence of (N, n) arrays
         The part of it that the encoder's noise makes [N m], see `echoes`.

@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from seqid_cli.discover.noise.spectra import power_gain
 from seqid_cli.motion.motion import Motion
+from seqid_cli.typing import Array
 
-Array = NDArray[np.float64]
 Slid = Sequence[tuple[Motion, float]]  # motion of a log, and for how many seconds the joint slides
 
 GRID = 400  # frequencies, over which a band is integrated

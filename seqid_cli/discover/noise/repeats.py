@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from seqid_cli.model.effects.scene import Scene
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 ALIKE = 0.02  # of a joint's travel (RMS) that positions may differ by and still repeat
 LEAST_REPEATED = 0.8  # of the moving samples that must repeat
@@ -32,9 +30,9 @@ SIMILAR_CUTOFF = 0.1  # relative difference of cut-offs up to which torques can 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Motion of scene `first` at time t is that of scene `second` at t + lag [s].
+    """Motion of data set `first` at time t is that of data set `second` at t + lag [s].
 
-    `at` (K,) are the samples of the first scene for which that holds, `then` (K,) the times of the
+    `at` (K,) are the samples of the first one for which that holds, `then` (K,) the times of the
     second, s.
     """
 
@@ -50,7 +48,7 @@ def period_of(scene: Scene) -> float | None:
 
     Parameters
     ----------
-    scene : Scene
+    `scene` : `Scene`
 
     Returns
     -------
@@ -92,7 +90,7 @@ def _comparable(a: Scene, b: Scene) -> bool:
 
 
 def _lag(a: Scene, b: Scene) -> float | None:
-    """Shortest lag [s] at which b repeats a; of one scene with itself, without lag zero."""
+    """Shortest lag [s] at which b repeats a; of one data set with itself, without lag zero."""
     size = _travel(a)
     moving = size > 0
     if not moving.any():
@@ -163,7 +161,7 @@ def _refined(p: Array, q: Array, lag: int) -> float:
 
 
 def _same(p: Array, q: Array, lag: float, a: Scene, b: Scene) -> bool:
-    """Whether what moves repeats at the lag, from the first move of either scene to its last."""
+    """Whether what moves repeats at the lag, from the first move of either data set to its last."""
     moves: Mask = np.any(a.motion.moving, axis=1)
     then_moves: Mask = np.any(b.motion.moving, axis=1)
     at = np.flatnonzero(a.motion.usable & _between(moves))

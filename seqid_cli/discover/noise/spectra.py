@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import detrend
 
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.design import ORDER
 from seqid_cli.motion.filters.differentiation import runs
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 LEAST_SHARE = 0.1  # of the residual's power that stays noise, whatever else explains
 DETAIL = 0.002  # of a joint's torque, that no model gets right
@@ -56,7 +53,7 @@ def stretches(mask: Mask, length: int) -> list[int]:
 
 
 def nearest(mask: Mask, samples: int) -> Mask:
-    """A mask (M, n) of a scene at the log's own `samples`."""
+    """A mask (M, n) of a data set at the log's own `samples`."""
     at = np.linspace(0, len(mask) - 1, samples).round().astype(int)
     spread: Mask = mask[at]
     return spread

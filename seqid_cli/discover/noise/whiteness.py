@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solve_banded
 from scipy.stats import ncx2
 
@@ -22,10 +21,7 @@ from seqid_cli.discover.noise.spectra import power_gain
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.motion import Motion
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index, Mask
 
 FALSE_ALARM = 0.01
 LAGS = 20
@@ -47,11 +43,11 @@ def white(
 
     Parameters
     ----------
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
     rows : Rows
-        Of the same scenes; only samples that count are looked at.
+        Of the same data sets; only samples that count are looked at.
     residual : sequence of (N, n) arrays
-        Low-passed twice, at the scenes' samples, N m.
+        Low-passed twice, at the data sets' samples, N m.
     columns : int
         Parameters per joint that were fitted to these samples.
     false_alarm : float

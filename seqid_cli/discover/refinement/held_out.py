@@ -36,9 +36,7 @@ from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 BLOCK_S = 2.0  # of the shortest blocks whose errors are compared
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little

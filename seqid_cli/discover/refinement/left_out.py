@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.refinement.held_out import BlockSums, HeldOutError, joined
 from seqid_cli.identify.options import InertiaOptions
@@ -22,9 +21,7 @@ from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 FOLDS = 3
 STRETCH_S = 4.0  # of a stretch, at least; a shorter log is left out as a whole

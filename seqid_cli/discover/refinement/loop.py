@@ -1,8 +1,8 @@
 """The state of a refinement: the model as it grows, those of its folds, and what was tried.
 
-Nothing here knows of held-out logs. The model of all training logs is what the next round looks at
-and what is written in the end; whether an effect is worth it is decided by models of folds, each
-fitted without some blocks of time that it then predicts (see `left_out`).
+Held-out logs play no part here. The model of all training logs is what is written in the end.
+Models of folds decide whether an effect is worth it: each is fitted without some blocks of time,
+which it then predicts (see `left_out`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,6 @@ from seqid_cli.discover.refinement.reidentify import (
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
 from seqid_cli.params.schema import RefinementRound, Stages
 from seqid_cli.robot.types import Robot
-
-IDLE = "no longer helps beside what was added later"
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,6 @@ class Loop:
     steps: list[Refitted]
     without: Refitted
     rounds: list[RefinementRound] = field(default_factory=list)
-    refused: dict[Key, float] = field(default_factory=dict)  # until so many effects were added
 
     @classmethod
     def begin(cls, material: Material, model: Refitted) -> Loop:
@@ -169,35 +166,6 @@ class Loop:
         return refitted(
             self.material, model, account.candidates, late=account.late, kept=account.kept
         )
-
-    def withdraw_idle(self) -> None:
-        """Take back effects, the last one first, that left-out blocks do not miss beside others.
-
-        Only where others touch the same joints: by itself an effect has been decided on.
-        """
-        robot = self.material.robot
-        for told in [r for r in reversed(self.rounds) if r.accepted]:
-            key = key_of_round(told, robot)
-            rest = [c for c in self.best.candidates if c.key != key]
-            if not any(joints_of(key, robot) & joints_of(c.key, robot) for c in rest):
-                continue
-            without = self.account(rest, self.best.late - {key}, kept=key in self.best.late)
-            errors = self.error_of(without), self.error_of(self.best)
-            where = joints_of(key, robot), set(range(robot.n))
-            if not any(gain(*errors, joints).certain for joints in where):
-                self._withdraw(told, key, without)
-
-    def _withdraw(self, told: RefinementRound, key: Key, without: Account) -> None:
-        """Forget an effect; the models of those that came after it are fitted anew."""
-        number = [r for r in self.rounds if r.accepted].index(told)
-        idle = msgspec.structs.replace(told, accepted=False, reason=IDLE)
-        self.rounds = [idle if r is told else r for r in self.rounds]
-        later, self.steps = self.steps[number + 2 :], self.steps[: number + 1]
-        for step in later:
-            rest = tuple(c for c in candidates_of_model(step.effects) if c.key != key)
-            own = replace(without, candidates=rest, late=step.late - {key})
-            self.steps.append(self._whole(self.model, own))
-        self.best, self.base = without, without.models
 
 
 def key_of_round(told: RefinementRound, robot: Robot) -> Key:

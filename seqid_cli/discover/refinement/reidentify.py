@@ -1,11 +1,11 @@
 """The whole model anew, with effects in it, under either of two accounts of an effect.
 
 *All along*: it was there when the earlier stages were identified, and has biased them. Effects and
-base are fitted together on the training logs, the base free where those stages have swallowed what
-looked like friction in their trials; the effects' torque is taken out of all recordings, friction
-trials as well, and every stage runs again on them by its own recipe; and so on until the effects
-settle. Where the logs of the earlier stages are not at hand, the base moves as the joint fit on the
-training logs says.
+base are fitted together on the training logs. The base is free where those stages have taken in
+what looked like friction in their trials. Then the effects' torque is taken out of all recordings,
+friction trials as well, and every stage runs again on them by its own recipe. This repeats until
+the effects settle. Where the logs of the earlier stages are not at hand, the base moves as the
+joint fit on the training logs says.
 
 *Late*: it came with the training logs. The stages stay as they are, and only the effects are
 fitted, beside a base that may move within the errors that the file gives.
@@ -39,8 +39,7 @@ from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 LOOSE = 3.0  # variance of a direction over that of its parameters, from which it may be held
 CLEAR = 2.0  # standard errors, that such a direction must move by to leave the file

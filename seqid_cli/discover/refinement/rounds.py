@@ -1,11 +1,11 @@
 """Refinement: add what a model lacks, as long as left-out blocks of time are predicted better.
 
-Every round an investigation of the training logs, with all effects so far taken out, names the next
-effect; model and effects are fitted anew under two accounts: the effect was there all along, or it
-came after the file was identified (see `reidentify`). Both are fitted without some blocks of the
-training logs, which they then predict. These blocks decide: which account, whether the effect is
-added at all, and in the end whether it is still needed beside those that came later. An effect that
-helps one joint at the expense of another is refused, and said to be.
+An investigation of the training logs names the effects that the model lacks, each beside all others
+(see `select`). They are tried one after the other, the largest gain first: model and effects are
+fitted anew under two accounts, that the effect was there all along, or that it came after the file
+was identified (see `reidentify`). Both are fitted without some blocks of the training logs, which
+they then predict. These blocks decide which account holds, and whether the effect is added at all.
+An effect that helps one joint at the expense of another is refused, with that reason.
 
 Held-out logs play no part in any of this: `refine` is not given them. What they say of the result
 is in `confirm`.
@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
-import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of
@@ -103,12 +102,14 @@ def refine(
     if Folds.of(training).count < 2:
         said = (*notes, _too_short(training))
         return Refinement(material, file.stages, (), (start,), start, said)
+    found = _investigated(material, start)
+    smooth = options.with_unexplained and bool(found.found.smooth)
+    if not (found.found.effects or smooth):
+        return Refinement(material, file.stages, (), (start,), start, notes)
     loop = Loop.begin(material, start)
-    while loop.added < options.max_effects and _round(loop):
-        pass
-    loop.withdraw_idle()
+    _add_effects(loop, found)
     if options.with_unexplained:
-        _add_smooth(loop)
+        _add_smooth(loop, _investigated(material, loop.model) if loop.added else found)
     rounds, steps = tuple(loop.rounds), tuple(loop.steps)
     return Refinement(material, file.stages, rounds, steps, loop.without, notes)
 
@@ -140,30 +141,24 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
     )
 
 
-def _investigated(loop: Loop) -> Investigation:
-    """What the model, with its effects, may lack on the training logs: it is tried, not told."""
-    material, model = loop.material, loop.model
+def _investigated(material: Material, model: Refitted) -> Investigation:
+    """Find what the model, with its effects, may lack: candidates that are tried, not reported."""
     logs, stages, tried = material.now(model), model.stages, Options(improvement=LEAST_GAIN)
     return investigate(logs, material.robot, stages, material.options, least=0.0, selection=tried)
 
 
-def _round(loop: Loop) -> bool:
-    """Look for effects and try each; returns whether one was added."""
-    found = _investigated(loop)
+def _add_effects(loop: Loop, found: Investigation) -> None:
+    """Try each effect that was found, and keep those that left-out blocks agree with."""
     ordered = sorted(found.found.effects, key=lambda taken: -taken.one.foretold.total)
-    added, seen = False, loop.material
+    seen = loop.material
     if found.events:
         loop.material = replace(seen, training=quiet(seen.training, found.events))
     for taken in ordered:
         what = taken.term.what
         assert isinstance(what, Candidate)
-        if loop.added < loop.refused.get(what.key, 0) or _had(loop, what):
-            continue
-        if loop.added >= loop.material.options.max_effects:
-            break
-        added |= _try(loop, what, found, taken)
+        if loop.added < seen.options.max_effects and not _had(loop, what):
+            _try(loop, what, found, taken)
     loop.material = seen
-    return added
 
 
 def _had(loop: Loop, candidate: Candidate) -> bool:
@@ -201,27 +196,17 @@ class Outcome:
     @property
     def accepted(self) -> bool:
         """Whether they are predicted better."""
-        return self.helps and not self.losing
-
-    @property
-    def helps(self) -> bool:
-        """Whether they are, as far as the effect's own joints are concerned."""
-        return self.change.certain and self.whole.value > 0.0
+        return self.change.certain and self.whole.value > 0.0 and not self.losing
 
 
-def _try(loop: Loop, candidate: Candidate, found: Investigation, taken: Taken) -> bool:
+def _try(loop: Loop, candidate: Candidate, found: Investigation, taken: Taken) -> None:
     """Fit the models of the folds with one effect more; keep it if left-out blocks agree."""
     outcome, account = _first_accepted(loop, _accounts(loop, candidate), taken.term.channels)
     told = _shown(loop, _told(loop, candidate, account, outcome), found, taken)
-    same = [r for r in loop.rounds if (r.effect, r.joint) == (told.effect, told.joint)]
-    loop.rounds = [r for r in loop.rounds if r.accepted or r not in same]
     if outcome.accepted:
         loop.accept(told, account)
     else:
         loop.rounds.append(told)
-        # A joint that loses may only lack an effect of its own: worth another try beside that.
-        loop.refused[candidate.key] = loop.added + 1 if outcome.helps else np.inf
-    return outcome.accepted
 
 
 def _accounts(loop: Loop, candidate: Candidate) -> list[Account]:
@@ -301,9 +286,8 @@ def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcom
     return "does not certainly predict left-out blocks better"
 
 
-def _add_smooth(loop: Loop) -> None:
-    """Add smooth terms of no known cause where they foretell what was left out."""
-    found = _investigated(loop)
+def _add_smooth(loop: Loop, found: Investigation) -> None:
+    """Add smooth terms of no known cause where they predict left-out blocks."""
     for taken in found.found.smooth:
         told = _shown(loop, _told_smooth(loop, taken), found, taken)
         loop.rounds.append(told)

@@ -1,6 +1,6 @@
 """Windows of time over which events are looked for: the mean residual and the state of each.
 
-Cut from the rows of scenes, or from tracks: kept samples of logs of any length.
+Cut from the rows of data sets, or from tracks: kept samples of logs of any length.
 """
 
 from __future__ import annotations
@@ -10,13 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.survey.rows import Rows
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index, Mask
 
 OVERLAP = 4  # windows that cover each moment
 USED = 0.6  # share of a window's samples that must count
@@ -25,7 +21,7 @@ STEEP = 0.1  # of the largest speed: below it directions and reversals are told 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of one length over all scenes.
+    """Windows of one length over all data sets.
 
     `scene`, `centre` (W,) say where; `mean` (W, n) of the scaled residual, NaN where too few
     samples count; `state` (W, 3n) position, speed and acceleration of each joint, scaled;
@@ -58,7 +54,7 @@ class Track:
 
 
 def residual_series(rows: Rows, left_out: Sequence[Array]) -> list[Array]:
-    """Scaled residual (M, n) at each scene's kept samples, NaN where a joint does not count."""
+    """Scaled residual (M, n) at each data set's kept samples, NaN where a joint does not count."""
     result = []
     first = [0] * rows.n
     for used in rows.used:
@@ -72,18 +68,18 @@ def residual_series(rows: Rows, left_out: Sequence[Array]) -> list[Array]:
 
 
 def windows_of(rows: Rows, series: Sequence[Array], length_s: float) -> Windows:
-    """Cut all scenes into overlapping windows of one length."""
+    """Cut all data sets into overlapping windows of one length."""
     return windows_of_tracks(tracks_of(rows, series), top_speeds(rows), length_s)
 
 
 def top_speeds(rows: Rows) -> Array:
-    """Highest speed (n,) of each joint in any scene."""
+    """Highest speed (n,) of each joint in any data set."""
     top = np.max([np.max(np.abs(s.motion.dq), axis=0) for s in rows.scenes], axis=0)
     return np.asarray(np.maximum(top, 1e-12))
 
 
 def tracks_of(rows: Rows, series: Sequence[Array]) -> list[Track]:
-    """The kept samples of every scene with their scaled residual (M, n)."""
+    """The kept samples of every data set with their scaled residual (M, n)."""
     return [
         Track(
             motion.t[picked] - motion.t[0],
@@ -121,7 +117,7 @@ def windows_of_tracks(tracks: Sequence[Track], top: Array, length_s: float) -> W
 
 
 def _windows_of_track(number: int, track: Track, top: Array, length_s: float) -> tuple[Any, ...]:
-    """Scene, centre, mean, state, speed and reversals of one log's windows."""
+    """Data set, centre, mean, state, speed and reversals of one log's windows."""
     t, v = track.t, track.dq
     step = float(np.min(np.diff(t), initial=np.inf))
     begin = np.arange(t[0], t[-1] - length_s + 1e-9, length_s / OVERLAP)

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
@@ -32,10 +31,7 @@ from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN, gaussian_spread
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index, Mask
 
 LENGTHS_S = (0.15, 0.3, 0.6)
 GATE = 5.2
@@ -57,7 +53,7 @@ MOST = 1.645  # magnitude that one in ten exceeds, per standard deviation
 
 @dataclass(frozen=True)
 class Interval:
-    """One event: a stretch of one scene, in seconds since its first sample."""
+    """One event: a stretch of one data set, in seconds since its first sample."""
 
     scene: int
     start: float
@@ -66,7 +62,7 @@ class Interval:
     score: float
 
     def inside(self, scene: Scene, margin: float = 0.0) -> Mask:
-        """Samples (N,) of its scene between its start and its end, and so many seconds more."""
+        """Samples (N,) between its start and its end, and so many seconds more."""
         t = scene.motion.t - scene.motion.t[0]
         return np.asarray((t >= self.start - margin) & (t <= self.end + margin))
 
@@ -94,7 +90,7 @@ def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) ->
     Returns
     -------
     list of Interval
-        By scene and time.
+        By data set and time.
     """
     found: list[Interval] = []
     scored = [(windows, scores(windows)) for windows in _all_windows(rows, left_out)]
@@ -120,7 +116,7 @@ def standing_out(all_windows: Sequence[Windows], *, gate: float = GATE) -> list[
 
 
 def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
-    """Samples (N,) of each scene that belong to events or feel them through the low-pass."""
+    """Samples (N,) of each data set that belong to events or feel them through the low-pass."""
     masks = []
     for number, scene in enumerate(rows.scenes):
         margin = 0.5 / scene.motion.lowpass.cutoff_hz
@@ -265,7 +261,7 @@ def _robust_size(values: Array) -> float:
 def events_of_scene(
     number: int, scored: Sequence[tuple[Windows, Array]], gate: float
 ) -> list[Interval]:
-    """Events of one scene: windows above the gate and what belongs to them, joined.
+    """Events of one data set: windows above the gate and what belongs to them, joined.
 
     What fills more than a small share of a log is no event but something that the model lacks.
     """

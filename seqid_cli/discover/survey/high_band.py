@@ -14,15 +14,11 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index, Mask
 
 PASSING = 0.05  # share of the power above the cut-off, under which that below says nothing
 MOST_SAMPLES = 80_000  # of all logs; of longer ones every second block counts, or every third, ...
@@ -36,9 +32,9 @@ class HighBand:
     Attributes
     ----------
     used : tuple of (N, n) masks
-        Per scene, at the log's own rate.
-    fold, block : tuple of (M_j,) index arrays
-        Fold and block of each row of each joint.
+        Per data set, at the log's own rate.
+    block : tuple of (M_j,) index arrays
+        Block of each row of each joint.
     y : tuple of (M_j,) arrays
         Measured torque above the cut-off [N m].
     weight : (n,) array
@@ -46,13 +42,12 @@ class HighBand:
     """
 
     used: tuple[Mask, ...]
-    fold: tuple[Index, ...]
     block: tuple[Index, ...]
     y: tuple[Array, ...]
     weight: Array
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
-        """Stack the joint's rows of values (N, ...), one array per scene at its own rate."""
+        """Stack the joint's rows of values (N, ...), one array per data set at its own rate."""
         return np.concatenate([v[u[:, joint]] for v, u in zip(values, self.used, strict=True)])
 
 
@@ -84,8 +79,7 @@ def high_band(rows: Rows) -> HighBand:
     own = [np.concatenate([b[u[:, j]] for b, u in zip(blocks, masks, strict=True)]) for j in joints]
     y = [np.concatenate([h[u[:, j], j] for h, u in zip(high, masks, strict=True)]) for j in joints]
     weight = [np.sqrt(max(len(y[j]), 1) / max(rows.count(j), 1)) for j in joints]
-    fold = tuple(rows.fold[b] for b in own)
-    return HighBand(masks, fold, tuple(own), tuple(y), np.array(weight))
+    return HighBand(masks, tuple(own), tuple(y), np.array(weight))
 
 
 def both_bands(
@@ -143,9 +137,9 @@ def full_residual(scene: Scene, left: Array) -> Array:
 
     Parameters
     ----------
-    scene : Scene
+    `scene` : `Scene`
     left : (N', n) array
-        Low-passed residual at the scene's rate.
+        Low-passed residual at the data set's rate.
     """
     full = _full(scene)
     slow = [np.interp(full.motion.t, scene.motion.t, left[:, j]) for j in range(left.shape[1])]

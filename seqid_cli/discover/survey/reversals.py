@@ -1,4 +1,4 @@
-"""What nobody knows of friction where a joint turns back or rests, and rows that feel it less.
+"""Reversal uncertainty: what is not known of friction where a joint turns back or rests.
 
 A joint that turns back sticks until its drive has overcome friction twice. When it stopped and when
 it broke loose is known to a share of the time for which it does not certainly slide. Friction's
@@ -65,11 +65,11 @@ class Turn:
 
 
 def turns(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Turn]:
-    """Find what is uncertain in one joint's rows of one scene.
+    """Find what is uncertain in one joint's rows of one data set.
 
     Parameters
     ----------
-    scene : Scene
+    `scene` : `Scene`
         With torque.
     picked : (M,) array of int
         Samples that are kept as rows.

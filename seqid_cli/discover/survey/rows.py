@@ -16,22 +16,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from seqid_cli.discover.survey.reversals import Turn, turns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import REACH
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index, Mask
 
 SAMPLES_PER_CUTOFF = 5
 BLOCK_S = 2.0
 FOLDS = 10
-ONLY_HERE = 0.5  # share of a joint's rows in one log, from which that log has folds enough for it
-FOLDS_OF_ONE = 5
 MOST_ROWS = 40_000
 TOGETHER = 64  # columns that are low-passed together
 FEWEST_ROWS = 50  # of a joint, all logs together, that are worth looking at
@@ -45,17 +39,17 @@ MOST_OUTSIDE = 0.6  # share of the logs outside the identified friction, from wh
 
 @dataclass(frozen=True)
 class Rows:
-    """Which samples of each scene count, joint by joint.
+    """Which samples of each data set count, joint by joint.
 
     Attributes
     ----------
-    scenes : tuple of Scene
+    `scenes` : tuple of `Scene`
     picked : tuple of (M,) index arrays
-        Per scene, the samples that are kept of all N.
+        Per data set, the samples that are kept of all N.
     used : tuple of (M, n) masks
-        Per scene, the kept samples at which each joint counts.
+        Per data set, the kept samples at which each joint counts.
     block : tuple of (M,) index arrays
-        Per scene, the block (counted over all scenes) of each kept sample.
+        Per data set, the block (counted over all of them) of each kept sample.
     fold : (blocks,) index array
         The fold of each block.
     """
@@ -85,12 +79,12 @@ class Rows:
         return self.fold[self.blocks_of(joint)]
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
-        """Stack the joint's rows of filtered values (N, ...), one array per scene."""
+        """Stack the joint's rows of filtered values (N, ...), one array per data set."""
         parts = [v[p][u[:, joint]] for v, p, u in zip(values, self.picked, self.used, strict=True)]
         return np.concatenate(parts)
 
     def spread(self, joint: int, values: Array) -> list[Array]:
-        """A joint's rows (M_j,) at the kept samples (M,) of each scene, zero where it has none."""
+        """A joint's rows (M_j,) at each data set's kept samples (M,), zero where it has none."""
         ends = np.cumsum([used[:, joint].sum() for used in self.used])
         result = []
         for used, part in zip(self.used, np.split(values, ends[:-1]), strict=True):
@@ -124,7 +118,7 @@ class Rows:
         return result
 
     def columns(self, per_scene: Sequence[Mapping[int, Array]], passes: int) -> dict[int, Array]:
-        """Low-pass an effect's columns, scene by scene, and keep the rows of each joint."""
+        """Low-pass an effect's columns, log by log, and keep the rows of each joint."""
         rows: dict[int, list[Array]] = {}
         for number, columns in enumerate(per_scene):
             for joint, values in columns.items():
@@ -133,7 +127,7 @@ class Rows:
         return {j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()}
 
     def filtered(self, number: int, values: Array, passes: int) -> Array:
-        """Low-pass values (N, K) of one scene and keep its rows (M, K)."""
+        """Low-pass values (N, K) of one data set and keep its rows (M, K)."""
         motion, picked = self.scenes[number].motion, self.picked[number]
         kept = np.empty((len(picked), values.shape[1]))
         for first in range(0, values.shape[1], TOGETHER):
@@ -147,7 +141,7 @@ class Rows:
         return {}
 
     def without(self, masks: Sequence[Mask]) -> Rows:
-        """The same rows without some samples of each scene: (N,) of all joints, or (N, n)."""
+        """The same rows without some samples of each data set: (N,) of all joints, or (N, n)."""
         used = tuple(
             u & ~m.reshape(len(m), -1)[p]
             for u, m, p in zip(self.used, masks, self.picked, strict=True)
@@ -174,7 +168,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         lengths.append(count)
         first += count
     kept = _moved(scenes, picked, used)
-    folds = _folds(lengths, _fewest_folds(kept))
+    folds = _folds(lengths)
     kept = _foretold(kept, block, folds)
     return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
 
@@ -210,8 +204,8 @@ def _moved(
     """Leave out joints in logs in which they are only shaken or hardly move, or of next to no rows.
 
     Where a held joint gives way a little, its brake or stiction holds what its base columns, and
-    its few rows elsewhere, would have to explain. A single move of a joint whose motion is in other
-    logs is not foretold by those: left out, it would count for more than all of them.
+    its few rows elsewhere, would have to explain. Other logs do
+    not predict a single move of a joint: left out, it would count for more than all of them.
     """
     parts = zip(scenes, picked, used, strict=True)
     travel = np.array([_travel(s.motion.q[p], u) for s, p, u in parts])
@@ -223,7 +217,7 @@ def _moved(
 
 
 def _foretold(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> tuple[Mask, ...]:
-    """Leave out joints that move in next to no folds: the others would foretell nothing of them."""
+    """Leave out joints that move in too few folds: the other folds would not predict them."""
     number = int(folds.max()) + 1
     counts = np.zeros((number, used[0].shape[1]))
     for u, b in zip(used, block, strict=True):
@@ -249,22 +243,12 @@ def _thinning(scenes: Sequence[Scene]) -> int:
     return max(1, int(np.ceil(rows / MOST_ROWS)))
 
 
-def _fewest_folds(used: Sequence[Mask]) -> list[int]:
-    """Folds that each log must have: two, or more where some joint hardly moves in any other.
-
-    Half of a joint's only log would not foretell the other half.
-    """
-    counts = np.array([u.sum(axis=0) for u in used])
-    most = counts > ONLY_HERE * np.maximum(counts.sum(axis=0), 1)
-    return [FOLDS_OF_ONE if only else 2 for only in most.any(axis=1)]
-
-
-def _folds(lengths: Sequence[int], fewest: Sequence[int]) -> Index:
-    """Folds of contiguous blocks: about FOLDS over all logs, and so many in each at the least."""
+def _folds(lengths: Sequence[int]) -> Index:
+    """Folds of contiguous blocks: about FOLDS over all logs, and two in each at the least."""
     total = sum(lengths)
     folds: list[Index] = []
-    for length, least in zip(lengths, fewest, strict=True):
-        pieces = max(min(least, length), round(FOLDS * length / total))
+    for length in lengths:
+        pieces = max(min(2, length), round(FOLDS * length / total))
         start = folds[-1][-1] + 1 if folds else 0
         folds.append(start + (np.arange(length) * pieces) // length)
     return np.concatenate(folds).astype(np.intp)

@@ -11,7 +11,6 @@ import pytest
 from seqid_cli.discover.survey.rows import (
     BLOCK_S,
     FOLDS,
-    FOLDS_OF_ONE,
     TOGETHER,
     Rows,
     extrapolated,
@@ -121,18 +120,6 @@ def test_without_samples_of_one_joint(scenes: list[Scene], rows: Rows) -> None:
     assert sure.count(0) == rows.count(0)
     assert sure.count(1) == rows.count(1) - rows.used[0][rows.picked[0] < 500, 1].sum()
     assert sure.count(1) < rows.count(1)
-
-
-def test_a_joint_that_moves_in_one_log_only_has_folds_enough_in_it() -> None:
-    rows = rows_of([scene_of(wander(20.0, seed=k, still=(1 - k,)), log=k) for k in (0, 1)])
-    four = rows_of(
-        [scene_of(wander(20.0, seed=k, still=(1,) if k < 3 else ()), log=k) for k in range(4)]
-    )
-    assert np.max(rows.fold) + 1 == 2 * FOLDS_OF_ONE
-    for joint in (0, 1):
-        assert len(np.unique(rows.folds_of(joint))) == FOLDS_OF_ONE
-    assert len(np.unique(four.folds_of(1))) == FOLDS_OF_ONE
-    assert len(np.unique(four.folds_of(0))) < 4 * FOLDS_OF_ONE
 
 
 def test_a_single_move_of_a_joint_does_not_count() -> None:

@@ -127,7 +127,7 @@ def test_what_is_measured_above_the_cutoff() -> None:
     assert float(np.hypot(*c)) == pytest.approx(LINE, rel=0.1)
     assert np.std(high.y[0]) == pytest.approx(0.3, rel=0.15)  # the noise, and steps of friction
     assert high.weight[JOINT] == pytest.approx(np.sqrt(len(high.y[JOINT]) / rows.count(JOINT)))
-    assert len(high.fold[JOINT]) == len(high.y[JOINT])
+    assert len(high.block[JOINT]) == len(high.y[JOINT])
 
 
 def test_rows_above_the_cutoff_are_those_of_the_kept_blocks() -> None:
@@ -137,7 +137,7 @@ def test_rows_above_the_cutoff_are_those_of_the_kept_blocks() -> None:
     high = high_band(rows)
     picked = np.flatnonzero(high.used[0][:, 0])
     own = np.searchsorted(rows.picked[0], picked, side="right") - 1
-    np.testing.assert_array_equal(high.fold[0], rows.fold[rows.block[0][own]])
+    np.testing.assert_array_equal(high.block[0], rows.block[0][own])
     assert not high.used[0][~scenes[0].motion.usable].any()
     assert events[0].shape == (scenes[0].samples,)
 

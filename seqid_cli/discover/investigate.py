@@ -117,36 +117,29 @@ def guessed(model: Model) -> list[Mask]:
 
 def events_of(model: Model) -> list[Interval]:
     """Stretches that stand out in what the model leaves; none unless one does so clearly."""
-    ground = model.ground
-    left, shown = model.left(), model.shown()
-    events = [
-        event
-        for event in find_events(ground.stage.rows, model.scaled())
-        if not no_push(model, event, ground.stage.scenes[event.scene], left, shown)
-    ]
+    rows = model.ground.stage.rows
+    each = list(zip(rows.scenes, model.left(), model.shown(), strict=True))
+
+    def of_model(event: Interval) -> bool:
+        """Whether it may be an error of the model's laws."""
+        scene, left, shown = each[event.scene]
+        return of_law(event, scene, left) or of_shape(model, event, scene, left, shown)
+
+    events = [event for event in find_events(rows, model.scaled()) if not of_model(event)]
     strongest = max((event.score for event in events), default=0.0)
     return events if strongest >= STANDS_OUT * GATE else []
 
 
-def no_push(
-    model: Model, event: Interval, scene: Scene, residual: Sequence[Array], shown: Sequence[Array]
-) -> bool:
-    """Whether an event may be an error of the model's laws; (N, n) N m per data set."""
-    return of_law(event, scene, residual) or of_shape(model, event, scene, residual, shown)
-
-
-def of_law(event: Interval, scene: Scene, residual: Sequence[Array]) -> bool:
-    """Whether an event's residual is small beside the swing of the model's torque around it."""
+def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
+    """Whether an event's residual (N, n) N m is small beside the torque's swing around it."""
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
-    left = np.sqrt(np.mean(residual[event.scene][inside][:, joints] ** 2, axis=0))
+    left = np.sqrt(np.mean(residual[inside][:, joints] ** 2, axis=0))
     return bool(np.all(left < LAW * np.ptp(scene.modelled[around][:, joints], axis=0)))
 
 
-def of_shape(
-    model: Model, event: Interval, scene: Scene, residual: Sequence[Array], shown: Sequence[Array]
-) -> bool:
-    """Whether an event's residual is small beside its log's effects around it, (N, n) each.
+def of_shape(model: Model, event: Interval, scene: Scene, residual: Array, shown: Array) -> bool:
+    """Whether an event's residual is small beside its log's effects around it, (N, n) N m each.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect
     shows is looked at a little around the event too, where it shows most in as short a time, and
@@ -157,8 +150,8 @@ def of_shape(
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
     sigma = model.noise.sigma[joints]
-    left = residual[event.scene][inside][:, joints] / sigma
-    torque = shown[event.scene][around][:, joints] / sigma
+    left = residual[inside][:, joints] / sigma
+    torque = shown[around][:, joints] / sigma
     strongest = float(np.max(uniform_filter1d(np.mean(torque**2, axis=1), int(inside.sum()))))
     swing = float(np.mean(np.ptp(torque[inside[around]], axis=0) ** 2))
     return bool(np.mean(left**2) < BESIDE**2 * max(strongest, swing))

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.survey.event_windows import Track, windows_of_tracks
+from seqid_cli.discover.survey.event_windows import Track, windows_of
 from seqid_cli.discover.survey.events import GATE, LENGTHS_S, Interval, standing_out
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
@@ -215,8 +215,7 @@ def _standing_out(track: Track) -> Iterator[Interval]:
     """Places of one span at which the residual stands out."""
     if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.residual).any():
         return
-    top = np.maximum(np.max(np.abs(track.dq), axis=0), 1e-12)
-    windows = [windows_of_tracks([track], top, length) for length in LENGTHS_S]
+    windows = [windows_of([track], length) for length in LENGTHS_S]
     yield from standing_out([w for w in windows if len(w.centre)], gate=GATE)
 
 

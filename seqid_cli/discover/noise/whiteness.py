@@ -5,8 +5,7 @@ cut-off and freed of the correlation that the low-pass gives to white noise, by 
 of its covariance; gaps are no trouble for that. What is left is uncorrelated under the hypothesis,
 and is tested by the squares of its correlations at the first lags (Box and Pierce, Ljung and Box,
 "On a measure of lack of fit in time series models", Biometrika 65(2), 1978), each from those pairs
-that are there. Fitting p columns to m samples correlates the residual by about -p / m at every lag;
-that much is allowed for as the non-centrality of the chi-square distribution.
+that are there.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
-from scipy.stats import ncx2
+from scipy.stats import chi2
 
 from seqid_cli.discover.noise.spectra import power_gain
 from seqid_cli.discover.survey.rows import Rows
@@ -36,7 +35,6 @@ def white(
     rows: Rows,
     residual: Sequence[Array],
     *,
-    columns: int = 0,
     false_alarm: float = FALSE_ALARM,
 ) -> Mask:
     """Test every joint's residual for being low-passed white noise.
@@ -48,8 +46,6 @@ def white(
         Of the same data sets; only samples that count are looked at.
     residual : sequence of (N, n) arrays
         Low-passed twice, at the data sets' samples, N m.
-    columns : int
-        Parameters per joint that were fitted to these samples.
     false_alarm : float
         Share of white residuals that are called coloured.
 
@@ -58,14 +54,10 @@ def white(
     (n,) bool array
         False where the hypothesis is rejected; True where there are too few samples to.
     """
-    return np.array([_p_value(scenes, rows, residual, j, columns) for j in range(rows.n)]) >= (
-        false_alarm
-    )
+    return np.array([_p_value(scenes, rows, residual, j) for j in range(rows.n)]) >= false_alarm
 
 
-def _p_value(
-    scenes: Sequence[Scene], rows: Rows, residual: Sequence[Array], joint: int, columns: int
-) -> float:
+def _p_value(scenes: Sequence[Scene], rows: Rows, residual: Sequence[Array], joint: int) -> float:
     """Probability of correlations as large as these in a white residual."""
     product, pairs = np.zeros(LAGS), np.zeros(LAGS)
     for scene, at, used, values in zip(scenes, rows.picked, rows.used, residual, strict=True):
@@ -78,9 +70,7 @@ def _p_value(
         return 1.0
     lags = int(min(LAGS, pairs[0] // SAMPLES_PER_LAG))
     product, pairs = product[:lags], pairs[:lags]
-    statistic = float(np.sum(product**2 / pairs))
-    shift = float(np.sum(pairs * (columns / pairs[0]) ** 2))
-    return float(ncx2.sf(statistic, lags, shift))
+    return float(chi2.sf(float(np.sum(product**2 / pairs)), lags))
 
 
 def _whitened(motion: Motion, at: Index, used: Mask, values: Array) -> tuple[Index, Array]:

@@ -67,17 +67,6 @@ def residual_series(rows: Rows, left_out: Sequence[Array]) -> list[Array]:
     return result
 
 
-def windows_of(rows: Rows, series: Sequence[Array], length_s: float) -> Windows:
-    """Cut all data sets into overlapping windows of one length."""
-    return windows_of_tracks(tracks_of(rows, series), top_speeds(rows), length_s)
-
-
-def top_speeds(rows: Rows) -> Array:
-    """Highest speed (n,) of each joint in any data set."""
-    top = np.max([np.max(np.abs(s.motion.dq), axis=0) for s in rows.scenes], axis=0)
-    return np.asarray(np.maximum(top, 1e-12))
-
-
 def tracks_of(rows: Rows, series: Sequence[Array]) -> list[Track]:
     """The kept samples of every data set with their scaled residual (M, n)."""
     return [
@@ -96,8 +85,10 @@ def tracks_of(rows: Rows, series: Sequence[Array]) -> list[Track]:
     ]
 
 
-def windows_of_tracks(tracks: Sequence[Track], top: Array, length_s: float) -> Windows:
-    """Cut logs into overlapping windows of one length; `top` (n,) are the highest speeds."""
+def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
+    """Cut logs into overlapping windows of one length."""
+    top = np.max([np.max(np.abs(track.dq), axis=0) for track in tracks], axis=0)
+    top = np.maximum(top, 1e-12)
     parts = [_windows_of_track(number, x, top, length_s) for number, x in enumerate(tracks)]
     scene, centre, means, state, speed, reverses = (
         np.concatenate(part) for part in zip(*parts, strict=True)

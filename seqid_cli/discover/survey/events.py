@@ -25,6 +25,7 @@ from seqid_cli.discover.survey.event_windows import (
     OVERLAP,
     Windows,
     residual_series,
+    tracks_of,
     windows_of,
 )
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF, Rows
@@ -129,8 +130,8 @@ def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
 
 
 def _all_windows(rows: Rows, left_out: Sequence[Array]) -> list[Windows]:
-    series = residual_series(rows, left_out)
-    return [windows_of(rows, series, length) for length in LENGTHS_S]
+    tracks = tracks_of(rows, residual_series(rows, left_out))
+    return [windows_of(tracks, length) for length in LENGTHS_S]
 
 
 def scores(windows: Windows) -> Array:

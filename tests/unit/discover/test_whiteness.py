@@ -69,21 +69,6 @@ def test_slow_noise_of_the_size_of_the_white_is_seen(moving: Case) -> None:
     assert rejected(moving, IN_BAND * slow, 20, 6) > 0.8
 
 
-def test_fitted_columns_do_not_make_noise_coloured(moving: Case) -> None:
-    scene, rows, samples = moving
-    rng = np.random.default_rng(8)
-    alarms = 0
-    basis = np.cos(np.pi * np.outer(np.arange(scene.samples), np.arange(30)) / scene.samples)
-    for _ in range(30):
-        r = low_passed(rng.standard_normal((samples, 2)), scene)
-        for j in range(2):
-            own = rows.of(j, [basis])
-            theta = np.linalg.lstsq(own, rows.of(j, [r[:, j]]), rcond=None)[0]
-            r[:, j] -= basis @ theta
-        alarms += int(np.sum(~white([scene], rows, [r], columns=30)))
-    assert alarms <= 4
-
-
 def test_covariance_is_that_of_filtered_noise(moving: Case) -> None:
     scene, _, _ = moving
     rng = np.random.default_rng(9)

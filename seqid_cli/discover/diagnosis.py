@@ -14,14 +14,14 @@ from msgspec import structs
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed
-from seqid_cli.discover.excess import Loud, expected, looks_like, louder_joints
+from seqid_cli.discover.excess import Excess, excess_residuals, expected, looks_like
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import (
     deflection_notes,
+    excess_notes,
     file_notes,
     free_base_notes,
-    loud_notes,
     offset_notes,
     outside_notes,
     shown_offsets,
@@ -99,16 +99,16 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     findings = [_finding(found, robot, taken) for taken in found.found.effects]
     rest = _largest_of_each([_unexplained(found, robot, taken) for taken in found.found.smooth])
     ordinary = expected(found)
-    loud = louder_joints(found, ordinary)
+    excess = excess_residuals(found, ordinary)
     if found.events:
         findings.append(_contact(found, robot))
     findings = [one for one in findings if one.confidence >= TOLD]
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
     if not findings and not rest:
-        rest = [_loud(found, robot, one) for one in loud]
+        rest = [_excess(found, robot, one) for one in excess]
     offsets = shown_offsets(found)
     named_already = {part.joint for part in rest}
-    named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in loud))}
+    named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in excess))}
     return DiagnosisFile(
         schema=DIAGNOSIS_SCHEMA,
         created=now(),
@@ -125,7 +125,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
         hidden=_hidden(found, robot),
         notes=[
             *offset_notes(offsets, robot),
-            *loud_notes(loud, robot),
+            *excess_notes(excess, robot),
             *file_notes(found, robot, ordinary, named_already),
             *outside_notes(found, robot, ordinary),
             *free_base_notes(found, robot),
@@ -268,15 +268,15 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     )
 
 
-def _loud(found: Investigation, robot: Robot, loud: Loud) -> UnexplainedPart:
+def _excess(found: Investigation, robot: Robot, excess: Excess) -> UnexplainedPart:
     """Describe the excess residual of a joint."""
-    name, what = robot.joint_names[loud.joint], looks_like(found, loud.joint)
+    name, what = robot.joint_names[excess.joint], looks_like(found, excess.joint)
     if what is None:
-        return UnexplainedPart(joint=name, depends_on=[], share=loud.share)
+        return UnexplainedPart(joint=name, depends_on=[], share=excess.share)
     return UnexplainedPart(
         joint=name,
         depends_on=list(what.quantities),
-        share=loud.share,
+        share=excess.share,
         evidence=left_over(found, robot, what),
     )
 

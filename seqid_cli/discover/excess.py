@@ -17,11 +17,11 @@ from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.typing import Array
 
-LOUD = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
+EXCESS = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 
 
 @dataclass(frozen=True)
-class Loud:
+class Excess:
     """One joint with excess residual, and what is left there over what is expected."""
 
     joint: int
@@ -44,15 +44,15 @@ def expected(found: Investigation) -> Array:
     return np.hypot(found.floor.rms, detail)
 
 
-def louder_joints(found: Investigation, ordinary: Array) -> tuple[Loud, ...]:
+def excess_residuals(found: Investigation, ordinary: Array) -> tuple[Excess, ...]:
     """Joints with more than `ordinary` (n,) N m left after all that was found, the largest first.
 
     Joints that the file alone fits as well as expected are left out.
     """
     left = np.minimum(found.model.rms(), found.start)
     times = left / np.maximum(ordinary, 1e-12)
-    louder = [Loud(j, float(times[j])) for j in np.flatnonzero(times > LOUD).tolist()]
-    return tuple(sorted(louder, key=lambda one: -one.times))
+    larger = [Excess(j, float(times[j])) for j in np.flatnonzero(times > EXCESS).tolist()]
+    return tuple(sorted(larger, key=lambda one: -one.times))
 
 
 def looks_like(found: Investigation, joint: int) -> SmoothFunction | None:

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.noise.encoder import echoes
+from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
@@ -99,7 +99,7 @@ def _ground(rows: Rows, stages: Stages) -> Ground:
 def floor_of(logs: Sequence[Recording], model: Model, events: Sequence[Interval]) -> NoiseFloor:
     """Noise floor with all that was found taken out."""
     rows = model.ground.stage.rows
-    echo = echoes(logs, rows.scenes, model.deviation(), event_masks(rows, events))
+    echo = encoder_residuals(logs, rows.scenes, model.deviation(), event_masks(rows, events))
     return noise_floor(logs, rows.scenes, rows, model.left(), echo)
 
 

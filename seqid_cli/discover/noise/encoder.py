@@ -34,11 +34,11 @@ SHARP = 1e-9  # width of the sign [rad/s]
 SLOWEST = 1e-6  # rad/s, at which the friction of a direction is evaluated at least
 SHARPENINGS = 4  # times that the low-pass of the deviation is partly undone
 BEYOND = 1.5  # of the cut-off, up to which positions are believed
-ECHO_SEED = 0
+SEED = 0
 RAMP = 0.12  # periods of the cut-off, half the length of a ramp from measured to modelled torque
 
 
-def echoes(
+def encoder_residuals(
     recordings: Sequence[Recording],
     scenes: Sequence[Scene],
     deviation: Sequence[Array] | None = None,
@@ -60,12 +60,12 @@ def echoes(
     added = deviation or [np.zeros_like(scene.motion.q) for scene in scenes]
     apart = events or [np.zeros(scene.samples, dtype=bool) for scene in scenes]
     given = zip(recordings, scenes, added, apart, strict=True)
-    return [Noiseless(*one).echo for one in given]
+    return [Noiseless(*one).residual for one in given]
 
 
 @dataclass(frozen=True)
 class Noiseless:
-    """One log as it would be without noise; arguments as those of `echoes`."""
+    """One log as it would be without noise; arguments as those of `encoder_residuals`."""
 
     recording: Recording
     scene: Scene
@@ -91,20 +91,20 @@ class Noiseless:
         return step, np.sqrt(np.where(rest > step**2 / 12.0, rest, 0.0))
 
     @cached_property
-    def echo(self) -> Array:
+    def residual(self) -> Array:
         """Residual (M, n) N m with the encoder's noise drawn once, and no torque noise."""
         motion, recording, model = self.scene.motion, self.recording, self.scene.model
         factor, valid = round(recording.rate_hz / motion.rate_hz), recording.valid
         lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
         tau = lowpass(lowpass(self.torque, valid), valid)[::factor]
-        angle = lowpass(self.read(np.random.default_rng(ECHO_SEED)), valid)
+        angle = lowpass(self.read(np.random.default_rng(SEED)), valid)
         seen = (angle, *differentiate(angle, recording.rate_hz, valid))
         q, dq, ddq = (values[::factor] for values in seen)
         rigid = model.rigid(q, dq, ddq) if motion.source == "encoder" else self.scene.rigid
         friction = sampled_friction(model.surfaces, replace(motion, q=q, dq=dq))
         friction = motion.filtered(friction, times=2)
-        echo: Array = tau - motion.filtered(rigid) - friction - self.deviation
-        return echo
+        residual: Array = tau - motion.filtered(rigid) - friction - self.deviation
+        return residual
 
     @cached_property
     def position(self) -> Array:

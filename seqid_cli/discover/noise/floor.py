@@ -72,8 +72,8 @@ BAND_STRETCH = 4.0  # periods of the cut-off per spectrum of it
 FEWEST_STRETCHES = 2
 HANN = 1.5  # bins of a tapered spectrum that count as one
 MEDIAN = 2.08  # variance of a median of periodograms over that of their mean
-ECHO_ERROR = 0.15  # relative standard error of the encoder's part
-ECHO_SPREAD = np.exp(ECHO_ERROR * np.array([0.0, -1.96, 1.96]))  # at the estimate and its ends
+ENCODER_ERROR = 0.15  # relative standard error of the encoder's part
+ENCODER_SPREAD = np.exp(ENCODER_ERROR * np.array([0.0, -1.96, 1.96]))  # estimate and its ends
 AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
 EXCEEDS = 4.0  # standard errors above what shows in motion: a rest that is more than noise
 
@@ -136,7 +136,7 @@ def noise_floor(
         Low-passed residual [N m] at the data sets' samples after all that was found has been taken
         out; zero where it does not count.
     echo : sequence of (N, n) arrays
-        The part of it that the encoder's noise makes [N m], see `echoes`.
+        The part of it that the encoder's noise makes [N m], see `encoder_residuals`.
     judged : collection of int, optional
         The logs whose floor is wanted, by number, over all samples in which a joint slides; the
         others only help to find the noise. By default all, over the rows as they count.
@@ -166,7 +166,7 @@ def noise_floor(
         torque["spectrum"][1] = min(
             torque["spectrum"][1], Level.known(_top(moving[j])).rms(slid, rng)[1]
         )
-        each = {way: np.hypot(known, heard * ECHO_SPREAD) for way, known in torque.items()}
+        each = {way: np.hypot(known, heard * ENCODER_SPREAD) for way, known in torque.items()}
         if "repeats" in each:
             # The encoder's part comes back with the motion, or does not: other ways decide.
             other = each.get("rests", each["spectrum"])

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.discover.base import base_of
-from seqid_cli.discover.noise.encoder import echoes
+from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.refinement.loop import joints_of, key_of_round, with_effects
@@ -104,8 +104,8 @@ def _closed(
     changes = {names[j]: gain(before, after, [j]) for j in judged}
     lost = [f"{name} ({percent(-g.value)})" for name, g in changes.items() if g.loses]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
-    loud = [j for j in judged if new[j] > MORE_THAN_NOISE * floor.rms[j]]
-    times = ", ".join(f"{names[j]} ({new[j] / floor.rms[j]:.1f} times)" for j in loud)
+    excess = [j for j in judged if new[j] > MORE_THAN_NOISE * floor.rms[j]]
+    times = ", ".join(f"{names[j]} ({new[j] / floor.rms[j]:.1f} times)" for j in excess)
     more = f"more is left than torque noise and encoder account for: {times}; {ASK}"
     return ClosedLoop(
         verdict="good" if all(told.confirmed for told in rounds if told.accepted) else "poor",
@@ -121,7 +121,7 @@ def _closed(
             *found.notes,
             *notes,
             *((said,) if lost else ()),
-            *((more,) if loud else ()),
+            *((more,) if excess else ()),
             *floor.doubts(new, names),
         ],
     )
@@ -154,4 +154,6 @@ def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:
     scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
     rows = rows_of(scenes)
     left = [whole.residual for whole in base_of(rows, model.stages).whole]
-    return noise_floor(freed, scenes, rows, left, echoes(freed, scenes), range(len(held_out)))
+    return noise_floor(
+        freed, scenes, rows, left, encoder_residuals(freed, scenes), range(len(held_out))
+    )

@@ -42,7 +42,7 @@ THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise 
 
 
 @dataclass(frozen=True)
-class Turn:
+class Reversal:
     """Rows from `first` on, directions (m, k) that are uncertain there, and what is taken of each.
 
     Of a direction whose uncertainty is s times torque noise 1 - 1 / sqrt(1 + s^2) is taken.
@@ -53,7 +53,7 @@ class Turn:
     taken: Array
 
     @classmethod
-    def of(cls, first: int, uncertain: Array) -> Turn:
+    def of(cls, first: int, uncertain: Array) -> Reversal:
         """From standard deviations (m, k), in units of torque noise."""
         U, s, _ = np.linalg.svd(uncertain, full_matrices=False)
         return cls(first, U, 1.0 - 1.0 / np.sqrt(1.0 + s**2))
@@ -64,7 +64,7 @@ class Turn:
         part -= self.directions @ (self.taken[:, None] * (self.directions.T @ part))
 
 
-def turns(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Turn]:
+def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Reversal]:
     """Find what is uncertain in one joint's rows of one data set.
 
     Parameters
@@ -79,7 +79,7 @@ def turns(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Turn]:
 
     Returns
     -------
-    list of Turn
+    list of Reversal
         None where friction is small beside torque noise, or either is unknown.
     """
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
@@ -173,7 +173,7 @@ def _noise(scene: Scene, joint: int) -> float:
     return max(float(np.hypot(white * passed, detail)), 1e-12)
 
 
-def _together(found: list[tuple[int, Array]]) -> Iterator[Turn]:
+def _together(found: list[tuple[int, Array]]) -> Iterator[Reversal]:
     """Whiten rows together that feel the same, as far as these are not too many."""
     group: list[tuple[int, Array]] = []
     end = size = 0
@@ -187,9 +187,9 @@ def _together(found: list[tuple[int, Array]]) -> Iterator[Turn]:
         yield _joined(group, end)
 
 
-def _joined(group: list[tuple[int, Array]], end: int) -> Turn:
+def _joined(group: list[tuple[int, Array]], end: int) -> Reversal:
     start = group[0][0]
     wide = [np.zeros((end - start, seen.shape[1])) for _, seen in group]
     for values, (first, seen) in zip(wide, group, strict=True):
         values[first - start : first - start + len(seen)] = seen
-    return Turn.of(start, np.hstack(wide))
+    return Reversal.of(start, np.hstack(wide))

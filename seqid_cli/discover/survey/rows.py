@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.survey.reversals import Turn, turns
+from seqid_cli.discover.survey.reversals import Reversal, reversals_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import REACH
 from seqid_cli.typing import Array, Index, Mask
@@ -100,19 +100,19 @@ class Rows:
         """Whiten a joint's rows (M, ...) for what reversals leave open."""
         result = np.array(values, dtype=np.float64)
         wide = result.reshape(len(result), math.prod(result.shape[1:]))
-        for turn in self._turns[joint]:
-            turn.whiten(wide)
+        for reversal in self._reversals[joint]:
+            reversal.whiten(wide)
         return result
 
     @cached_property
-    def _turns(self) -> list[list[Turn]]:
-        result: list[list[Turn]] = []
+    def _reversals(self) -> list[list[Reversal]]:
+        result: list[list[Reversal]] = []
         for j in range(self.n):
             found, first = [], 0
             for number, scene in enumerate(self.scenes):
                 used = self.used[number][:, j]
-                for turn in turns(scene, self.picked[number], used, j):
-                    found.append(replace(turn, first=turn.first + first))
+                for reversal in reversals_of(scene, self.picked[number], used, j):
+                    found.append(replace(reversal, first=reversal.first + first))
                 first += int(used.sum())
             result.append(found)
         return result
@@ -169,7 +169,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         first += count
     kept = _moved(scenes, picked, used)
     folds = _folds(lengths)
-    kept = _foretold(kept, block, folds)
+    kept = _predictable(kept, block, folds)
     return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
 
 
@@ -216,7 +216,7 @@ def _moved(
     return tuple(u & enough for u in kept)
 
 
-def _foretold(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> tuple[Mask, ...]:
+def _predictable(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> tuple[Mask, ...]:
     """Leave out joints that move in too few folds: the other folds would not predict them."""
     number = int(folds.max()) + 1
     counts = np.zeros((number, used[0].shape[1]))

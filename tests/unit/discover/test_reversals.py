@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.survey.reversals import turns
+from seqid_cli.discover.survey.reversals import reversals_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
@@ -107,7 +107,7 @@ def test_rests_at_either_end_of_a_log_are_uncertain(*, mirrored: bool) -> None:
     used = rows.used[0][:, JOINT].copy()
     order = used[::-1] if mirrored else used
     edge = int(np.flatnonzero(order)[0])
-    found = turns(scenes[0], rows.picked[0], used, JOINT)
+    found = reversals_of(scenes[0], rows.picked[0], used, JOINT)
     number = int(used.sum()) - 1 if mirrored else 0
     felt = any(t.first <= number < t.first + len(t.directions) for t in found)
     assert felt == (edge > 0)

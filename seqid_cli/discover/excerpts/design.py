@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.discover.excerpts.residual_survey import BLOCK_S, ResidualSurvey
+from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
+from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.logs.pieces import Range
 from seqid_cli.typing import Array, Index, Mask
 

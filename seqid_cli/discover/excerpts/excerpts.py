@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.discover.excerpts.design import excerpts_of
-from seqid_cli.discover.excerpts.residual_survey import BLOCK_S, ResidualSurvey, residual_survey
+from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey, residual_survey
+from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.streaming import open_if_long

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.survey.event_windows import Track, windows_of
 from seqid_cli.discover.survey.events import GATE, LENGTHS_S, Interval, standing_out
-from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.identify.prediction.predict import LongPrediction, predict
@@ -31,7 +31,6 @@ from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-BLOCK_S = 2.0  # over which sums are taken
 SPAN = 60_000  # kept samples, at least, within which places are compared with each other
 OVERLAP_S = 2.0  # between spans
 MOST_PLACES = 12  # of one log

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
+from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.identify.prediction.predict import local_effects, predict
@@ -38,7 +39,6 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-BLOCK_S = 2.0  # of the shortest blocks whose errors are compared
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
 LEVEL = 0.95

@@ -23,6 +23,7 @@ from seqid_cli.discover.refinement.reidentify import (
     refitted,
     unique,
 )
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
 from seqid_cli.params.schema import RefinementRound, Stages
 from seqid_cli.robot.types import Robot
@@ -59,6 +60,7 @@ class Loop:
     steps: list[Refitted]
     without: Refitted
     rounds: list[RefinementRound] = field(default_factory=list)
+    _errors: list[tuple[Account, tuple[Recording, ...], HeldOutError]] = field(default_factory=list)
 
     @classmethod
     def begin(cls, material: Material, model: Refitted) -> Loop:
@@ -118,10 +120,16 @@ class Loop:
     def error_of(self, account: Account) -> HeldOutError:
         """Squared errors of the models of the folds where they have seen nothing."""
         material = self.material
+        for known, training, error in self._errors:
+            if known is account and training is material.training:
+                return error
         stages = [with_effects(model, material.robot) for model in account.models]
-        return left_out_error(
-            material.training, self.folds, material.robot, stages, options=material.options.motion
+        motion = material.options.motion
+        found = left_out_error(
+            material.training, self.folds, material.robot, stages, options=motion
         )
+        self._errors.append((account, material.training, found))
+        return found
 
     def error_everywhere(self, account: Account) -> HeldOutError:
         """The same, beside the errors on the logs of earlier stages: they tell when effects came.

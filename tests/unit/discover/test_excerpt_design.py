@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.excerpts.design import MOST_PIECES, PIECE_S, excerpts_of
 from seqid_cli.discover.excerpts.excerpts import ABOUT_S, INNER_S, MOST_PLACES, about_places
-from seqid_cli.discover.excerpts.residual_survey import BLOCK_S, ResidualSurvey
+from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
 from seqid_cli.discover.survey.events import Interval
+from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.logs.recording import Whole
 
 Array = NDArray[np.float64]

@@ -28,8 +28,20 @@ Array = NDArray[np.float64]
 SAMPLES_PER_CUTOFF = 24  # enough for steps of friction, whose time is known to half a sample
 
 
-def scenes_of(
+def motions_of(
     recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+) -> list[Motion]:
+    """Motion of every log at its own rate; of the stages it is that of the IMUs which it needs."""
+    return [_motion(recording, robot, stages, options) for recording in recordings]
+
+
+def scenes_of(
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    motions: Sequence[Motion] | None = None,
 ) -> list[Scene]:
     """Build the scene of every log.
 
@@ -42,6 +54,8 @@ def scenes_of(
         The model as it stands.
     options : InertiaOptions
         Cut-off and source of the motion.
+    motions : sequence of Motion, optional
+        Of the same logs, where they are known (see `motions_of`).
 
     Raises
     ------
@@ -51,7 +65,8 @@ def scenes_of(
     model = TorqueModel.from_stages(stages, robot)
     logs = list(recordings)
     starts, shared = shared_starts(logs)
-    motions = [_motion(recording, robot, stages, options) for recording in logs]
+    if motions is None:
+        motions = motions_of(logs, robot, stages, options=options)
     top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
     width = sign_widths(model, top)
     scenes = []

@@ -60,6 +60,7 @@ class Loop:
     steps: list[Refitted]
     without: Refitted
     rounds: list[RefinementRound] = field(default_factory=list)
+    _materials: dict[int, tuple[Material, Material]] = field(default_factory=dict)
     _errors: list[tuple[Account, tuple[Recording, ...], HeldOutError]] = field(default_factory=list)
 
     @classmethod
@@ -148,10 +149,15 @@ class Loop:
         return there.beside(held_out_error(before, material.robot, stages, options=motion))
 
     def _without(self, fold: int) -> Material:
-        """What a fold's model is fitted to; a log of which nothing is left is nowhere in it.
+        """What a fold's model is fitted to; a log of which nothing is left is nowhere in it."""
+        whole, found = self._materials.get(fold, (None, None))
+        if found is None or whole is not self.material:
+            found = self._left_in(fold)
+            self._materials[fold] = self.material, found
+        return found
 
-        What the stage says of other cut-offs is asked of the whole model alone.
-        """
+    def _left_in(self, fold: int) -> Material:
+        """The material without a fold; the whole model alone is asked about other cut-offs."""
         logs = self.folds.without(self.material.training, fold)
         gone = {identity(log) for log in logs if not log.valid.any()}
         earlier = {

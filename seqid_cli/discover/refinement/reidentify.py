@@ -14,7 +14,7 @@ fitted, beside a base that may move within the errors that the file gives.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
 import msgspec
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.scenes import scenes_of, shared_starts
+from seqid_cli.discover.scenes import motions_of, scenes_of, shared_starts
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -36,6 +36,8 @@ from seqid_cli.identify.rigid.simultaneous import TERMS, identify_simultaneous, 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
@@ -81,6 +83,15 @@ class Material:
     earlier: Mapping[str, Sequence[Recording]]
     robot: Robot
     options: DiscoverOptions
+    _motions: list[Motion] = field(init=False, default_factory=list, compare=False, repr=False)
+
+    def scenes(self, stages: Stages) -> list[Scene]:
+        """Data sets of the training logs; their motion is the same whatever the model."""
+        options = self.options.motion
+        if not self._motions:
+            found = motions_of(self.training, self.robot, stages, options=options)
+            self._motions.extend(found)
+        return scenes_of(self.training, self.robot, stages, options=options, motions=self._motions)
 
     def freed(
         self, logs: Sequence[Recording], stages: Stages, effects: Sequence[Fitted]
@@ -204,8 +215,7 @@ def _fitted(
     material: Material, stages: Stages, candidates: Sequence[Candidate], hold: Hold
 ) -> Model:
     """Base and effects fitted to the training logs, settings searched once more."""
-    scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
-    rows = rows_of(scenes)
+    rows = rows_of(material.scenes(stages))
     fit = Model(Ground.of(Stage(rows), base_of(rows, stages)), hold)
     fit.add(candidates)
     return fit

@@ -15,7 +15,7 @@ Aitken, Proceedings of the Royal Society of Edinburgh 55, 1935).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,11 +83,11 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
         None where friction is small beside torque noise, or either is unknown.
     """
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
+    uncertain = [(start, pulses / noise) for start, pulses in _uncertain(scene, joint)]
     found: list[tuple[int, Array]] = []
-    for start, pulses in _uncertain(scene, joint):
-        row, seen = _low_passed(scene.motion, picked, start, pulses / noise)
-        counts = np.flatnonzero(used[row : row + len(seen)])
-        seen = seen[counts]
+    for row, every in _low_passed(scene.motion, picked, uncertain):
+        counts = np.flatnonzero(used[row : row + len(every)])
+        seen = every[counts]
         felt = np.flatnonzero(
             np.abs(seen).max(axis=1, initial=0.0) > SEEN * np.abs(seen).max(initial=0.0)
         )
@@ -97,19 +97,43 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
     return list(_together(sorted(found, key=lambda one: one[0])))
 
 
-def _low_passed(motion: Motion, picked: Index, first: int, pulses: Array) -> tuple[int, Array]:
-    """Low-pass pulses (m, k) twice that begin at a sample; their first row and rows (r, k).
+def _low_passed(
+    motion: Motion, picked: Index, uncertain: Sequence[tuple[int, Array]]
+) -> Iterator[tuple[int, Array]]:
+    """Low-pass pulses (m, k) twice that begin at a sample each; their first row and rows (r, k).
 
-    Rows that the low-pass has forgotten them at are left out.
+    Rows that the low-pass has forgotten them at are left out. Pulses of one length, with nothing
+    missing about them, are low-passed at once.
     """
-    reach = motion.lowpass.memory
-    low, high = max(0, first - reach), min(motion.samples, first + len(pulses) + reach)
-    values = np.zeros((high - low, pulses.shape[1]))
-    start, stop = max(first, 0), min(first + len(pulses), motion.samples)
-    values[start - low : stop - low] = pulses[start - first : stop - first]
+    reach, alike = motion.lowpass.memory, dict[int, list[tuple[int, Array]]]()
+    for first, pulses in uncertain:
+        low, high = first - reach, first + len(pulses) + reach
+        if low >= 0 and high <= motion.samples and motion.valid[low:high].all():
+            alike.setdefault(len(pulses), []).append((low, pulses))
+            continue
+        low, high = max(0, low), min(motion.samples, high)
+        values = np.zeros((high - low, pulses.shape[1]))
+        start, stop = max(first, 0), min(first + len(pulses), motion.samples)
+        values[start - low : stop - low] = pulses[start - first : stop - first]
+        yield _at_rows(picked, low, _twice(motion, values, motion.valid[low:high]))
+    for length, own in alike.items():
+        values = np.zeros((length + 2 * reach, sum(pulses.shape[1] for _, pulses in own)))
+        values[reach : reach + length] = np.hstack([pulses for _, pulses in own])
+        values = _twice(motion, values, np.ones(len(values), dtype=bool))
+        ends = np.cumsum([pulses.shape[1] for _, pulses in own])
+        for (low, _), part in zip(own, np.split(values, ends[:-1], axis=1), strict=True):
+            yield _at_rows(picked, low, part)
+
+
+def _twice(motion: Motion, values: Array, valid: Mask) -> Array:
     for _ in range(PASSES):
-        values = motion.lowpass(values, motion.valid[low:high])
-    row, end = np.searchsorted(picked, [low, high])
+        values = motion.lowpass(values, valid)
+    return values
+
+
+def _at_rows(picked: Index, low: int, values: Array) -> tuple[int, Array]:
+    """The first row, and the rows, of values (m, k) from sample `low` on."""
+    row, end = np.searchsorted(picked, [low, low + len(values)])
     return int(row), values[picked[row:end] - low]
 
 

@@ -15,14 +15,8 @@ import msgspec
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.refinement.held_out import HeldOutError, gain, held_out_error
 from seqid_cli.discover.refinement.left_out import Folds, left_out_error
-from seqid_cli.discover.refinement.reidentify import (
-    Key,
-    Material,
-    Refitted,
-    identity,
-    refitted,
-    unique,
-)
+from seqid_cli.discover.refinement.material import Key, Material, Refitted, identity, unique
+from seqid_cli.discover.refinement.reidentify import refitted
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
 from seqid_cli.params.schema import RefinementRound, Stages

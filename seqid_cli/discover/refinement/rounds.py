@@ -25,7 +25,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, gain, gain_of
 from seqid_cli.discover.refinement.left_out import FOLDS, STRETCH_S, Folds
 from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_model, with_effects
-from seqid_cli.discover.refinement.reidentify import Key, Material, Refitted, key_of
+from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.selection import Options, Taken

@@ -15,7 +15,8 @@ from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of
 from seqid_cli.discover.refinement.left_out import FOLDS, Folds
 from seqid_cli.discover.refinement.loop import Loop
-from seqid_cli.discover.refinement.reidentify import Material, Refitted, refitted
+from seqid_cli.discover.refinement.material import Material, Refitted
+from seqid_cli.discover.refinement.reidentify import refitted
 from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.friction_surface.stage import identify_friction

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.survey.event_windows import Track, windows_of
 from seqid_cli.discover.survey.events import GATE, LENGTHS_S, Interval, standing_out
@@ -29,7 +28,7 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 SPAN = 60_000  # kept samples, at least, within which places are compared with each other
 OVERLAP_S = 2.0  # between spans
@@ -182,7 +181,7 @@ class _Survey:
             result[k] = own
         return result
 
-    def _add_track(self, part: LogPrediction, left: Array, at: NDArray[np.intp]) -> None:
+    def _add_track(self, part: LogPrediction, left: Array, at: Index) -> None:
         assert part.q is not None
         assert part.dq is not None
         assert part.ddq is not None

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import motions_of, scenes_of
@@ -17,6 +16,7 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Mask
 
 Key = tuple[str, int | None]  # name of an effect, and its joint
 
@@ -108,7 +108,7 @@ class Material:
         return all(identity(log) in logs for log in self.training)
 
 
-def changed_joints(log: Recording, freed: Recording) -> NDArray[np.bool_]:
+def changed_joints(log: Recording, freed: Recording) -> Mask:
     """Joints (n,) whose torque or position the effects have changed."""
     assert log.tau is not None
     assert freed.tau is not None

@@ -142,14 +142,13 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     """
     robot = rows.scenes[0].robot
     basis = free_basis(robot)
-    H, modelled, timing = [], [], []
-    for scene in rows.scenes:
-        motion = scene.motion
-        H.append(_filtered_regressor(motion, robot, basis))
-        torque = scene.modelled_filtered
-        modelled.append(torque)
-        timing.append(differentiate(torque, motion.rate_hz, motion.valid)[0])
-    left = [_measured(s) - torque for s, torque in zip(rows.scenes, modelled, strict=True)]
+    motions = [scene.motion for scene in rows.scenes]
+    H = [_filtered_regressor(motion, robot, basis) for motion in motions]
+    timing = [
+        differentiate(scene.modelled_filtered, motion.rate_hz, motion.valid)[0]
+        for scene, motion in zip(rows.scenes, motions, strict=True)
+    ]
+    left = [residual_of(scene) for scene in rows.scenes]
     friction = [
         [friction_columns(scene, stages.friction, j) for j in range(robot.n)]
         for scene in rows.scenes
@@ -197,9 +196,11 @@ def _filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Array:
     return result
 
 
-def _measured(scene: Scene) -> Array:
+def residual_of(scene: Scene) -> Array:
+    """Torque (N, n) N m that the file's model leaves at all samples."""
     assert scene.motion.tau is not None
-    return scene.motion.tau
+    left: Array = scene.motion.tau - scene.modelled_filtered
+    return left
 
 
 def friction_columns(scene: Scene, stage: FrictionStage | None, joint: int) -> Array:

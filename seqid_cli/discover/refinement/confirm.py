@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import structs
 
-from seqid_cli.discover.base import base_of
+from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
@@ -153,7 +153,7 @@ def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:
     freed = material.freed(logs, model.stages, model.effects)
     scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
     rows = rows_of(scenes)
-    left = [whole.residual for whole in base_of(rows, model.stages).whole]
+    left = [residual_of(scene) for scene in scenes]
     return noise_floor(
         freed, scenes, rows, left, encoder_residuals(freed, scenes), range(len(held_out))
     )

@@ -39,7 +39,7 @@ def expected(found: Investigation) -> Array:
     The noise floor, and a detail of the torque itself.
     """
     rows = found.ground.stage.rows
-    torque = [scene.motion.filtered(scene.modelled) for scene in rows.scenes]
+    torque = [scene.modelled_filtered for scene in rows.scenes]
     detail = [DETAIL * rms(rows.torque(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
     return np.hypot(found.floor.rms, detail)
 

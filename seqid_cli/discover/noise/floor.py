@@ -310,7 +310,7 @@ def _rests(recording: Recording, scene: Scene) -> list[slice] | None:
 def _rested(recording: Recording, rests: Sequence[slice], joint: int) -> Spectrum:
     assert recording.tau is not None
     rate, length = recording.rate_hz, rests[0].stop - rests[0].start
-    pieces = np.stack([detrend(recording.tau[piece, joint]) for piece in rests])
+    pieces = detrend(np.stack([recording.tau[piece, joint] for piece in rests]), axis=1)
     density = np.mean(np.abs(np.fft.rfft(pieces, axis=1)) ** 2, axis=0) / (rate * length)
     frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
     kept = (np.arange(len(frequency)) >= 2) & (frequency < 0.5 * NYQUIST_SHARE * rate)

@@ -39,7 +39,7 @@ def median_spectrum(values: Array, starts: Sequence[int], length: int, rate_hz: 
     rate_hz : float
     """
     window = np.hanning(length)
-    pieces = np.stack([detrend(values[s : s + length]) for s in starts])
+    pieces = detrend(np.stack([values[s : s + length] for s in starts]), axis=1)
     power = np.abs(np.fft.rfft(window * pieces, axis=1)) ** 2 / (rate_hz * np.sum(window**2))
     if len(starts) < 3:
         return np.asarray(power.mean(axis=0))

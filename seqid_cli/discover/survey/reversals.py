@@ -85,7 +85,7 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
     uncertain = [(start, pulses / noise) for start, pulses in _uncertain(scene, joint)]
     found: list[tuple[int, Array]] = []
-    for row, every in _low_passed(scene.motion, picked, uncertain):
+    for row, every in low_passed(scene.motion, picked, uncertain):
         counts = np.flatnonzero(used[row : row + len(every)])
         seen = every[counts]
         felt = np.flatnonzero(
@@ -97,7 +97,7 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
     return list(_together(sorted(found, key=lambda one: one[0])))
 
 
-def _low_passed(
+def low_passed(
     motion: Motion, picked: Index, uncertain: Sequence[tuple[int, Array]]
 ) -> Iterator[tuple[int, Array]]:
     """Low-pass pulses (m, k) twice that begin at a sample each; their first row and rows (r, k).

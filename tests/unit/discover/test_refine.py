@@ -136,6 +136,18 @@ def test_logs_of_both_are_counted_once_and_with_all_effects(before: ParameterFil
     assert len(elsewhere.before("gravity", model)) == 2
 
 
+def test_data_sets_of_one_material_share_their_motion(before: ParameterFile) -> None:
+    material = Material(tuple(changed("fourier")), {}, robot(), DiscoverOptions())
+    first, again = (material.scenes(before.stages)[0] for _ in range(2))
+    assert first.full is not None
+    assert again.full is not None
+    assert again.full.motion is first.full.motion
+    shorter = replace(material, training=tuple(changed("trapezoids")))
+    (other,) = shorter.scenes(before.stages)
+    assert other.full is not None
+    assert other.full.motion is not first.full.motion
+
+
 def test_without_an_effect_the_model_stays(before: ParameterFile) -> None:
     material = Material(tuple(changed("fourier")), first_logs(), robot(), DiscoverOptions())
     found = refitted(material, Refitted(before.stages, ()), [], late=frozenset(), kept=True)

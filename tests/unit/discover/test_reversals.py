@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.survey.reversals import reversals_of
+from seqid_cli.discover.survey.reversals import low_passed, reversals_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
@@ -89,6 +89,19 @@ def test_rows_that_feel_no_reversal_stay() -> None:
     assert same[~far].all()
     one = rows.whitened(JOINT, values[:, 0])
     np.testing.assert_allclose(one, whitened[:, 0], atol=1e-12)
+
+
+def test_reversals_that_are_alike_are_low_passed_as_each_by_itself() -> None:
+    (scene,) = arm_scenes(logs=1)
+    motion, picked = scene.motion, np.arange(0, scene.samples, 5)
+    rng = np.random.default_rng(2)
+    middle = (motion.lowpass.memory + np.array([10, 60, 75])).tolist()
+    uncertain = [(first, rng.normal(size=(4, 2))) for first in (0, *middle)]
+    together = list(low_passed(motion, picked, uncertain))
+    apart = [found for one in uncertain for found in low_passed(motion, picked, [one])]
+    assert [row for row, _ in together] == [row for row, _ in apart]
+    for (_, values), (_, alone) in zip(together, apart, strict=True):
+        np.testing.assert_allclose(values, alone, rtol=0, atol=1e-12)
 
 
 def test_small_friction_beside_noise_takes_nothing() -> None:

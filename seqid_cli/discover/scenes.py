@@ -1,4 +1,4 @@
-"""From recordings to scenes: filtered motion, the model's word on it, one clock for all logs."""
+"""From recordings to data sets: filtered motion, the model's torque, one clock for all logs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def scenes_of(
     options: InertiaOptions,
     motions: Sequence[Motion] | None = None,
 ) -> list[Scene]:
-    """Build the scene of every log.
+    """Build the data set of every log.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def _motion(recording: Recording, robot: Robot, stages: Stages, options: Inertia
 
 
 def thinned(full: Scene) -> Scene:
-    """The scene at the rate at which most effects are looked for, with the full one inside."""
+    """The data set at the rate at which most effects are looked for, with the full one inside."""
     motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
     every = round(full.motion.rate_hz / motion.rate_hz)
     kept = [None if x is None else x[::every] for x in (full.temperature, full.encoder)]

@@ -147,8 +147,8 @@ def candidates_of(
     """Yield every effect at every joint with every setting of its grid.
 
     `left` (N, n) per data set is the low-passed residual, which guides effects that look for
-    shapes; those that show above the cut-off as well get it at the logs' own rates. With `near`, effects of
-    other joints than these are left out (None among them: those of the whole arm).
+    shapes; those that show above the cut-off as well get it at the logs' own rates. With `near`,
+    effects of other joints than these are left out (None among them: those of the whole arm).
     """
     n = narrow[0].robot.n
     full = [scene.full or scene for scene in narrow]

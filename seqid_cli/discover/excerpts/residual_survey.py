@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.discover.survey.event_windows import Track, windows_of
-from seqid_cli.discover.survey.events import GATE, LENGTHS_S, Interval, standing_out
+from seqid_cli.discover.survey.events import LENGTHS_S, Interval, standing_out
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
@@ -214,7 +214,7 @@ def _standing_out(track: Track) -> Iterator[Interval]:
     if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.residual).any():
         return
     windows = [windows_of([track], length) for length in LENGTHS_S]
-    yield from standing_out([w for w in windows if len(w.centre)], gate=GATE)
+    yield from standing_out([w for w in windows if len(w.centre)])
 
 
 def _joined(tracks: list[Track]) -> Track:

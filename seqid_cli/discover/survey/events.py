@@ -35,7 +35,7 @@ from seqid_cli.robust import PER_MEDIAN, gaussian_spread
 from seqid_cli.typing import Array, Index, Mask
 
 LENGTHS_S = (0.15, 0.3, 0.6)
-GATE = 5.2
+GATE = 5.2  # robust sigmas that an event must reach
 LOOKED_AT = 3.0  # robust sigmas within its class from which a window is compared with like ones
 MOST_REFERENCES = 3000
 EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
@@ -77,7 +77,7 @@ class Interval:
         return thin * float(np.sum(np.maximum(scaled[self.inside(scene)] ** 2 - 1.0, 0.0)))
 
 
-def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) -> list[Interval]:
+def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
     """Find what stands out against the rest of the logs.
 
     Parameters
@@ -85,8 +85,6 @@ def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) ->
     rows : Rows
     left_out : sequence of (M_j,) arrays
         Scaled residual of each joint's rows.
-    gate : float
-        Robust sigmas that an event must reach; to be raised to what clean logs reach.
 
     Returns
     -------
@@ -96,23 +94,21 @@ def find_events(rows: Rows, left_out: Sequence[Array], *, gate: float = GATE) ->
     found: list[Interval] = []
     scored = [(windows, scores(windows)) for windows in _all_windows(rows, left_out)]
     for number in range(len(rows.scenes)):
-        found += events_of_scene(number, scored, gate)
+        found += _events_of_scene(number, scored)
     return found
 
 
-def standing_out(all_windows: Sequence[Windows], *, gate: float = GATE) -> list[Interval]:
+def standing_out(all_windows: Sequence[Windows]) -> list[Interval]:
     """Places of one log that stand out against the rest of it, however many there are.
 
     Parameters
     ----------
     all_windows : sequence of Windows
         Of one log (number 0), by length.
-    gate : float
-        Robust sigmas that a place must reach.
     """
     found: list[Interval] = []
     for windows in all_windows:
-        found += _joined(0, windows, scores(windows), windows.centre, gate)
+        found += _joined(0, windows, scores(windows), windows.centre)
     return _merged(found)
 
 
@@ -259,9 +255,7 @@ def _robust_size(values: Array) -> float:
     return float(max(PER_MEDIAN * median, most / MOST))
 
 
-def events_of_scene(
-    number: int, scored: Sequence[tuple[Windows, Array]], gate: float
-) -> list[Interval]:
+def _events_of_scene(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
     """Events of one data set: windows above the gate and what belongs to them, joined.
 
     What fills more than a small share of a log is no event but something that the model lacks.
@@ -271,24 +265,24 @@ def events_of_scene(
     for windows, z in scored:
         here = windows.scene == number
         length = max(length, windows.length_s * np.count_nonzero(here) / OVERLAP)
-        found += _joined(number, windows, z[here], windows.centre[here], gate)
+        found += _joined(number, windows, z[here], windows.centre[here])
     events = _merged(found)
     taken = sum(event.end - event.start for event in events)
     few = len(events) <= max(FEW, length / RARE_S)
     return events if few and taken <= max(MOST_TIME * length, LONGEST_S) else []
 
 
-def _joined(number: int, windows: Windows, z: Array, centre: Array, gate: float) -> list[Interval]:
+def _joined(number: int, windows: Windows, z: Array, centre: Array) -> list[Interval]:
     score = combined(z)
     found = []
     half = 0.5 * windows.length_s
-    while len(score) and float(np.max(score)) > gate:
+    while len(score) and float(np.max(score)) > GATE:
         peak = int(np.argmax(score))
         top = float(score[peak])
         along = score * (np.abs(centre - centre[peak]) < LONGEST_S) > EDGE_SHARE * top
         first, last = next((a, b - 1) for a, b in runs(along, len(along)) if a <= peak < b)
         weight = np.abs(z[first : last + 1]).max(axis=0)
-        joints = tuple(int(j) for j in np.flatnonzero(weight > 0.5 * max(gate, weight.max())))
+        joints = tuple(int(j) for j in np.flatnonzero(weight > 0.5 * max(GATE, weight.max())))
         start, end = centre[first] - 0.5 * half, centre[last] + 0.5 * half
         if end - start <= LONGEST_S:
             chosen = joints or (int(np.argmax(weight)),)

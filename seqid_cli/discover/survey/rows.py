@@ -83,15 +83,6 @@ class Rows:
         parts = [v[p][u[:, joint]] for v, p, u in zip(values, self.picked, self.used, strict=True)]
         return np.concatenate(parts)
 
-    def spread(self, joint: int, values: Array) -> list[Array]:
-        """A joint's rows (M_j,) at each data set's kept samples (M,), zero where it has none."""
-        ends = np.cumsum([used[:, joint].sum() for used in self.used])
-        result = []
-        for used, part in zip(self.used, np.split(values, ends[:-1]), strict=True):
-            result.append(np.zeros(len(used)))
-            result[-1][used[:, joint]] = part
-        return result
-
     def torque(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of filtered torques (N, ...), whitened at reversals."""
         return self.whitened(joint, self.of(joint, values))

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rows import Rows
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
@@ -28,9 +28,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 _NO_TERMS: Index = np.zeros(0, dtype=np.intp)
 MOST_TORQUE = 2.0  # of a column, over what the file leaves
@@ -106,7 +104,7 @@ class Base:
         return tuple(np.zeros_like(X) for X in self.timing)
 
     def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
-        """Torque (N, n) N m of the base's deviations at every sample of each scene."""
+        """Torque (N, n) N m of the base's deviations at every sample of each data set."""
         rigid = theta_rigid.astype(np.float32)
         result = []
         for whole in self.whole:
@@ -126,7 +124,7 @@ def _freed(held: Array, terms: Index, bound: Array) -> Array:
 
 @dataclass(frozen=True)
 class Whole:
-    """Base columns of one scene at all of its samples: H (N, n, b), friction[j] (N, k_j)."""
+    """Base columns of one data set at all of its samples: H (N, n, b), friction[j] (N, k_j)."""
 
     H: NDArray[np.float32]
     friction: tuple[Array, ...]
@@ -144,14 +142,13 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     """
     robot = rows.scenes[0].robot
     basis = free_basis(robot)
-    H, modelled, timing = [], [], []
-    for scene in rows.scenes:
-        motion = scene.motion
-        H.append(_filtered_regressor(motion, robot, basis))
-        torque = scene.modelled_filtered
-        modelled.append(torque)
-        timing.append(differentiate(torque, motion.rate_hz, motion.valid)[0])
-    left = [_measured(s) - torque for s, torque in zip(rows.scenes, modelled, strict=True)]
+    motions = [scene.motion for scene in rows.scenes]
+    H = [_filtered_regressor(motion, robot, basis) for motion in motions]
+    timing = [
+        differentiate(scene.modelled_filtered, motion.rate_hz, motion.valid)[0]
+        for scene, motion in zip(rows.scenes, motions, strict=True)
+    ]
+    left = [residual_of(scene) for scene in rows.scenes]
     friction = [
         [friction_columns(scene, stages.friction, j) for j in range(robot.n)]
         for scene in rows.scenes
@@ -199,9 +196,11 @@ def _filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Array:
     return result
 
 
-def _measured(scene: Scene) -> Array:
+def residual_of(scene: Scene) -> Array:
+    """Torque (N, n) N m that the file's model leaves at all samples."""
     assert scene.motion.tau is not None
-    return scene.motion.tau
+    left: Array = scene.motion.tau - scene.modelled_filtered
+    return left
 
 
 def friction_columns(scene: Scene, stage: FrictionStage | None, joint: int) -> Array:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rows import Rows
 from seqid_cli.discover.select.linear import Channels
-from seqid_cli.discover.wide import both_bands, full_residual, high_band
+from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.robot.types import Robot
@@ -52,7 +52,7 @@ class Candidate:
     def add_torque(
         self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array
     ) -> None:
-        """Add its torque, low-passed, to (N, n) N m at all samples of every scene."""
+        """Add its torque, low-passed, to (N, n) N m at all samples of every data set."""
         for torque, scene in zip(total, scenes, strict=True):
             at = (scene.full or scene) if self.effect.wide else scene
             every = round(at.motion.rate_hz / scene.motion.rate_hz)
@@ -62,7 +62,7 @@ class Candidate:
 
 
 class Stage:
-    """Where candidates are played: rows and scenes, with the columns made so far kept."""
+    """Rows and data sets on which candidates are tried, with the columns made so far."""
 
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
@@ -71,7 +71,7 @@ class Stage:
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
-        """The scenes of the rows."""
+        """The data sets of the rows."""
         return self.rows.scenes
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
@@ -146,9 +146,9 @@ def candidates_of(
 ) -> Iterator[Candidate]:
     """Yield every effect at every joint with every setting of its grid.
 
-    `left` (N, n) per scene is the low-passed residual, which guides effects that look for shapes;
-    those that show above the cut-off as well get it at the logs' own rates. With `near`, effects of
-    other joints than these are left out (None among them: those of the whole arm).
+    `left` (N, n) per data set is the low-passed residual, which guides effects that look for
+    shapes; those that show above the cut-off as well get it at the logs' own rates. With `near`,
+    effects of other joints than these are left out (None among them: those of the whole arm).
     """
     n = narrow[0].robot.n
     full = [scene.full or scene for scene in narrow]

@@ -11,19 +11,17 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 
-from seqid_cli.discover.aside import EventAside, events_aside
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.events import GATE, Interval
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed
+from seqid_cli.discover.excess import Excess, excess_residuals, expected, looks_like
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.loud import Loud, expected, looks_like, louder_joints
+from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import (
     deflection_notes,
+    excess_notes,
     file_notes,
     free_base_notes,
-    loud_notes,
     offset_notes,
     outside_notes,
     shown_offsets,
@@ -33,8 +31,8 @@ from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.selection import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.usable import usable_logs
-from seqid_cli.discover.whiteness import white
+from seqid_cli.discover.survey.events import GATE, Interval
+from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.fitted import fitted_effects
@@ -55,8 +53,7 @@ from seqid_cli.params.results.diagnosis import (
 )
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
@@ -67,7 +64,6 @@ def diagnose(
     stages: Stages,
     *,
     options: DiscoverOptions,
-    aside: Iterable[Recording] = (),
 ) -> DiagnosisFile:
     """Find what a model lacks on these logs.
 
@@ -79,8 +75,6 @@ def diagnose(
     stages : Stages
         The model: at least friction or a rigid body; effects that it has are not missing.
     options : DiscoverOptions
-    aside : iterable of Recording
-        Pieces of logs in which nothing but events is looked for (see `gather`).
 
     Raises
     ------
@@ -91,37 +85,30 @@ def diagnose(
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
     kept, notes = usable_logs(recordings, robot)
-    logs, others = (
-        [
-            without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
-            for log in some
-        ]
-        for some in (kept, aside)
-    )
-    investigation = investigate(logs, robot, stages, options)
-    apart = events_aside(investigation, others, robot, stages, options)
-    found = described(investigation, robot, apart)
+    logs = [
+        without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
+        for log in kept
+    ]
+    found = described(investigate(logs, robot, stages, options), robot)
     said = [*notes, *found.notes, *deflection_notes(stages, robot)]
     return structs.replace(found, notes=said)
 
 
-def described(
-    found: Investigation, robot: Robot, aside: Sequence[EventAside] = ()
-) -> DiagnosisFile:
+def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, taken) for taken in found.found.effects]
     rest = _largest_of_each([_unexplained(found, robot, taken) for taken in found.found.smooth])
     ordinary = expected(found)
-    loud = louder_joints(found, ordinary)
-    if found.events or aside:
-        findings.append(_contact(found, robot, aside))
+    excess = excess_residuals(found, ordinary)
+    if found.events:
+        findings.append(_contact(found, robot))
     findings = [one for one in findings if one.confidence >= TOLD]
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
     if not findings and not rest:
-        rest = [_loud(found, robot, one) for one in loud]
+        rest = [_excess(found, robot, one) for one in excess]
     offsets = shown_offsets(found)
     named_already = {part.joint for part in rest}
-    named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in loud))}
+    named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in excess))}
     return DiagnosisFile(
         schema=DIAGNOSIS_SCHEMA,
         created=now(),
@@ -134,14 +121,11 @@ def described(
         findings=findings,
         unexplained=rest,
         joints=_joints(found, robot),
-        events=[
-            *(_event(found, robot, event) for event in found.events),
-            *(one.event for one in aside),
-        ],
+        events=[_event(found, robot, event) for event in found.events],
         hidden=_hidden(found, robot),
         notes=[
             *offset_notes(offsets, robot),
-            *loud_notes(loud, robot),
+            *excess_notes(excess, robot),
             *file_notes(found, robot, ordinary, named_already),
             *outside_notes(found, robot, ordinary),
             *free_base_notes(found, robot),
@@ -156,14 +140,13 @@ def _largest_of_each(rest: Sequence[UnexplainedPart]) -> list[UnexplainedPart]:
     return list({u.joint: u for u in reversed(ordered)}.values())[::-1]
 
 
-def _contact(found: Investigation, robot: Robot, aside: Sequence[EventAside]) -> FindingEntry:
+def _contact(found: Investigation, robot: Robot) -> FindingEntry:
     """The finding that stands for all events."""
     effect = CATALOGUE["external_contact"]
     energies = _event_energies(found)
-    inside = sum(energies) + sum(one.energy for one in aside)
+    inside = sum(energies)
     gained = sum(max(taken.one.foretold.total, 0.0) for taken in found.found.taken)
-    ratios = [event.score / GATE for event in found.events]
-    ratio = max([*ratios, *(one.ratio for one in aside)])
+    ratio = max(event.score for event in found.events) / GATE
     confidence = (1.0 - 0.5**ratio**2) * _apart(found, energies)
     return FindingEntry(
         effect=effect.name,
@@ -174,7 +157,7 @@ def _contact(found: Investigation, robot: Robot, aside: Sequence[EventAside]) ->
         confusable_with=[],
         separate_by=effect.separate_by,
         gain=0.0,
-        note=f"{len(found.events) + len(aside)} interval(s), left out of the search",
+        note=f"{len(found.events)} interval(s), left out of the search",
         evidence=pushed(found, robot),
     )
 
@@ -195,7 +178,7 @@ def _apart(found: Investigation, energies: Sequence[float]) -> float:
     rms, floor = found.model.rms(), found.floor.rms
     unknown = 1.0 - np.minimum(floor / np.maximum(rms, 1e-12), 1.0) ** 2
     beyond = [unknown[j] * found.ground.stage.rows.count(j) for j in range(found.ground.n)]
-    shares = [1.0 if not found.events else 0.0]
+    shares = [0.0]
     for event, energy in zip(found.events, energies, strict=True):
         shares.append(energy / max(energy + max(beyond[j] for j in event.joints), 1e-300))
     return float(max(shares))
@@ -285,15 +268,15 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     )
 
 
-def _loud(found: Investigation, robot: Robot, loud: Loud) -> UnexplainedPart:
-    """Describe what is left at a joint that is louder than noise."""
-    name, what = robot.joint_names[loud.joint], looks_like(found, loud.joint)
+def _excess(found: Investigation, robot: Robot, excess: Excess) -> UnexplainedPart:
+    """Describe the excess residual of a joint."""
+    name, what = robot.joint_names[excess.joint], looks_like(found, excess.joint)
     if what is None:
-        return UnexplainedPart(joint=name, depends_on=[], share=loud.share)
+        return UnexplainedPart(joint=name, depends_on=[], share=excess.share)
     return UnexplainedPart(
         joint=name,
         depends_on=list(what.quantities),
-        share=loud.share,
+        share=excess.share,
         evidence=left_over(found, robot, what),
     )
 

@@ -27,7 +27,7 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all scenes
+Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all logs
 What = Candidate | SmoothFunction
 
 CELLS = 80  # of the quantity's range, that bins are made of
@@ -54,7 +54,7 @@ NAMES = {"load_size": "load", "session_time": "time"}
 
 @dataclass(frozen=True)
 class _Over:
-    """What a residual is shown over: `values` (N,) by scene of joint `of`; none: own torque."""
+    """What a residual is shown over: `values` (N,) by data set of joint `of`; none: own torque."""
 
     quantity: str
     of: int
@@ -148,7 +148,7 @@ def _axis(what: What, j: int) -> Axis | None:
 
 
 def _values(axis: Axis, scenes: Sequence[Scene]) -> list[Array] | None:
-    """A quantity (N,) by scene; time since the start of each log where they share no clock."""
+    """A quantity (N,) by data set; time since the start of each log where they share no clock."""
     found = [axis.values(scene) for scene in scenes]
     known = [x for x in found if x is not None]
     if len(known) < len(found):

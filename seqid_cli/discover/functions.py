@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Unpack
 
 from msgspec import structs
 
-from seqid_cli.discover.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
+from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.identify.functions import announcement
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.keywords import Keywords, documented
@@ -22,7 +22,7 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:
-    from seqid_cli.discover.gather import Gathered
+    from seqid_cli.discover.excerpts.excerpts import Excerpts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.logs.recording import Recording
     from seqid_cli.robot.types import Robot
@@ -41,32 +41,31 @@ def diagnose(
     Parameters
     ----------
     logs : path, table, recording, or a sequence of them
-        Any logs with torque or current; long ones are looked at in pieces (see `gather`).
+        Any logs with torque or current; of long ones excerpts are taken (see `excerpts`).
     parameters : path or ParameterFile, or a sequence of them
         With the stages friction and inertia; effects that are in it are not missing.
     """
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.discover.diagnosis import diagnose as diagnosed
-    from seqid_cli.discover.gather import one_each
+    from seqid_cli.discover.excerpts.excerpts import one_each
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
 
     search = _search(inputs, options)
     given = LogSet.of(inputs)
-    gathered = _gathered(inputs, given, search)
-    kept, apart = gathered.recordings, gathered.aside
-    found = diagnosed(kept, inputs.robot, inputs.stages, options=search, aside=apart)
+    held = _excerpts(inputs, given, search)
+    found = diagnosed(held.recordings, inputs.robot, inputs.stages, options=search)
     stages, arm = inputs.stages, inputs.robot
-    said = [*gathered.notes(arm), *found.notes]
+    said = [*held.notes(arm), *found.notes]
     file = structs.replace(
         found,
         robot=robot_id(arm),
         inputs=given.inputs(),
         parameters=inputs.ids(),
         stages=list(present(stages)),
-        motion=motion_uses(one_each(gathered), arm, stages.imu, options=search.motion),
+        motion=motion_uses(one_each(held), arm, stages.imu, options=search.motion),
         verdicts=[*physics_verdicts(stages, arm), *given.verdicts()],
         notes=[*said, *given.notes(said)],
     )
@@ -123,23 +122,23 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
     return DiscoverOptions(InertiaOptions(filtering, source=options.source_for_effects))
 
 
-def _gathered(
-    inputs: Inputs, logs: LogSet, search: DiscoverOptions, *, aside: bool = True
-) -> Gathered:
-    from seqid_cli.discover.gather import gather
+def _excerpts(
+    inputs: Inputs, logs: LogSet, search: DiscoverOptions, *, places: bool = True
+) -> Excerpts:
+    from seqid_cli.discover.excerpts.excerpts import take_excerpts
 
     logs.before = announcement(inputs.stages.imu, search.motion.source)
-    return gather(logs, inputs.robot, inputs.stages, options=search.motion, aside=aside)
+    return take_excerpts(logs, inputs.robot, inputs.stages, options=search.motion, places=places)
 
 
 def _refined(
     inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
 ) -> ParameterFile:
-    from seqid_cli.discover.confirm import confirm
-    from seqid_cli.discover.earlier_logs import read_earlier
-    from seqid_cli.discover.gather import one_each
-    from seqid_cli.discover.heldout import WholeLogs
-    from seqid_cli.discover.refinement import refine as decide
+    from seqid_cli.discover.excerpts.excerpts import one_each
+    from seqid_cli.discover.refinement.confirm import confirm
+    from seqid_cli.discover.refinement.earlier_logs import read_earlier
+    from seqid_cli.discover.refinement.held_out import WholeLogs
+    from seqid_cli.discover.refinement.rounds import refine as decide
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.motion_use import motion_uses
@@ -147,7 +146,7 @@ def _refined(
     assert inputs.previous is not None
     robot, previous = inputs.robot, inputs.previous
     training = LogSet.of(inputs)
-    fitted = _gathered(inputs, training, search, aside=False)
+    fitted = _excerpts(inputs, training, search, places=False)
     at_hand = _places(fitted.recordings)
     files = [log for log in held_out if isinstance(log, Path)]
     folders = [path.parent for path in inputs.parameters]
@@ -161,10 +160,10 @@ def _refined(
     # Nothing is decided any more: now the held-out logs are opened.
     rest = replace(inputs, logs=tuple(held_out), missing=())
     kept_out = LogSet.of(rest)
-    unseen = _gathered(rest, kept_out, search, aside=False)
+    unseen = _excerpts(rest, kept_out, search, places=False)
     check_unseen(_places(unseen.recordings), {**found.paths, **at_hand})
     clock = inputs.options.time_source
-    whole = WholeLogs(tuple(files), robot, clock) if unseen.looks else None
+    whole = WholeLogs(tuple(files), robot, clock) if unseen.surveys else None
     loop = confirm(decided, unseen.recordings, whole)
     verdicts = [
         *physics_verdicts(inputs.stages, robot),
@@ -193,6 +192,6 @@ def _refined(
 
 def _places(recordings: Sequence[Recording]) -> dict[str, Path]:
     """Where each log is, by its SHA-256."""
-    from seqid_cli.discover.gather import by_digest
+    from seqid_cli.discover.excerpts.excerpts import by_digest
 
     return {sha256: some[0].path for sha256, some in by_digest(recordings).items()}

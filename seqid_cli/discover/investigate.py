@@ -1,7 +1,7 @@
-"""The investigation behind a diagnosis: scenes, rows, selection, events, noise floor.
+"""The investigation behind a diagnosis: data sets, rows, selection, events, noise floor.
 
 Short stretches that stand out against everything else the logs show are events. They are taken out,
-and so are samples at which nobody can say what torque an effect has; then the selection goes on.
+and so are samples at which the torque of an effect is not known. Then the selection goes on.
 """
 
 from __future__ import annotations
@@ -10,27 +10,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.echo import echoes
-from seqid_cli.discover.events import GATE, Interval, event_masks, find_events
-from seqid_cli.discover.floor import NoiseFloor, noise_floor
+from seqid_cli.discover.noise.encoder import encoder_residuals
+from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.selection import Options, Selected, select, select_again
+from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
+from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 LAW = 0.02  # of the swing of the model's torque: less may be the error of any of its laws
@@ -54,7 +51,7 @@ class Investigation:
 
     @property
     def ground(self) -> Ground:
-        """Rows and scenes, events left out."""
+        """Rows and data sets, events left out."""
         return self.found.model.ground
 
     @property
@@ -102,12 +99,12 @@ def _ground(rows: Rows, stages: Stages) -> Ground:
 def floor_of(logs: Sequence[Recording], model: Model, events: Sequence[Interval]) -> NoiseFloor:
     """Noise floor with all that was found taken out."""
     rows = model.ground.stage.rows
-    echo = echoes(logs, rows.scenes, model.deviation(), event_masks(rows, events))
+    echo = encoder_residuals(logs, rows.scenes, model.deviation(), event_masks(rows, events))
     return noise_floor(logs, rows.scenes, rows, model.left(), echo)
 
 
 def guessed(model: Model) -> list[Mask]:
-    """Samples (N, n) of each scene at which effects of the model may have any torque."""
+    """Samples (N, n) of each data set at which effects of the model may have any torque."""
     scenes = model.ground.stage.scenes
     masks = [np.zeros_like(scene.slides) for scene in scenes]
     for what in (term.what for term in model.terms):
@@ -120,36 +117,29 @@ def guessed(model: Model) -> list[Mask]:
 
 def events_of(model: Model) -> list[Interval]:
     """Stretches that stand out in what the model leaves; none unless one does so clearly."""
-    ground = model.ground
-    left, shown = model.left(), model.shown()
-    events = [
-        event
-        for event in find_events(ground.stage.rows, model.scaled())
-        if not no_push(model, event, ground.stage.scenes[event.scene], left, shown)
-    ]
+    rows = model.ground.stage.rows
+    each = list(zip(rows.scenes, model.left(), model.shown(), strict=True))
+
+    def of_model(event: Interval) -> bool:
+        """Whether it may be an error of the model's laws."""
+        scene, left, shown = each[event.scene]
+        return of_law(event, scene, left) or of_shape(model, event, scene, left, shown)
+
+    events = [event for event in find_events(rows, model.scaled()) if not of_model(event)]
     strongest = max((event.score for event in events), default=0.0)
     return events if strongest >= STANDS_OUT * GATE else []
 
 
-def no_push(
-    model: Model, event: Interval, scene: Scene, residual: Sequence[Array], shown: Sequence[Array]
-) -> bool:
-    """Whether an event may be an error of the model's laws; (N, n) N m per scene."""
-    return of_law(event, scene, residual) or of_shape(model, event, scene, residual, shown)
-
-
-def of_law(event: Interval, scene: Scene, residual: Sequence[Array]) -> bool:
-    """Whether an event's residual is small beside the swing of the model's torque around it."""
+def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
+    """Whether an event's residual (N, n) N m is small beside the torque's swing around it."""
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
-    left = np.sqrt(np.mean(residual[event.scene][inside][:, joints] ** 2, axis=0))
+    left = np.sqrt(np.mean(residual[inside][:, joints] ** 2, axis=0))
     return bool(np.all(left < LAW * np.ptp(scene.modelled[around][:, joints], axis=0)))
 
 
-def of_shape(
-    model: Model, event: Interval, scene: Scene, residual: Sequence[Array], shown: Sequence[Array]
-) -> bool:
-    """Whether an event's residual is small beside its log's effects around it, (N, n) per scene.
+def of_shape(model: Model, event: Interval, scene: Scene, residual: Array, shown: Array) -> bool:
+    """Whether an event's residual is small beside its log's effects around it, (N, n) N m each.
 
     A push is nothing beside which an effect that the logs show all along is large. What the effect
     shows is looked at a little around the event too, where it shows most in as short a time, and
@@ -160,8 +150,8 @@ def of_shape(
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
     sigma = model.noise.sigma[joints]
-    left = residual[event.scene][inside][:, joints] / sigma
-    torque = shown[event.scene][around][:, joints] / sigma
+    left = residual[inside][:, joints] / sigma
+    torque = shown[around][:, joints] / sigma
     strongest = float(np.max(uniform_filter1d(np.mean(torque**2, axis=1), int(inside.sum()))))
     swing = float(np.mean(np.ptp(torque[inside[around]], axis=0) ** 2))
     return bool(np.mean(left**2) < BESIDE**2 * max(strongest, swing))

@@ -5,31 +5,29 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.discover.floor import rms
+from seqid_cli.discover.excess import EXCESS, Excess
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.loud import LOUD, Loud
-from seqid_cli.discover.rows import extrapolated
+from seqid_cli.discover.noise.floor import rms
+from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.identify.imu_calibration.result import deflecting, unit_of
 from seqid_cli.identify.prediction.log_prediction import OUTSIDE_NOTE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 FITTED = 0.5  # of what the file leaves, below which its values are to blame
 DEFLECTING = ("joint_elasticity", "backlash")
 OFFSET_SHOWS = 0.7  # of what is left: torque of a time offset that is worth a note
 
 
-def loud_notes(loud: Sequence[Loud], robot: Robot) -> tuple[str, ...]:
+def excess_notes(excess: Sequence[Excess], robot: Robot) -> tuple[str, ...]:
     """Joints at which more is left than noise accounts for."""
     return tuple(
         f"joint {robot.joint_names[one.joint]}: what is left is {one.times:.1f} times what torque "
         "noise and encoder account for"
-        for one in loud
+        for one in excess
     )
 
 
@@ -43,7 +41,7 @@ def file_notes(
     notes, touched = [], _touched(found)
     for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
         name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
-        if times <= LOUD or j in touched or name in named:
+        if times <= EXCESS or j in touched or name in named:
             continue
         anew = left / max(ordinary[j], 1e-12)
         many = f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do"
@@ -91,7 +89,7 @@ def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[
         if share < OUTSIDE_NOTE:
             continue
         times = rms(left[outside[:, j], j]) / max(ordinary[j], 1e-12)
-        if times > LOUD:
+        if times > EXCESS:
             notes.append(
                 f"joint {name}: {percent(share, 0)} of its moving samples are at speeds or "
                 f"positions at which friction was not identified; {times:.0f} times what torque "

@@ -50,7 +50,7 @@ def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
     if one.term.name in alike:
         return f"these logs cannot tell the two apart: it reaches {percent(reach)} of the gain"
     if reach <= 0.0:
-        return "foretells nothing in its place"
+        return "predicts nothing in its place"
     if reach < 1.0 - Options().tie:
         return f"explains {percent(1.0 - reach)} less"
     more, own = one.term.freedom, taken.term.freedom
@@ -63,7 +63,7 @@ def _lacking(one: Ranked) -> str:
     """Why something was not taken beside all that was."""
     options, told = Options(), one.foretold
     if told.total <= 0.0:
-        return "foretells left-out blocks worse than nothing does"
+        return "predicts left-out blocks worse than the model without it"
     if told.doubt >= options.doubt:
         chance, most = percent(told.doubt), percent(options.doubt)
         return f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at most"
@@ -73,4 +73,4 @@ def _lacking(one: Ranked) -> str:
     if told.share <= options.improvement:
         share, least = percent(told.share), percent(options.improvement)
         return f"takes away {share} of the squared error; {least} is asked at least"
-    return "was taken, and taken back: not worth it once all was fitted together"
+    return "was taken, and removed again: not worth it once all was fitted together"

@@ -1,4 +1,4 @@
-"""From recordings to scenes: filtered motion, the model's word on it, one clock for all logs."""
+"""From recordings to data sets: filtered motion, the model's torque, one clock for all logs."""
 
 from __future__ import annotations
 
@@ -28,10 +28,22 @@ Array = NDArray[np.float64]
 SAMPLES_PER_CUTOFF = 24  # enough for steps of friction, whose time is known to half a sample
 
 
-def scenes_of(
+def motions_of(
     recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+) -> list[Motion]:
+    """Motion of every log at its own rate; of the stages it is that of the IMUs which it needs."""
+    return [_motion(recording, robot, stages, options) for recording in recordings]
+
+
+def scenes_of(
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    motions: Sequence[Motion] | None = None,
 ) -> list[Scene]:
-    """Build the scene of every log.
+    """Build the data set of every log.
 
     Parameters
     ----------
@@ -42,6 +54,8 @@ def scenes_of(
         The model as it stands.
     options : InertiaOptions
         Cut-off and source of the motion.
+    motions : sequence of Motion, optional
+        Of the same logs, where they are known (see `motions_of`).
 
     Raises
     ------
@@ -51,7 +65,8 @@ def scenes_of(
     model = TorqueModel.from_stages(stages, robot)
     logs = list(recordings)
     starts, shared = shared_starts(logs)
-    motions = [_motion(recording, robot, stages, options) for recording in logs]
+    if motions is None:
+        motions = motions_of(logs, robot, stages, options=options)
     top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
     width = sign_widths(model, top)
     scenes = []
@@ -81,7 +96,7 @@ def _motion(recording: Recording, robot: Robot, stages: Stages, options: Inertia
 
 
 def thinned(full: Scene) -> Scene:
-    """The scene at the rate at which most effects are looked for, with the full one inside."""
+    """The data set at the rate at which most effects are looked for, with the full one inside."""
     motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
     every = round(full.motion.rate_hz / motion.rate_hz)
     kept = [None if x is None else x[::every] for x in (full.temperature, full.encoder)]

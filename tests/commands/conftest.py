@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.discover.gather import Gathered
+from seqid_cli.discover.excerpts.excerpts import Excerpts
 from seqid_cli.inspect.findings.finding import located
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Health, Recording
@@ -136,12 +136,12 @@ def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
 def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hold all logs: those of the fake reader are no files that could be passed over."""
 
-    def gather(recordings: Iterable[Recording], *_: object, **__: object) -> Gathered:
-        return Gathered(tuple(recordings))
+    def take(recordings: Iterable[Recording], *_: object, **__: object) -> Excerpts:
+        return Excerpts(tuple(recordings))
 
-    monkeypatch.setattr("seqid_cli.discover.gather.gather", gather)
-    monkeypatch.setattr("seqid_cli.discover.earlier_logs.gather", gather)
-    monkeypatch.setattr("seqid_cli.discover.earlier_logs.values_of", lambda *_: 0)
+    monkeypatch.setattr("seqid_cli.discover.excerpts.excerpts.take_excerpts", take)
+    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.take_excerpts", take)
+    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.values_of", lambda *_: 0)
 
 
 @pytest.fixture

@@ -172,9 +172,7 @@ class Library:
         stages: Stages,
         *,
         options: DiscoverOptions,
-        aside: Iterable[Recording],
     ) -> DiagnosisFile:
-        assert not list(aside)
         self.calls.append((len(list(recordings)), robot, stages, options))
         if isinstance(self.result, Exception):
             raise self.result

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover import earlier_logs
-from seqid_cli.discover import gather as gathering
-from seqid_cli.discover.earlier_logs import read_earlier
-from seqid_cli.discover.gather import Gathered, gather
-from seqid_cli.discover.log_sets import EarlierLogs
+from seqid_cli.discover.excerpts import excerpts
+from seqid_cli.discover.excerpts.excerpts import Excerpts, take_excerpts
+from seqid_cli.discover.refinement import earlier_logs
+from seqid_cli.discover.refinement.earlier_logs import read_earlier
+from seqid_cli.discover.refinement.log_sets import EarlierLogs
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions, LogOptions
@@ -30,7 +30,7 @@ from tests.unit.discover.long_logs import RIG, LongCase, long_case
 Array = NDArray[np.float64]
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
-PUSHED = 30.0
+PUSHED = 66.0
 MOST = 68_000
 
 
@@ -46,8 +46,8 @@ def push(t: Array) -> Array:
 
 @pytest.fixture(autouse=True)
 def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gathering, "PASSED_OVER", 1000)
-    defaults = gather.__kwdefaults__
+    monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
+    defaults = take_excerpts.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "most_values", MOST)
 
@@ -82,16 +82,16 @@ def inputs_of(case: LongCase, folder: Path) -> Inputs:
     return Inputs((log,), case.robot, (("model", file),), file, (), None, LogOptions())
 
 
-def fitted_and_found(case: LongCase, folder: Path) -> tuple[Gathered, EarlierLogs]:
+def fitted_and_found(case: LongCase, folder: Path) -> tuple[Excerpts, EarlierLogs]:
     """The fitted log is of the inertia stage and, like another one, of the friction stage."""
     paths = [case.written(folder / f"{name}.parquet") for name in ("fitted", "other")]
     other = case.with_torque(lambda t: np.full((len(t), 2), 0.1)).written(paths[1])
-    fitted = gather(
+    fitted = take_excerpts(
         LogSet(paths[:1], case.robot),
         case.robot,
         case.stages,
         options=InertiaOptions(),
-        aside=False,
+        places=False,
     )
     digests = [read_recording(path, case.robot).sha256 for path in (paths[0], other)]
     found = EarlierLogs(

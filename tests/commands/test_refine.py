@@ -14,9 +14,9 @@ import jsonschema
 import pytest
 from msgspec import structs
 
-from seqid_cli.discover.heldout import WholeLogs
-from seqid_cli.discover.log_sets import find_earlier, held_out_logs
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refinement.held_out import WholeLogs
+from seqid_cli.discover.refinement.log_sets import find_earlier, held_out_logs
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.screening import Screened
@@ -140,10 +140,10 @@ def replace_effects(stages: Stages, effects: list[EffectOfJoint] | None) -> Stag
 @pytest.fixture
 def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
-    module = ModuleType("seqid_cli.discover.refinement")
+    module = ModuleType("seqid_cli.discover.refinement.rounds")
     module.refine = fake.refine  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    other = ModuleType("seqid_cli.discover.confirm")
+    other = ModuleType("seqid_cli.discover.refinement.confirm")
     other.confirm = fake.confirm  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, other.__name__, other)
     # Recordings carry the digest of the file, as those of the real reader do.

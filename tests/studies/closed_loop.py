@@ -17,11 +17,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from seqid_cli.discover.confirm import confirm
-from seqid_cli.discover.heldout import held_out_error
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement import on_the_same_samples, refine
-from seqid_cli.discover.reidentify import Material
+from seqid_cli.discover.refinement.confirm import confirm
+from seqid_cli.discover.refinement.held_out import held_out_error
+from seqid_cli.discover.refinement.material import Material
+from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from tests import ROOT
 from tests.studies.loop_logs import KINDS, Case, case_of, recorded
 from tests.studies.tables import number, table

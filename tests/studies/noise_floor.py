@@ -19,10 +19,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.echo import echoes
-from seqid_cli.discover.floor import noise_floor, rms
-from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.noise.encoder import encoder_residuals
+from seqid_cli.discover.noise.floor import noise_floor, rms
 from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.effects.scene import Scene
 from tests import ROOT
@@ -106,7 +106,7 @@ def outcome(case: Case) -> Outcome:
         np.where(scene.motion.usable[:, None], perfect(plant, log, scene), 0.0)
         for log, scene in zip(experiment.logs["validation"], scenes, strict=True)
     ]
-    rows, echo = rows_of(scenes), echoes(logs, scenes)
+    rows, echo = rows_of(scenes), encoder_residuals(logs, scenes)
     truth = np.array(
         [
             rms(np.concatenate([e[s.slides[:, j], j] for e, s in zip(left, scenes, strict=True)]))

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from seqid_cli.discover.confirm import confirm
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement import refine
+from seqid_cli.discover.refinement.confirm import confirm
+from seqid_cli.discover.refinement.rounds import refine
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recordings
 from seqid_cli.logs.recording import Recording

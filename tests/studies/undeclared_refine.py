@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Stage, candidates_of
-from seqid_cli.discover.loop import with_effects
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.reidentify import Material, Refitted, refitted
-from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.refinement.loop import with_effects
+from seqid_cli.discover.refinement.material import Material, Refitted
+from seqid_cli.discover.refinement.reidentify import refitted
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
 from seqid_cli.discover.select.tuning import Tuner
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.params.document import robot_id, with_stage
@@ -80,8 +81,8 @@ def standard(
     earlier: Mapping[str, list[Recording]],
 ) -> tuple[Stages, ClosedLoop]:
     """Refine with the options that a user has who sets none."""
-    from seqid_cli.discover.confirm import confirm
-    from seqid_cli.discover.refinement import refine
+    from seqid_cli.discover.refinement.confirm import confirm
+    from seqid_cli.discover.refinement.rounds import refine
 
     found = refine(training, robot, file, earlier=earlier, options=DiscoverOptions())
     return found.stages, confirm(found, held_out)

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rows import Rows
 from seqid_cli.discover.select.smoothest import knots_of, smoothest
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis, Factor, Measure, greville, shape, splines
 from seqid_cli.model.effects.unexplained import SmoothTerm

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.rows import Rows
 from seqid_cli.discover.select.linear import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
+from seqid_cli.discover.survey.rows import Rows
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rows import Rows, rows_of
 from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.effects.scene import Scene

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
-from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages

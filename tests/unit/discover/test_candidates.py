@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
-from seqid_cli.discover.rows import rows_of
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
 from tests.unit.discover.arms import arm_scenes, candidate
 

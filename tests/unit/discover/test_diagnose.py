@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.diagnosis import described, diagnose, share_above
-from seqid_cli.discover.floor import NoiseFloor
+from seqid_cli.discover.excess import excess_residuals, expected
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.loud import expected, louder_joints
+from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.notes import file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground
@@ -271,7 +271,7 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     """A hump that no effect is allowed to explain."""
     logs = humped()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
-    assert louder_joints(found, expected(found)) == ()
+    assert excess_residuals(found, expected(found)) == ()
     (taken,) = found.found.taken
     found.model.terms.remove(taken.term)
     found.model.settle()

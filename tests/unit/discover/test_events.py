@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.event_windows import residual_series
-from seqid_cli.discover.events import (
+from seqid_cli.discover.survey.event_windows import residual_series
+from seqid_cli.discover.survey.events import (
     Interval,
     combined,
     event_masks,
     find_events,
     gaussian,
 )
-from seqid_cli.discover.rows import Rows, rows_of
+from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from tests.unit.discover.residuals import NOISE, coloured, related_scenes
 

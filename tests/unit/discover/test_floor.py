@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.floor import NoiseFloor, noise_floor, rms
-from seqid_cli.discover.noise_level import Spectrum, level_of
+from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
+from seqid_cli.discover.noise.level import Spectrum, level_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from tests.plants.sensors import noise, quantise

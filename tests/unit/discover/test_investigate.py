@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqid_cli.discover.events import Interval
 from seqid_cli.discover.investigate import of_law, of_shape
 from seqid_cli.discover.select.model import Model
+from seqid_cli.discover.survey.events import Interval
 from tests.unit.discover.arms import arm_scenes, candidate, model_of
 
 PUSH = Interval(scene=0, start=5.0, end=5.3, joints=(1,), score=9.0)
@@ -28,7 +28,7 @@ def is_of_shape(model: Model, left: float, before: float, after: float) -> bool:
     residual[inside, 1] = left
     effects[:, 1] = np.where(t < 5.15, before, after)
     sigma, scene = model.noise.sigma[:2], model.ground.stage.scenes[0]
-    return of_shape(model, PUSH, scene, [residual * sigma], [effects * sigma])
+    return of_shape(model, PUSH, scene, residual * sigma, effects * sigma)
 
 
 def test_a_push_beside_a_small_effect_is_an_event(model: Model) -> None:
@@ -55,4 +55,4 @@ def test_a_little_beside_all_of_the_models_torque_is_the_error_of_a_law(model: M
     swing = np.ptp(scene.modelled[(scene.motion.t > 4.5) & (scene.motion.t < 5.8), 1])
     for share, expected in ((0.01, True), (0.04, False)):
         residual = np.full_like(scene.motion.q, share * swing)
-        assert of_law(PUSH, scene, [residual]) == expected
+        assert of_law(PUSH, scene, residual) == expected

@@ -9,15 +9,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from seqid_cli.discover.confirm import confirm
-from seqid_cli.discover.events import Interval
-from seqid_cli.discover.floor import NoiseFloor
-from seqid_cli.discover.heldout import Gain, HeldOutError, gain, gain_of
-from seqid_cli.discover.left_out import FOLDS, Folds
-from seqid_cli.discover.loop import Loop
+from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement import ALL_ALONG, LATE, quiet, refine
-from seqid_cli.discover.reidentify import Material, Refitted, refitted
+from seqid_cli.discover.refinement.confirm import confirm
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of
+from seqid_cli.discover.refinement.left_out import FOLDS, Folds
+from seqid_cli.discover.refinement.loop import Loop
+from seqid_cli.discover.refinement.material import Material, Refitted
+from seqid_cli.discover.refinement.reidentify import refitted
+from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
+from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
@@ -103,7 +104,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert not any("doubtful" in note for note in loop.notes)
     left = np.array([loop.after["joint_1"].rmse])
     above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left, ("spectrum",))
-    monkeypatch.setattr("seqid_cli.discover.confirm.noise_floor", lambda *_: above)
+    monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_: above)
     doubtful = confirm(found, held_out)
     assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
     assert any("doubtful" in note for note in doubtful.notes)
@@ -133,6 +134,18 @@ def test_logs_of_both_are_counted_once_and_with_all_effects(before: ParameterFil
     elsewhere = replace(material, training=tuple(changed("fourier")))
     assert not elsewhere.known
     assert len(elsewhere.before("gravity", model)) == 2
+
+
+def test_data_sets_of_one_material_share_their_motion(before: ParameterFile) -> None:
+    material = Material(tuple(changed("fourier")), {}, robot(), DiscoverOptions())
+    first, again = (material.scenes(before.stages)[0] for _ in range(2))
+    assert first.full is not None
+    assert again.full is not None
+    assert again.full.motion is first.full.motion
+    shorter = replace(material, training=tuple(changed("trapezoids")))
+    (other,) = shorter.scenes(before.stages)
+    assert other.full is not None
+    assert other.full.motion is not first.full.motion
 
 
 def test_without_an_effect_the_model_stays(before: ParameterFile) -> None:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover import gather as gathering
-from seqid_cli.discover import heldout
-from seqid_cli.discover.confirm import confirm
-from seqid_cli.discover.gather import Gathered, gather
-from seqid_cli.discover.heldout import WholeLogs, held_out_error
+from seqid_cli.discover.excerpts import excerpts
+from seqid_cli.discover.excerpts.excerpts import Excerpts, take_excerpts
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement import on_the_same_samples, refine
+from seqid_cli.discover.refinement import held_out as heldout
+from seqid_cli.discover.refinement.confirm import confirm
+from seqid_cli.discover.refinement.held_out import WholeLogs, held_out_error
+from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.logs.read import read_recording
@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gathering, "PASSED_OVER", 1000)
+    monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
     monkeypatch.setattr(heldout, "LONG", 1000)
     monkeypatch.setattr(LongPrediction, "rows", 7_000)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
@@ -53,15 +53,15 @@ def file_of(case: LongCase) -> ParameterFile:
     return with_stage(None, identity, [], friction=friction, inertia=inertia)
 
 
-def pieces(case: LongCase, path: Path) -> Gathered:
+def pieces(case: LongCase, path: Path) -> Excerpts:
     files = LogSet([case.written(path)], case.robot)
-    return gather(
+    return take_excerpts(
         files,
         case.robot,
         case.stages,
         options=OPTIONS.motion,
         most_values=MOST,
-        aside=False,
+        places=False,
     )
 
 
@@ -71,7 +71,7 @@ def refined(folder: Path) -> tuple[Stages, ClosedLoop]:
     fitted = pieces(training, folder / "fitted.parquet")
     held = pieces(unseen, folder / "held.parquet")
     assert len(fitted.recordings) == 2
-    assert held.looks
+    assert held.surveys
     whole = WholeLogs((folder / "held.parquet",), training.robot)
     found = refine(
         fitted.recordings, training.robot, file_of(training), earlier={}, options=OPTIONS

@@ -8,10 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from seqid_cli.discover.rows import (
+from seqid_cli.discover.survey.rows import (
     BLOCK_S,
     FOLDS,
-    FOLDS_OF_ONE,
     TOGETHER,
     Rows,
     extrapolated,
@@ -92,7 +91,7 @@ def test_a_short_log_is_one_fold() -> None:
 def test_very_long_logs_are_thinned_by_whole_blocks(
     scenes: list[Scene], rows: Rows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("seqid_cli.discover.rows.MOST_ROWS", 1200)
+    monkeypatch.setattr("seqid_cli.discover.survey.rows.MOST_ROWS", 1200)
     few = rows_of(scenes)
     for whole, thin, own in zip(rows.block, few.block, few.picked, strict=True):
         assert set(thin) < set(whole)
@@ -121,18 +120,6 @@ def test_without_samples_of_one_joint(scenes: list[Scene], rows: Rows) -> None:
     assert sure.count(0) == rows.count(0)
     assert sure.count(1) == rows.count(1) - rows.used[0][rows.picked[0] < 500, 1].sum()
     assert sure.count(1) < rows.count(1)
-
-
-def test_a_joint_that_moves_in_one_log_only_has_folds_enough_in_it() -> None:
-    rows = rows_of([scene_of(wander(20.0, seed=k, still=(1 - k,)), log=k) for k in (0, 1)])
-    four = rows_of(
-        [scene_of(wander(20.0, seed=k, still=(1,) if k < 3 else ()), log=k) for k in range(4)]
-    )
-    assert np.max(rows.fold) + 1 == 2 * FOLDS_OF_ONE
-    for joint in (0, 1):
-        assert len(np.unique(rows.folds_of(joint))) == FOLDS_OF_ONE
-    assert len(np.unique(four.folds_of(1))) == FOLDS_OF_ONE
-    assert len(np.unique(four.folds_of(0))) < 4 * FOLDS_OF_ONE
 
 
 def test_a_single_move_of_a_joint_does_not_count() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.usable import usable_logs
+from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording, Whole
 from tests.plants.robots.two_joint import two_joint_robot

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from seqid_cli.discover.rows import Rows
-from seqid_cli.discover.whiteness import covariance, white
+from seqid_cli.discover.noise.whiteness import covariance, white
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from tests.unit.discover.drawn_logs import (
     CUTOFF_HZ,
@@ -67,21 +67,6 @@ def test_slow_noise_of_the_size_of_the_white_is_seen(moving: Case) -> None:
     rng = np.random.default_rng(5)
     slow = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], rng.standard_normal((moving[2], 2)), axis=0)
     assert rejected(moving, IN_BAND * slow, 20, 6) > 0.8
-
-
-def test_fitted_columns_do_not_make_noise_coloured(moving: Case) -> None:
-    scene, rows, samples = moving
-    rng = np.random.default_rng(8)
-    alarms = 0
-    basis = np.cos(np.pi * np.outer(np.arange(scene.samples), np.arange(30)) / scene.samples)
-    for _ in range(30):
-        r = low_passed(rng.standard_normal((samples, 2)), scene)
-        for j in range(2):
-            own = rows.of(j, [basis])
-            theta = np.linalg.lstsq(own, rows.of(j, [r[:, j]]), rcond=None)[0]
-            r[:, j] -= basis @ theta
-        alarms += int(np.sum(~white([scene], rows, [r], columns=30)))
-    assert alarms <= 4
 
 
 def test_covariance_is_that_of_filtered_noise(moving: Case) -> None:

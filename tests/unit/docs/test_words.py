@@ -31,6 +31,10 @@ INSTEAD = {
 # Rooms of the package whose docstrings and messages have been read through; others follow.
 ROOMS = (
     "compare",
+    "discover/excerpts",
+    "discover/noise",
+    "discover/refinement",
+    "discover/survey",
     "export",
     "identify",
     "inspect",

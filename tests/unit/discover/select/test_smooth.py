@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.rows import rows_of
 from seqid_cli.discover.select.selection import Selected, Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.select.smoothest import knots_of, smoothest
 from seqid_cli.discover.select.terms import smooth_terms
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import greville, splines
 from tests.unit.discover.arms import Extra, at_joint, ground_of, measuring

@@ -1,0 +1,1 @@
+"""Excerpts of logs that are too long to be held."""

@@ -1,0 +1,300 @@
+"""What is diagnosed of logs of any length: all of them, or excerpts that memory bounds.
+
+Logs that fit are held as they are. Of others a pass over each tells how the model's residual runs
+(see `residual_survey`). Excerpts are spread over the time (see `design`), and each becomes a
+recording of its own. Short ones about places at which the residual stands out are added: there
+pushes may be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.discover.excerpts.design import excerpts_of
+from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey, residual_survey
+from seqid_cli.discover.survey.rows import BLOCK_S
+from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.regression.streaming import open_if_long
+from seqid_cli.inspect.screening import sound
+from seqid_cli.logs.long import likely_rows
+from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.remote import StoredLog, local_copy
+from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+
+# What is held of logs, in samples times joints, if every second counts as PER_SECOND samples more
+# than it has: a search takes half a kB for each sample of each joint at the log's own rate, and
+# more than that for each second at the rate of the cut-off. Beside 0.3 GiB for the program that is
+# 0.6 GiB at 1 kHz and 1.3 GiB at 125 Hz (seven joints, measured).
+MOST_VALUES = 1_350_000
+PER_SECOND = 350
+PASSED_OVER = 50_000  # samples from which on a log that does not fit is not held even once
+MOST_PLACES = 6  # excerpts about places that stand out
+ABOUT_S = 4.0  # on either side of such a place
+INNER_S = 1.5  # of an excerpt, that its filters need before an event
+UNLIKE_S, UNLIKE = 10.0, 2.0  # stretches, and times the upper end of what others have
+USUAL = 0.9  # quantile of stretches that is still usual
+TENTHS, ENDS, CHANGES = 10, 3, 1.5  # parts of the time; ratio of the last to the first ones
+MOST_STRETCHES = 3
+
+
+@dataclass(frozen=True)
+class Excerpts:
+    """What is diagnosed.
+
+    `recordings` are whole logs or excerpts, of which `about_places` lie about places that stand out
+    and the others last `seconds`; `surveys` tell what the passes over long logs saw. Without
+    surveys all logs are held.
+    """
+
+    recordings: tuple[Recording, ...]
+    about_places: int = 0
+    seconds: float = 0.0
+    surveys: tuple[ResidualSurvey, ...] = ()
+
+    def notes(self, robot: Robot) -> tuple[str, ...]:
+        """Say how much of the logs is in the excerpts, and what the passes over them told."""
+        if not self.surveys:
+            return ()
+        whole = sum(survey.whole.length for survey in self.surveys)
+        pieces = len(self.recordings) - self.about_places
+        about = f" and {self.about_places} about places that stand out" if self.about_places else ""
+        said = (
+            f"too long to be held: of {whole:.0f} s {self.seconds:.0f} s were looked at, in "
+            f"{pieces} pieces spread over the time and varied in motion{about}; "
+            "the rest was passed over once"
+        )
+        return (said, _residual_note(self.surveys, robot), *_time_notes(self.surveys, robot))
+
+
+def take_excerpts(
+    recordings: LogSet | Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+    most_values: int = MOST_VALUES,
+    places: bool = True,
+) -> Excerpts:
+    """Hold logs, or excerpts of them where they are too long.
+
+    Parameters
+    ----------
+    recordings : LogSet, or iterable of Recording
+        With torque. Long logs of a set are passed over instead of read.
+    robot : Robot
+    stages : Stages
+        The model.
+    options : InertiaOptions
+    most_values : int
+        Samples times joints that are held, as `MOST_VALUES` counts them.
+    places : bool
+        Whether places that stand out are wanted.
+
+    Raises
+    ------
+    InputError
+        If a log cannot be read or carries neither torque nor current.
+    """
+    most = most_values / robot.n
+    if isinstance(recordings, LogSet) and sum(map(_likely, recordings.logs)) > most:
+        surveys = tuple(recordings.mapped(_Surveyor(robot, stages, options)))
+        if sum(_size(one.samples, one.rate_hz) for one in surveys) <= most:
+            return Excerpts(tuple(recordings.again(imus=stages.imu is not None)))
+        given, clock = recordings.logs, recordings.time_source
+        return _excerpts(surveys, given, robot, most, clock, places=places)
+    held = list(recordings)
+    if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
+        return Excerpts(tuple(held))
+    surveys = tuple(residual_survey(log, robot, stages, options=options) for log in held)
+    return _excerpts(surveys, held, robot, most, "header", places=places)
+
+
+def by_digest(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
+    """Recordings, or the excerpts of each log, by the log's SHA-256."""
+    found: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        found.setdefault(whole_of(recording).sha256, []).append(recording)
+    return found
+
+
+def values_of(paths: Iterable[Path], robot: Robot) -> int:
+    """Samples times joints that logs are likely to hold, as far as their formats tell."""
+    return robot.n * sum(map(likely_rows, paths))
+
+
+def one_each(held: Excerpts) -> list[Recording]:
+    """One recording of every log: what holds of an excerpt's sensors holds of the log's."""
+    return [pieces[-1] for pieces in by_log(held.recordings)]
+
+
+def _size(samples: int, rate_hz: float) -> float:
+    """Samples of a log, and what its seconds count as."""
+    return samples * (1.0 + PER_SECOND / rate_hz)
+
+
+def _likely(log: Path | Recording) -> int:
+    """Rows of a local log; of a stored one so many that it is passed over."""
+    if isinstance(log, Recording):
+        return len(log.t)
+    return MOST_VALUES if isinstance(log, StoredLog) else likely_rows(log)
+
+
+@dataclass(frozen=True)
+class _Surveyor:
+    """The survey of one log."""
+
+    robot: Robot
+    stages: Stages
+    options: InertiaOptions
+
+    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
+        """Open a log that is better passed over; None for others."""
+        return open_if_long(path, robot, time_source=time_source, least=PASSED_OVER)
+
+    def __call__(self, log: Recording | SurveyedLog, number: int) -> ResidualSurvey:
+        """Pass over it."""
+        del number
+        return residual_survey(log, self.robot, self.stages, options=self.options)
+
+
+def _excerpts(
+    surveys: tuple[ResidualSurvey, ...],
+    logs: Sequence[Path | Recording],
+    robot: Robot,
+    most: float,
+    time_source: TimeSource,
+    *,
+    places: bool,
+) -> Excerpts:
+    """Choose excerpts and read them, log by log."""
+    samples = sum(survey.samples for survey in surveys)
+    share = most / sum(_size(survey.samples, survey.rate_hz) for survey in surveys)
+    ranges = excerpts_of(surveys, share * samples)
+    extra = about_places(surveys, ranges) if places else [[] for _ in surveys]
+    found: list[Recording] = []
+    for log, survey, own, more in zip(logs, surveys, ranges, extra, strict=True):
+        if own or more:
+            found += _read(log, survey, sorted([*own, *more]), robot, time_source)
+    seconds = sum(high - low for own in ranges for low, high in own)
+    return Excerpts(tuple(found), sum(map(len, extra)), seconds, surveys)
+
+
+def _read(
+    log: Path | Recording,
+    survey: ResidualSurvey,
+    ranges: Sequence[Range],
+    robot: Robot,
+    time_source: TimeSource,
+) -> list[Recording]:
+    if isinstance(log, Recording):
+        return cut(log, ranges)
+    with local_copy(log) as file:
+        place, kind = Path(file), survey.kind
+        found = read_pieces(
+            place,
+            robot,
+            survey.whole,
+            ranges,
+            time_source=time_source,
+            kind=kind,
+            sound=partial(sound, robot=robot),
+        )
+    return [replace(piece, path=log) for piece in found]
+
+
+def about_places(
+    surveys: Sequence[ResidualSurvey], ranges: Sequence[Sequence[Range]]
+) -> list[list[Range]]:
+    """Excerpts about the strongest places that stand out and lie in no other.
+
+    Parameters
+    ----------
+    surveys : sequence of ResidualSurvey
+    ranges : sequence of sequence of (float, float)
+        The other excerpts of each log.
+
+    Returns
+    -------
+    list of list of (float, float)
+        Per log.
+    """
+    places = [(place, k) for k, survey in enumerate(surveys) for place in survey.places]
+    result: list[list[Range]] = [[] for _ in surveys]
+    for place, k in sorted(places, key=lambda found: -found[0].score):
+        inside = any(
+            low + INNER_S <= place.start and place.end <= high - INNER_S
+            for low, high in (*ranges[k], *result[k])
+        )
+        if not inside and sum(map(len, result)) < MOST_PLACES:
+            low, high = place.start - ABOUT_S, place.end + ABOUT_S
+            result[k].append((max(low, 0.0), min(high, surveys[k].whole.length)))
+    return result
+
+
+def _residual_note(surveys: Sequence[ResidualSurvey], robot: Robot) -> str:
+    counts = sum(survey.counts.sum(axis=0) for survey in surveys)
+    squares = sum(survey.squares.sum(axis=0) for survey in surveys)
+    known = [
+        f"{name} {np.sqrt(s / c):.3g}"
+        for name, s, c in zip(robot.joint_names, squares, counts, strict=True)
+        if c
+    ]
+    return f"RMS residual of all logs as a whole, where joints slide, N m: {', '.join(known)}"
+
+
+def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str]:
+    for survey in surveys:
+        for j, name in enumerate(robot.joint_names):
+            yield from _over_time(survey, j, name)
+            yield from _unlike(survey, j, name)
+
+
+def _over_time(survey: ResidualSurvey, j: int, name: str) -> Iterator[str]:
+    """The residual in parts of the time, where it has changed from the first to the last."""
+    edges = np.linspace(0, len(survey.squares), TENTHS + 1).astype(int)
+    parts = [
+        _rms(survey.squares[a:b, j].sum(), survey.counts[a:b, j].sum()) for a, b in pairwise(edges)
+    ]
+    early, late = np.mean(parts[:ENDS]), np.mean(parts[-ENDS:])
+    if len(survey.squares) >= TENTHS and max(early, late) > CHANGES * min(early, late) > 0.0:
+        numbers = " ".join(f"{part:.3g}" for part in parts)
+        yield f"{survey.path}: RMS residual of {name} in tenths of the time: {numbers}"
+
+
+def _unlike(survey: ResidualSurvey, j: int, name: str) -> Iterator[str]:
+    """Stretches over which the residual is unlike the rest."""
+    size = round(UNLIKE_S / BLOCK_S)
+    starts = np.arange(0, len(survey.squares), size)
+    squares, counts = (np.add.reduceat(x[:, j], starts) for x in (survey.squares, survey.counts))
+    there = counts > 0
+    rms = np.sqrt(squares / np.maximum(counts, 1.0))
+    usual = float(np.quantile(rms[there], USUAL)) if there.any() else 0.0
+    large = there & (rms > UNLIKE * usual)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], large.astype(int), [0]])))
+    stretches = list(zip(edges[::2], edges[1::2], strict=True))
+    if usual > 0.0 and 0 < len(stretches) <= MOST_STRETCHES:
+        for a, b in stretches:
+            ratio = float(rms[a:b].max()) / usual
+            first, last = a * UNLIKE_S, min(b * UNLIKE_S, survey.whole.length)
+            if any(first <= place.start <= last for place in survey.places):
+                continue  # in an excerpt anyway
+            yield (
+                f"{survey.path}: the residual of {name} from {first:.0f} to {last:.0f} s is "
+                f"{ratio:.1f} times what it hardly exceeds elsewhere: diagnose this stretch by "
+                "itself, as a log of its own"
+            )
+
+
+def _rms(squares: float, counts: float) -> float:
+    return float(np.sqrt(squares / max(counts, 1.0)))

@@ -1,0 +1,1 @@
+"""Torque noise, what encoder noise makes of a residual, and the noise floor."""

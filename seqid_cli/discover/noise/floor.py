@@ -1,0 +1,384 @@
+"""How small the residual could become: noise in the band, that no model explains.
+
+It is torque noise and what the encoder's noise makes of the motion. The latter is drawn: logs whose
+true motion and model are known go through the same filters. Torque noise is a property of a joint's
+drive, white and 1/f^a, looked for in all logs together; how much of it passes a log's low-pass
+depends on the log. Three ways, the best that a joint's logs allow:
+
+repeats
+    Motion that comes back with a period, or in another log: half the mean square of the residual's
+    differences, which no model of the motion can take away. Where the motion comes back to a part
+    of a count, errors of counting come back as well: between none and all of the encoder's part is
+    to be added, which the other ways decide.
+rests
+    All joints stand for several periods of the cut-off: the spectrum of the raw torque there, white
+    noise and 1/f^a. A controller that hunts between two counts of its encoder shows more than
+    noise; that is seen where a rest shows more than motion does at the same frequencies.
+spectrum
+    What the raw torque shows above the cut-off while the joint slides, and what is left of it at
+    the top of the band, where there is no motion, as white noise and 1/f noise that goes on below.
+    Control and steps of the motion show there as well, and only add to it: of all that the logs
+    show the least counts, with what agrees with it. What colour the noise has below stays open: the
+    interval reaches from white noise of the density at the top up to all that is left.
+
+The estimate is one of its own: what a model leaves of the torque does not bound it. A way whose
+interval lies above all that is left is refuted, and the next one is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Literal
+
+import numpy as np
+from scipy.signal import detrend
+
+from seqid_cli.discover.noise.level import Level, Spectrum, level_of, passed
+from seqid_cli.discover.noise.repeats import repeats_of
+from seqid_cli.discover.noise.spectra import (
+    LEAST_SHARE,
+    median_spectrum,
+    nearest,
+    power_gain,
+    stretches,
+)
+from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filters.bandwidth import encoder_step
+from seqid_cli.motion.filters.differentiation import runs, shrink
+from seqid_cli.motion.motion import NOISE_BANDWIDTH, Motion, encoder_resolution
+from seqid_cli.motion.segmentation import unmoved
+from seqid_cli.typing import Array
+
+Way = Literal["repeats", "rests", "spectrum"]
+
+SEED = 0  # of the draws behind the interval
+FEWEST_REPEATED = 20.0  # periods of the cut-off that must repeat
+SHORTEST_REST = 4.0  # periods of the cut-off
+FEWEST_RESTED = 20.0  # periods of the cut-off, over all rests
+SETTLING = 1.2  # periods of the cut-off at both ends of a rest, in which a move dies away
+STRETCH = 4.0  # periods of the cut-off per spectrum, while joints move
+FEWEST_FREQUENCIES = 8
+EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)  # of 1/f^a noise at rest
+FLICKER = (1.0,)  # the same above the cut-off, where exponents are not told apart
+ABOVE = 1.5  # cut-offs, from which the torque is taken for noise
+UP_TO = 10.0  # cut-offs: what lies further off tells little of the band
+NYQUIST_SHARE = 0.9
+BAND = (0.45, 0.95)  # cut-offs, between which what is left of the torque is taken for noise
+BAND_STRETCH = 4.0  # periods of the cut-off per spectrum of it
+FEWEST_STRETCHES = 2
+HANN = 1.5  # bins of a tapered spectrum that count as one
+MEDIAN = 2.08  # variance of a median of periodograms over that of their mean
+ENCODER_ERROR = 0.15  # relative standard error of the encoder's part
+ENCODER_SPREAD = np.exp(ENCODER_ERROR * np.array([0.0, -1.96, 1.96]))  # estimate and its ends
+AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
+EXCEEDS = 4.0  # standard errors above what shows in motion: a rest that is more than noise
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """RMS (n,) N m that a right model leaves, and how each joint's torque noise was found.
+
+    `low`, `high` (n,) N m are its 95 % interval: what the spectrum's estimate leaves open, how much
+    the noise of logs so short scatters about it, and how well the encoder's part is known.
+    """
+
+    rms: Array
+    low: Array
+    high: Array
+    ways: tuple[Way, ...]
+
+    def interval(self, joint: int) -> tuple[float, float]:
+        """95 % interval of one joint's floor, N m."""
+        return float(self.low[joint]), float(self.high[joint])
+
+    def doubts(self, left: Array, names: Sequence[str]) -> tuple[str, ...]:
+        """Joints at which a model leaves less than the interval's lower end.
+
+        Parameters
+        ----------
+        left : (n,) array
+            RMS, N m, of what a model leaves of the samples that the floor is of; NaN where unknown.
+        names : sequence of str
+            Of the joints.
+        """
+        return tuple(
+            f"joint {name}: {rest:.3g} N m is left, less than the noise floor's interval, "
+            f"{low:.3g} to {high:.3g} N m: the floor's estimate is doubtful there; a log that "
+            "repeats a motion gives a better one"
+            for name, rest, low, high in zip(names, left, self.low, self.high, strict=True)
+            if rest < low
+        )
+
+
+def noise_floor(
+    recordings: Sequence[Recording],
+    scenes: Sequence[Scene],
+    rows: Rows,
+    residual: Sequence[Array],
+    echo: Sequence[Array],
+    judged: Collection[int] | None = None,
+) -> NoiseFloor:
+    """Find the noise floor of every joint.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        With torque.
+    `scenes` : sequence of `Scene`
+        Of the same logs.
+    rows : Rows
+        Of the same data sets.
+    residual : sequence of (N, n) arrays
+        Low-passed residual [N m] at the data sets' samples after all that was found has been taken
+        out; zero where it does not count.
+    echo : sequence of (N, n) arrays
+        The part of it that the encoder's noise makes [N m], see `encoder_residuals`.
+    judged : collection of int, optional
+        The logs whose floor is wanted, by number, over all samples in which a joint slides; the
+        others only help to find the noise. By default all, over the rows as they count.
+
+    Returns
+    -------
+    NoiseFloor
+        An estimate of its own: the RMS of `residual` does not bound it.
+    """
+    wanted = range(len(scenes)) if judged is None else sorted(judged)
+    moving = _in_motion(recordings, scenes, residual, echo)
+    rested = [
+        [one for one in own if not _exceeds(one, others)]
+        for own, others in zip(_at_rest(recordings, scenes), moving, strict=True)
+    ]
+    repeats, rng = _repeats(scenes, residual), np.random.default_rng(SEED)
+    ways, found = [], []
+    for j in range(rows.n):
+        moves = [(scenes[k].motion, scenes[k].slides[:, j]) for k in wanted]
+        slid = [(motion, float(m.sum()) / motion.rate_hz) for motion, m in moves if m.any()]
+        slides = np.concatenate([echo[k][scenes[k].slides[:, j], j] for k in wanted])
+        heard = rms(rows.torque(j, [e[:, j] for e in echo]) if judged is None else slides)
+        rest = np.concatenate([residual[k][scenes[k].slides[:, j], j] for k in wanted])
+        left = rms(rest[rest != 0.0])
+        levels = _levels(j, repeats, rested[j], moving[j])
+        torque = {way: np.array(level.rms(slid, rng)) for way, level in levels.items()}
+        torque["spectrum"][1] = min(
+            torque["spectrum"][1], Level.known(_top(moving[j])).rms(slid, rng)[1]
+        )
+        each = {way: np.hypot(known, heard * ENCODER_SPREAD) for way, known in torque.items()}
+        if "repeats" in each:
+            # The encoder's part comes back with the motion, or does not: other ways decide.
+            other = each.get("rests", each["spectrum"])
+            each["repeats"] = np.median([torque["repeats"], each["repeats"], other], axis=0)
+        # Of noise no more can be there than is left of the torque in all.
+        way = next(way for way in each if way == "spectrum" or each[way][1] <= left)
+        middle, low, high = each[way]
+        ways.append(way)
+        found.append((middle, low, max(high, left) if way == "spectrum" else high))
+    floor, low, high = np.array(found).T
+    return NoiseFloor(floor, low, high, tuple(ways))
+
+
+def _levels(
+    joint: int, repeats: Repeats, rested: Sequence[Spectrum], moving: Sequence[Spectrum]
+) -> dict[Way, Level]:
+    """Noise of one joint by every way that there is, the best one first."""
+    at_rest = _at_rest_level(rested)
+    in_motion = level_of(_agreeing(moving), FLICKER, 0.0) if moving else Level.known(0.0)
+    found: dict[Way, Level] = {}
+    if repeats.periods[joint] >= FEWEST_REPEATED:
+        known = [level.white for level in (at_rest, in_motion) if level and level.white > 0.0]
+        found["repeats"] = repeats.level(joint, min(known, default=np.inf))
+    if at_rest is not None:
+        found["rests"] = at_rest
+    return {**found, "spectrum": in_motion}
+
+
+def _at_rest_level(spectra: Sequence[Spectrum]) -> Level | None:
+    if not spectra:
+        return None
+    return level_of(reduce(Spectrum.beside, spectra), EXPONENTS, 0.0)
+
+
+def _exceeds(rest: Spectrum, spectra: Sequence[Spectrum]) -> bool:
+    """Whether joints that stand show more than a joint that slides, at the same frequencies.
+
+    A controller that hunts between two counts of its encoder does; noise is the same in both.
+    """
+    for other in spectra:
+        shared = rest.within(float(other.frequency[0]), float(other.frequency[-1]))
+        if len(shared.frequency) and not _agrees(shared, other, EXCEEDS):
+            return True
+    return False
+
+
+def _agrees(one: Spectrum, other: Spectrum, errors: float = AGREE) -> bool:
+    """Whether the first is not above the other beyond what chance makes."""
+    error = float(np.sqrt(one.mean[1] + other.mean[1]))
+    return one.mean[0] - other.mean[0] <= errors * other.mean[0] * error
+
+
+def _agreeing(spectra: Sequence[Spectrum]) -> Spectrum:
+    """The least of the spectra together with those that agree with it.
+
+    What a log shows beside noise only adds to it; the least alone would be the luckiest.
+    """
+    least = min(spectra, key=lambda one: one.mean[0])
+    kept = [one for one in spectra if _agrees(one, least)]
+    return reduce(Spectrum.beside, kept)
+
+
+def _top(spectra: Sequence[Spectrum]) -> float:
+    """Density of the upper half of the frequencies: noise that does not rise is no less below."""
+    if not spectra:
+        return 0.0
+    one = _agreeing(spectra)
+    middle = float(np.median(one.frequency))
+    return one.within(middle, np.inf).mean[0]
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square; zero of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """What differs between repeats: squares (S, n) and samples (S, n) by log, periods (n,)."""
+
+    squares: Array
+    samples: Array
+    periods: Array
+    motions: tuple[Motion, ...]
+
+    def level(self, joint: int, white: float) -> Level:
+        """The joint's noise: as white as can be, the rest 1/f."""
+        at = np.flatnonzero(self.samples[:, joint])
+        weight = self.samples[at, joint] / self.samples[at, joint].sum()
+        total = 0.5 * float(self.squares[at, joint].sum() / self.samples[at, joint].sum())
+        of_white, of_flicker = weight @ np.array([passed(self.motions[k], 1.0) for k in at])
+        white = min(white, total / float(of_white))
+        flicker = (total - white * float(of_white)) / float(of_flicker)
+        # Two independent values per period of the noise's bandwidth.
+        relative = 2.0 / (2.0 * NOISE_BANDWIDTH * self.periods[joint])
+        return Level.known(white, flicker, error=np.sqrt(relative) * total / float(of_flicker))
+
+
+def _repeats(scenes: Sequence[Scene], residual: Sequence[Array]) -> Repeats:
+    shape = (len(scenes), scenes[0].robot.n)
+    square, count, periods = np.zeros(shape), np.zeros(shape), np.zeros(shape[1])
+    for repeat in repeats_of(scenes):
+        then = scenes[repeat.second].motion
+        own = residual[repeat.first][repeat.at]
+        at = repeat.then * then.rate_hz
+        low = np.clip(np.floor(at).astype(int), 0, then.samples - 2)
+        share = (at - low)[:, None]
+        before, after = residual[repeat.second][low], residual[repeat.second][low + 1]
+        counts = (own != 0) & (before != 0) & (after != 0)
+        # Straight lines between two samples take away a share of what is near the cut-off.
+        off = before * (1 - share) + after * share - own
+        square[repeat.first] += np.sum(np.where(counts, off**2, 0.0), axis=0)
+        count[repeat.first] += counts.sum(axis=0)
+        periods += counts.sum(axis=0) / then.rate_hz * then.lowpass.cutoff_hz
+    return Repeats(square, count, periods, tuple(scene.motion for scene in scenes))
+
+
+def _at_rest(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[list[Spectrum]]:
+    """Spectra of the raw torque while all joints stand, by joint; none of logs that hardly rest."""
+    result: list[list[Spectrum]] = [[] for _ in range(scenes[0].robot.n)]
+    for recording, scene in zip(recordings, scenes, strict=True):
+        rests = _rests(recording, scene)
+        for j, spectra in enumerate(result):
+            if rests is not None:
+                spectra.append(_rested(recording, rests, j))
+    return result
+
+
+def _rests(recording: Recording, scene: Scene) -> list[slice] | None:
+    """Pieces of equal length in which all joints stand; None where that is not for long enough."""
+    period = recording.rate_hz / scene.motion.lowpass.cutoff_hz
+    still = unmoved(recording.q, encoder_resolution(scene.robot), round(SHORTEST_REST * period))
+    quiet = shrink(still & recording.valid, round(SETTLING * period))
+    pieces = [(a, b) for a, b in runs(quiet, len(quiet)) if b - a >= SHORTEST_REST * period]
+    if sum(b - a for a, b in pieces) < FEWEST_RESTED * period:
+        return None
+    length = int(np.median([b - a for a, b in pieces]))
+    return [slice(s, s + length) for a, b in pieces for s in range(a, b - length + 1, length)]
+
+
+def _rested(recording: Recording, rests: Sequence[slice], joint: int) -> Spectrum:
+    assert recording.tau is not None
+    rate, length = recording.rate_hz, rests[0].stop - rests[0].start
+    pieces = detrend(np.stack([recording.tau[piece, joint] for piece in rests]), axis=1)
+    density = np.mean(np.abs(np.fft.rfft(pieces, axis=1)) ** 2, axis=0) / (rate * length)
+    frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
+    kept = (np.arange(len(frequency)) >= 2) & (frequency < 0.5 * NYQUIST_SHARE * rate)
+    averaged = np.full(int(kept.sum()), float(len(rests)))
+    return Spectrum(frequency[kept], density[kept], averaged, _quantised(recording, joint))
+
+
+def _quantised(recording: Recording, joint: int) -> float:
+    """Density of the noise that rounding the torque makes."""
+    assert recording.tau is not None
+    return float(encoder_step(recording.tau[:, [joint]])[0] ** 2 / 12.0 / recording.rate_hz)
+
+
+def _in_motion(
+    recordings: Sequence[Recording],
+    scenes: Sequence[Scene],
+    residual: Sequence[Array],
+    echo: Sequence[Array],
+) -> list[list[Spectrum]]:
+    """Spectra above the cut-off and just below it, by joint, of the logs that show any."""
+    result = []
+    for j in range(scenes[0].robot.n):
+        logs = zip(recordings, scenes, residual, echo, strict=True)
+        each = [(_slid(log, x, j), _top_of_band(log, x, r, e, j)) for log, x, r, e in logs]
+        result.append([one for pair in each for one in pair if one is not None])
+    return result
+
+
+def _top_of_band(
+    recording: Recording, scene: Scene, residual: Array, echo: Array, joint: int
+) -> Spectrum | None:
+    """What is left of the torque at the top of the band, the low-pass undone: there is no motion.
+
+    Steps of the torque, which reach above the cut-off, the model has below it. What the encoder's
+    noise makes is taken off.
+    """
+    motion = scene.motion
+    rate, cutoff = motion.rate_hz, motion.lowpass.cutoff_hz
+    length = min(round(BAND_STRETCH * rate / cutoff), motion.samples)
+    starts = stretches(scene.slides[:, joint] & (residual[:, joint] != 0.0), length)
+    frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
+    kept = (frequency > BAND[0] * cutoff) & (frequency < BAND[1] * cutoff)
+    if len(starts) < FEWEST_STRETCHES or not kept.any() or not motion.lowpass.active:
+        return None
+    whole, heard = (
+        median_spectrum(values[:, joint], starts, length, rate)[kept] for values in (residual, echo)
+    )
+    density = np.maximum(whole - heard, LEAST_SHARE * whole)
+    density = density / power_gain(motion.lowpass, frequency[kept], 2)
+    averaged = np.full(int(kept.sum()), len(starts) / (HANN * MEDIAN))
+    return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))
+
+
+def _slid(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
+    """The raw torque above the cut-off where the joint slides, away from reversals.
+
+    If it never does for long, of all the log.
+    """
+    assert recording.tau is not None
+    rate, cutoff = recording.rate_hz, scene.motion.lowpass.cutoff_hz
+    length = min(round(STRETCH * rate / cutoff), len(recording.t))
+    slides = nearest(scene.slides[:, [joint]], len(recording.t))[:, 0] & recording.valid
+    starts = stretches(slides, length) or stretches(recording.valid, length)
+    frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
+    top = min(UP_TO * cutoff, 0.5 * NYQUIST_SHARE * rate)
+    kept = (frequency > ABOVE * cutoff) & (frequency < top)
+    if not starts or kept.sum() < FEWEST_FREQUENCIES:
+        return None
+    density = median_spectrum(recording.tau[:, joint], starts, length, rate)[kept]
+    averaged = np.full(int(kept.sum()), len(starts) / (HANN * MEDIAN))
+    return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))

@@ -1,0 +1,159 @@
+"""What held-out logs say of a refinement: opened after the last decision, they change none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import structs
+
+from seqid_cli.discover.base import residual_of
+from seqid_cli.discover.noise.encoder import encoder_residuals
+from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
+from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
+from seqid_cli.discover.refinement.loop import joints_of, key_of_round, with_effects
+from seqid_cli.discover.refinement.rounds import Refinement
+from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.discover.survey.usable import usable_logs
+from seqid_cli.logs.recording import Recording
+from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
+from seqid_cli.params.schema import ClosedLoop, JointRmse, RefinementRound, Stages
+from seqid_cli.shares import percent
+
+ASK = "diagnose says on what it depends, refine --with-unexplained adds a smooth term for it"
+
+
+def confirm(
+    found: Refinement, held_out: Sequence[Recording], whole: WholeLogs | None = None
+) -> ClosedLoop:
+    """Measure a refinement on logs that had no say in it.
+
+    Parameters
+    ----------
+    found : Refinement
+    held_out : sequence of Recording
+        Never fitted.
+    whole : WholeLogs, optional
+        The held-out logs as they are, where `held_out` are pieces of them.
+
+    Returns
+    -------
+    ClosedLoop
+        Errors before and after on the same samples; each round with its own gain beside the model
+        before it, confirmed where that is certainly more than nothing.
+    """
+    held_out, notes = usable_logs(held_out, found.material.robot)
+    robot = found.material.robot
+    models = [found.came, *(with_effects(m, robot) for m in (found.without, *found.steps[1:]))]
+    errors, more = _errors(found, models, held_out, whole)
+    rounds = _confirmed(found, errors[1:])
+    errors = errors if found.steps[1:] else errors[:1]
+    logs = tuple(dict.fromkeys(str(log.path) for log in held_out))
+    return _closed(found, rounds, errors, _floor(found, held_out), logs, (*notes, *more))
+
+
+def _errors(
+    found: Refinement,
+    models: Sequence[Stages],
+    held_out: Sequence[Recording],
+    whole: WholeLogs | None,
+) -> tuple[list[HeldOutError], tuple[str, ...]]:
+    """Errors of all models: of the held-out logs as a whole, where they can be had."""
+    options, robot = found.material.options.motion, found.material.robot
+    note: tuple[str, ...] = ()
+    if whole is not None:
+        found_there = [whole.error(stages, options=options) for stages in models]
+        there = [error for error in found_there if error is not None]
+        if len(there) == len(models):
+            return there, ("errors are of the whole held-out logs",)
+        note = ("errors are of pieces of the held-out logs",)
+    return [held_out_error(held_out, robot, stages, options=options) for stages in models], note
+
+
+def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[RefinementRound]:
+    """The rounds with what the held-out logs say; `errors` before the first and after each."""
+    rounds, number = [], 0
+    for told in found.rounds:
+        if told.accepted:
+            joints = joints_of(key_of_round(told, found.material.robot), found.material.robot)
+            change = gain(errors[number], errors[number + 1], joints)
+            number += 1
+            told = structs.replace(
+                told,
+                held_out_gain=change.value,
+                interval=change.limits,
+                confirmed=change.certain,
+            )
+        rounds.append(told)
+    return rounds
+
+
+def _closed(
+    found: Refinement,
+    rounds: list[RefinementRound],
+    errors: Sequence[HeldOutError],
+    floor: NoiseFloor,
+    logs: tuple[str, ...],
+    notes: tuple[str, ...],
+) -> ClosedLoop:
+    names = found.material.robot.joint_names
+    before, after = errors[0], errors[-1]
+    new = after.rmse()
+    judged = [j for j in range(len(names)) if np.isfinite(new[j])]
+    changes = {names[j]: gain(before, after, [j]) for j in judged}
+    lost = [f"{name} ({percent(-g.value)})" for name, g in changes.items() if g.loses]
+    said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
+    excess = [j for j in judged if new[j] > MORE_THAN_NOISE * floor.rms[j]]
+    times = ", ".join(f"{names[j]} ({new[j] / floor.rms[j]:.1f} times)" for j in excess)
+    more = f"more is left than torque noise and encoder account for: {times}; {ASK}"
+    return ClosedLoop(
+        verdict="good" if all(told.confirmed for told in rounds if told.accepted) else "poor",
+        rounds=[told for told in rounds if told.accepted],
+        refused=[told for told in rounds if not told.accepted],
+        before=_by_joint(before, names),
+        after=_by_joint(after, names),
+        noise_floor={names[j]: float(floor.rms[j]) for j in judged},
+        noise_floor_interval={names[j]: list(floor.interval(j)) for j in judged},
+        gain_interval={name: [g.low, g.high] for name, g in changes.items() if g.known},
+        evaluated_on=list(logs),
+        notes=[
+            *found.notes,
+            *notes,
+            *((said,) if lost else ()),
+            *((more,) if excess else ()),
+            *floor.doubts(new, names),
+        ],
+    )
+
+
+def _by_joint(error: HeldOutError, names: Sequence[str]) -> dict[str, JointRmse]:
+    """Errors of the joints that slide."""
+    columns = (error.rmse(), error.rmse_inside(), error.rmse_outside(), error.share_outside())
+    return {
+        name: JointRmse(
+            rmse=float(columns[0][j]),
+            rmse_inside=_known(columns[1][j]),
+            rmse_outside=_known(columns[2][j]),
+            share_outside=float(columns[3][j]),
+        )
+        for j, name in enumerate(names)
+        if np.isfinite(columns[0][j])
+    }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:
+    """Noise floor of the held-out logs; the training logs help to find it."""
+    material, model = found.material, found.steps[-1]
+    logs = [*held_out, *material.training]
+    freed = material.freed(logs, model.stages, model.effects)
+    scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
+    rows = rows_of(scenes)
+    left = [residual_of(scene) for scene in scenes]
+    return noise_floor(
+        freed, scenes, rows, left, encoder_residuals(freed, scenes), range(len(held_out))
+    )

@@ -1,0 +1,88 @@
+"""Logs of earlier stages, read for a refinement as far as memory bears them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from seqid_cli.discover.excerpts.excerpts import Excerpts, by_digest, take_excerpts, values_of
+from seqid_cli.discover.refinement.log_sets import EarlierLogs
+from seqid_cli.identify.inputs import Inputs
+from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
+
+# Stages that need their logs as they are: moves of one joint, of which a piece may hold half.
+TRIALS = ("friction", "gravity", "imu")
+# Samples times joints of those that are held beside what is fitted: 50 bytes each, so 0.4 GiB.
+MOST_OF_TRIALS = 8_000_000
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """Logs, or pieces of them, by stage; and what is to be said of them."""
+
+    by_stage: Mapping[str, Sequence[Recording]]
+    notes: Sequence[str] = ()
+
+
+def read_earlier(
+    inputs: Inputs, found: EarlierLogs, fitted: Excerpts, options: InertiaOptions
+) -> Earlier:
+    """Read the logs of earlier stages; one that is fitted anyway is not read a second time.
+
+    Raises
+    ------
+    InputError
+        A log cannot be read.
+    """
+    at_hand = by_digest(fitted.recordings)
+    held = {sha256 for sha256, some in at_hand.items() if some[0].whole is None}
+    trials = {sha256 for stage in TRIALS for sha256 in found.by_stage.get(stage, ())}
+    needed = {x: path for x, path in found.paths.items() if x in trials and x not in held}
+    others = {x: path for x, path in found.paths.items() if x not in trials and x not in at_hand}
+    notes = []
+    if values_of(needed.values(), inputs.robot) > MOST_OF_TRIALS:
+        notes.append(
+            f"the {len(needed)} logs of earlier stages are too long to be held together;"
+            " the model is fitted again without them"
+        )
+        needed = {}
+    whole = {x.sha256: [x] for x in _logs(inputs, needed.values())} if needed else {}
+    rest: dict[str, list[Recording]] = {}
+    if others:
+        pieces = take_excerpts(
+            _logs(inputs, others.values()),
+            inputs.robot,
+            inputs.stages,
+            options=options,
+            places=False,
+        )
+        rest = by_digest(pieces.recordings)
+    by_stage = {
+        stage: [
+            recording
+            for sha256 in logs
+            for recording in _some(stage, sha256, whole, {**at_hand, **rest}, held)
+        ]
+        for stage, logs in found.by_stage.items()
+    }
+    return Earlier(by_stage, notes)
+
+
+def _some(
+    stage: str,
+    sha256: str,
+    whole: Mapping[str, Sequence[Recording]],
+    pieces: Mapping[str, Sequence[Recording]],
+    held: set[str],
+) -> Sequence[Recording]:
+    """A log as a stage needs it: whole for trials, else what is fitted where it is."""
+    if stage in TRIALS and sha256 not in held:
+        return whole.get(sha256, ())
+    return pieces.get(sha256) or whole.get(sha256, ())
+
+
+def _logs(inputs: Inputs, paths: Iterable[Path]) -> LogSet:
+    return LogSet.of(replace(inputs, logs=tuple(paths), missing=()))

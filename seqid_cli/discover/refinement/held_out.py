@@ -1,0 +1,276 @@
+"""Errors on samples that were not fitted, block by block of time, and how sure a gain is.
+
+A model is judged where joints slide, on blocks that it has not seen: blocks of the training logs
+that were left out (see `left_out`) where something is decided, the held-out logs where the result
+is told. With squared errors o_b before and n_b after in block b (Cochran, "Sampling Techniques",
+1977, section 6),
+
+    gain = 1 - r,   r = sum n / sum o,   se^2 = B / (B - 1) sum (n_b - r o_b)^2 / (sum o)^2.
+
+Neighbouring blocks may share their error: they are joined two by two, as long as enough are left,
+and the largest interval counts (Flyvbjerg and Petersen, J. Chem. Phys. 91, 1989).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student_t
+
+from seqid_cli.discover.survey.rows import BLOCK_S
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import local_effects, predict
+from seqid_cli.identify.regression.streaming import LONG, open_if_long, streams
+from seqid_cli.inspect.screening import read_screened, screened_long
+from seqid_cli.logs.long import likely_rows
+from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.model.effects.fitted import fitted_effects
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
+
+FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
+MOST_BLOCKS = 1000  # of a log that comes in parts
+LEVEL = 0.95
+LEAST_GAIN = 0.005  # of the squared error, from which a gain is worth an effect
+
+
+@dataclass(frozen=True)
+class HeldOutError:
+    """Squared error (N m)^2 and samples (B, n) of every block, where a joint certainly slides.
+
+    At rest the model says an interval: a wider one always fits better, and nothing is gained by it.
+    `outside`, `outside_samples` (B, n) are those of the same beyond the identified friction.
+    """
+
+    squares: Array
+    samples: Array
+    outside: Array
+    outside_samples: Array
+
+    def beside(self, other: HeldOutError) -> HeldOutError:
+        """The blocks of both."""
+        pairs = zip(self.parts, other.parts, strict=True)
+        return HeldOutError(*(np.vstack(pair) for pair in pairs))
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array, Array]:
+        """All four arrays."""
+        return self.squares, self.samples, self.outside, self.outside_samples
+
+    def rmse(self) -> Array:
+        """RMS error (n,) N m as `predict` reports it; NaN for a joint that never slides."""
+        return _rms(self.squares, self.samples)
+
+    def rmse_inside(self) -> Array:
+        """The same (n,) within the positions and speeds at which friction was identified."""
+        return _rms(self.squares - self.outside, self.samples - self.outside_samples)
+
+    def rmse_outside(self) -> Array:
+        """The same (n,) beyond them."""
+        return _rms(self.outside, self.outside_samples)
+
+    def share_outside(self) -> Array:
+        """Share (n,) of the samples that lie beyond them."""
+        return np.asarray(
+            self.outside_samples.sum(axis=0) / np.maximum(self.samples.sum(axis=0), 1.0)
+        )
+
+
+def _rms(squares: Array, samples: Array) -> Array:
+    count = samples.sum(axis=0)
+    mean = np.maximum(squares.sum(axis=0), 0.0) / np.maximum(count, 1.0)
+    return np.where(count > 0, np.sqrt(mean), np.nan)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """1 - after / before of the squared error, with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is worth an effect, and not by chance."""
+        return self.value >= LEAST_GAIN and self.low > 0.0
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an interval: one block of time gives none."""
+        return bool(np.isfinite(self.high - self.low))
+
+    @property
+    def limits(self) -> list[float]:
+        """The interval as documents have it: empty where it is not known."""
+        return [self.low, self.high] if np.isfinite([self.low, self.high]).all() else []
+
+    @property
+    def loses(self) -> bool:
+        """Whether something is lost that counts, and not by chance."""
+        return self.value <= -LEAST_GAIN and self.high < 0.0
+
+
+def held_out_error(
+    recordings: Iterable[Recording | SurveyedLog],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
+) -> HeldOutError:
+    """Predict logs, smooth terms included, and add up the squared errors, block by block.
+
+    Two models are compared on the same samples where `options.slides_from` is given.
+    """
+    sums: list[BlockSums] = []
+    logs = cast("Iterable[Recording]", recordings)  # those that are passed over are predicted alike
+    for log in predict(logs, robot, stages, options=options, unexplained=True):
+        if log.part == 0:
+            sums.append(BlockSums.of(log))
+        sums[-1].add(log, log.sliding)
+    return joined(sums)
+
+
+@dataclass
+class BlockSums:
+    """Sums over the blocks of one log, whose samples come in parts."""
+
+    error: HeldOutError
+    samples: int
+    seen: int = 0
+
+    @classmethod
+    def of(cls, first: LogPrediction) -> BlockSums:
+        """Begin with nothing; a log that is too long to be held has longer blocks."""
+        length = float(first.t[-1] - first.t[0])
+        length *= 1.0 if first.last else first.samples / len(first.t)
+        count = int(np.clip(round(length / BLOCK_S), 1, MOST_BLOCKS))
+        zero = np.zeros((count, first.tau.shape[1]))
+        return cls(HeldOutError(*(zero.copy() for _ in range(4))), first.samples)
+
+    def add(self, log: LogPrediction, counts: Mask) -> None:
+        """Add the next samples, those of `counts` (N, n)."""
+        assert log.outside is not None
+        blocks = len(self.error.squares)
+        at = np.arange(self.seen, self.seen + len(log.t))
+        self.seen += len(log.t)
+        block = np.minimum(at * blocks // self.samples, blocks - 1)
+        square = log.residual**2
+        squares, samples, outside, outside_samples = self.error.parts
+        for mask, total, number in (
+            (counts, squares, samples),
+            (counts & log.outside, outside, outside_samples),
+        ):
+            total += _by_block(block, blocks, np.where(mask, square, 0.0))
+            number += _by_block(block, blocks, mask.astype(np.float64))
+
+
+def joined(sums: Sequence[BlockSums]) -> HeldOutError:
+    """The blocks of all logs."""
+    return HeldOutError(*map(np.vstack, zip(*(own.error.parts for own in sums), strict=True)))
+
+
+def _by_block(block: NDArray[np.intp], count: int, values: Array) -> Array:
+    columns = [np.bincount(block, weights=v, minlength=count) for v in values.T]
+    return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True)
+class WholeLogs:
+    """Held-out logs that are too long to be held, whole, to be passed over."""
+
+    paths: tuple[Path, ...]
+    robot: Robot
+    time_source: TimeSource = "header"
+
+    def error(self, stages: Stages, *, options: InertiaOptions) -> HeldOutError | None:
+        """Error of a model on all samples; None where it cannot be predicted part by part.
+
+        Raises
+        ------
+        InputError
+            A log can no longer be read.
+        """
+        model = TorqueModel.from_stages(stages, self.robot)
+        effects = fitted_effects(stages, self.robot, unexplained=True)
+        if not (streams(stages, options) and local_effects(model, effects)):
+            return None
+        found: HeldOutError | None = None
+        for path in self.paths:
+            with local_copy(path) as file:
+                log = self._opened(Path(file))
+                if log is None:
+                    return None
+                own = held_out_error([log], self.robot, stages, options=options)
+            found = own if found is None else found.beside(own)
+        return found
+
+    def _opened(self, file: Path) -> Recording | SurveyedLog | None:
+        """A log to be passed over, or a short one; None for a long one that must be held."""
+        least = likely_rows(file)
+        clock = self.time_source
+        if least < LONG:
+            return read_screened(file, self.robot, time_source=clock).recording if least else None
+        log = open_if_long(file, self.robot, time_source=clock, least=1)
+        return screened_long(log, self.robot).log if log is not None else None
+
+
+def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:
+    """Compare two models on the same samples at some joints.
+
+    The samples of a joint within and those beyond the identified friction are each weighed by their
+    mean squared error before: what extrapolation misses does not hide what an effect gains.
+    """
+    chosen = sorted(joints)
+    old = _within_and_beyond(before.squares, before.outside, chosen)
+    new = _within_and_beyond(after.squares, after.outside, chosen)
+    counts = _within_and_beyond(before.samples, before.outside_samples, chosen).sum(axis=0)
+    total = old.sum(axis=0)
+    weight = np.where(total > 0.0, counts / np.maximum(total, 1e-300), 0.0)
+    if not weight.any():
+        return Gain(0.0, 0.0, 0.0)
+    return gain_of(old @ weight, new @ weight)
+
+
+def _within_and_beyond(every: Array, beyond: Array, joints: Sequence[int]) -> Array:
+    """Sums (B, 2 k) of some joints; what rounding leaves of a difference is nothing."""
+    within = every[:, joints] - beyond[:, joints]
+    within = np.where(within > 1e-12 * every[:, joints], within, 0.0)
+    return np.hstack([within, beyond[:, joints]])
+
+
+def gain_of(old: Array, new: Array) -> Gain:
+    """Gain from squared errors (B,) of every block before and after, in any unit.
+
+    Of a single block the interval is everything.
+    """
+    there = (old > 0.0) | (new > 0.0)
+    old, new = old[there], new[there]
+    total = max(float(old.sum()), 1e-300)
+    ratio = float(new.sum()) / total
+    left = new - ratio * old
+    width = _half_width(left) / total
+    while len(left) >= 2 * FEWEST_BLOCKS:
+        left = np.add.reduceat(left, np.arange(0, len(left) - 1, 2))
+        width = max(width, _half_width(left) / total)
+    return Gain(1.0 - ratio, 1.0 - ratio - width, 1.0 - ratio + width)
+
+
+def _half_width(left: Array) -> float:
+    """Half the interval of a sum of independent values (B,) about zero."""
+    count = len(left)
+    if count < 2:
+        return float("inf")
+    quantile = float(student_t.ppf(0.5 + 0.5 * LEVEL, count - 1))
+    return quantile * float(np.sqrt(count / (count - 1) * np.sum(left**2)))

@@ -1,0 +1,197 @@
+"""The whole model anew, with effects in it, under either of two accounts of an effect.
+
+*All along*: it was there when the earlier stages were identified, and has biased them. Effects and
+base are fitted together on the training logs. The base is free where those stages have taken in
+what looked like friction in their trials. Then the effects' torque is taken out of all recordings,
+friction trials as well, and every stage runs again on them by its own recipe. This repeats until
+the effects settle. Where the logs of the earlier stages are not at hand, the base moves as the
+joint fit on the training logs says.
+
+*Late*: it came with the training logs. The stages stay as they are, and only the effects are
+fitted, beside a base that may move within the errors that the file gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache, partial
+
+import msgspec
+import numpy as np
+
+from seqid_cli.discover.base import base_of
+from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.refinement.material import Key, Material, Refitted, changed_joints, identity
+from seqid_cli.discover.refinement.moved_stages import held, moved
+from seqid_cli.discover.scenes import shared_starts
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
+from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.simultaneous import TERMS, identify_simultaneous
+from seqid_cli.model.effects.apply import session_of
+from seqid_cli.model.effects.fitted import FittedEffect
+from seqid_cli.params.schema import FrictionStage, Stages
+from seqid_cli.typing import Array
+
+TURNS = 6  # of effects and stages, at most
+SETTLED = 0.3  # standard errors, that coefficients still move by when they have settled
+STALLED = 0.7  # of the step before: larger ones never settle, logs of earlier stages contradict
+MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
+
+
+def refitted(
+    material: Material,
+    model: Refitted,
+    candidates: Sequence[Candidate],
+    *,
+    late: frozenset[Key],
+    kept: bool,
+) -> Refitted:
+    """Fit effects and model together.
+
+    Parameters
+    ----------
+    material : Material
+    model : Refitted
+        The model as it stands.
+    candidates : sequence of Candidate
+        All effects that it is to have; none is a model identified anew.
+    late : frozenset of Key
+        Those of them that the logs of the earlier stages do not have.
+    kept : bool
+        Whether the stages are right as they are, and only the effects are fitted.
+    """
+    stages = model.stages
+    if not kept:
+        stages, candidates = _in_turns(material, stages, candidates, late)
+    if not candidates:
+        return Refitted(stages, (), late)
+    fit = _fitted(material, stages, candidates, HELD)
+    # Their errors are beside a base that may move; but it is the file's that they are written to.
+    effects = _effects_of(material, fit)
+    fit.hold = FIRM
+    fit.settle()
+    values = [x.coefficients for x in _effects_of(material, fit)]
+    pairs = zip(effects, values, strict=True)
+    return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
+
+
+def _in_turns(
+    material: Material,
+    stages: Stages,
+    candidates: Sequence[Candidate],
+    late: frozenset[Key],
+) -> tuple[Stages, Sequence[Candidate]]:
+    """Fit effects, then identify the stages without them, until the effects settle."""
+    before, effects, step = list[FittedEffect](), list[FittedEffect](), np.inf
+    for _ in range(TURNS):
+        fit = cache(partial(_fitted, material, stages, candidates, FREE))
+        if candidates:
+            before, effects = effects, _effects_of(material, fit())
+        stages = _stages(material, Refitted(stages, tuple(effects), late), fit)
+        if not candidates:
+            break
+        candidates = fit().candidates
+        last, step = step, _step(before, effects) if before else np.inf
+        if step <= SETTLED or step > STALLED * last:
+            break
+    return stages, candidates
+
+
+def _step(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> float:
+    """By how many of their standard errors coefficients have moved, at most."""
+    return max(
+        float(np.max(np.abs(new.coefficients - old.coefficients) / _errors(new)))
+        for old, new in zip(before, after, strict=True)
+    )
+
+
+def _errors(effect: FittedEffect) -> Array:
+    return np.sqrt(np.maximum(np.diag(effect.covariance), 1e-300))
+
+
+def _fitted(
+    material: Material, stages: Stages, candidates: Sequence[Candidate], hold: Hold
+) -> Model:
+    """Base and effects fitted to the training logs, settings searched once more."""
+    rows = rows_of(material.scenes(stages))
+    fit = Model(Ground.of(Stage(rows), base_of(rows, stages)), hold)
+    fit.add(candidates)
+    return fit
+
+
+def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
+    """The effects with their coefficients, and errors no narrower than the scatter over blocks."""
+    starts, shared = shared_starts(material.training)
+    session = session_of(material.training, starts, shared)
+    return [
+        FittedEffect(
+            what.effect,
+            what.joint,
+            what.settings,
+            fit.coefficients(term),
+            fit.covariance(term),
+            session,
+        )
+        for term, what in zip(fit.terms, fit.candidates, strict=True)
+    ]
+
+
+def _stages(material: Material, model: Refitted, fit: Callable[[], Model]) -> Stages:
+    """Every stage again, on logs without the effects; `fit` where stages move as it says."""
+    robot, motion, stages = material.robot, material.options.motion, model.stages
+    friction, earlier = stages.friction, material.earlier
+    if friction is not None and friction.method == "simultaneous":
+        freed = [*material.before("friction", model), *material.now(model)]
+        offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
+        new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
+        found = Stages(friction=new, imu=stages.imu, inertia=inertia)
+        return held(found, stages, fit()) if material.known else found
+    needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
+    if all(earlier.get(stage) for stage in needed):
+        return _sequential(material, model)
+    joint = fit()
+    return moved(stages, joint, joint.linear.theta)
+
+
+def _sequential(material: Material, model: Refitted) -> Stages:
+    robot, motion, stages = material.robot, material.options.motion, model.stages
+    new = Stages(friction=stages.friction, gravity=stages.gravity, imu=stages.imu)
+    new.inertia = stages.inertia
+    if stages.friction is not None:
+        new.friction = _friction(material, model, stages.friction)
+    if stages.gravity is not None:
+        freed = material.before_or_now("gravity", model)
+        if new.friction is not stages.friction or not material.as_they_were("gravity", freed):
+            new.gravity = identify_gravity(freed, robot, new)
+    if stages.inertia is not None:
+        freed = [*material.before("inertia", model), *material.now(model)]
+        new.inertia = identify_inertia(freed, robot, new, options=motion)
+    return new
+
+
+def _friction(material: Material, model: Refitted, old: FrictionStage) -> FrictionStage:
+    """Friction again, of the joints whose torque or position the effects change in its logs."""
+    robot = material.robot
+    freed = material.before_or_now("friction", model)
+    known = {identity(log): log for log in material.earlier["friction"]}
+    changed = np.any([changed_joints(known[identity(log)], log) for log in freed], axis=0)
+    travel = np.array([np.ptp(log.q, axis=0) for log in freed])
+    moves = travel > MOVES * travel.max(axis=0)
+    logs = [log for log, moving in zip(freed, moves, strict=True) if np.any(moving & changed)]
+    names = {name for name, anew in zip(robot.joint_names, changed, strict=True) if anew}
+    if not logs:
+        return old
+    new = identify_friction(logs, robot, options=FrictionOptions())
+    joints = {n: j for n, j in new.joints.items() if n in names}
+    verdicts = [v for v in new.verdicts if v.joint in names]
+    return msgspec.structs.replace(
+        old,
+        joints=old.joints | joints,  # in the file's order
+        verdicts=[*(v for v in old.verdicts if v.joint not in names), *verdicts],
+        notes=list(dict.fromkeys([*old.notes, *new.notes])),
+    )

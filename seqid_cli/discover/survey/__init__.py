@@ -1,0 +1,1 @@
+"""Which samples of the logs count, and which stretches are events."""

@@ -1,0 +1,145 @@
+"""Windows of time over which events are looked for: the mean residual and the state of each.
+
+Cut from the rows of data sets, or from tracks: kept samples of logs of any length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.typing import Array, Index, Mask
+
+OVERLAP = 4  # windows that cover each moment
+USED = 0.6  # share of a window's samples that must count
+STEEP = 0.1  # of the largest speed: below it directions and reversals are told apart
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of one length over all data sets.
+
+    `scene`, `centre` (W,) say where; `mean` (W, n) of the scaled residual, NaN where too few
+    samples count; `state` (W, 3n) position, speed and acceleration of each joint, scaled;
+    `reverses` (W, 2n) tells where each joint's velocity and each joint's load change sign.
+    """
+
+    length_s: float
+    scene: Index
+    centre: Array
+    mean: Array
+    state: Array
+    speed: Array
+    reverses: Mask
+
+
+@dataclass(frozen=True)
+class Track:
+    """Samples of one log: `t` (M,) s, motion and load of the gears (M, n), residual (M, n).
+
+    The residual is NaN where a joint does not count.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    load: Array
+    residual: Array
+    cutoff_hz: float
+
+
+def residual_series(rows: Rows, left_out: Sequence[Array]) -> list[Array]:
+    """Scaled residual (M, n) at each data set's kept samples, NaN where a joint does not count."""
+    result = []
+    first = [0] * rows.n
+    for used in rows.used:
+        series = np.full(used.shape, np.nan)
+        for j in range(rows.n):
+            count = int(used[:, j].sum())
+            series[used[:, j], j] = left_out[j][first[j] : first[j] + count]
+            first[j] += count
+        result.append(series)
+    return result
+
+
+def tracks_of(rows: Rows, series: Sequence[Array]) -> list[Track]:
+    """The kept samples of every data set with their scaled residual (M, n)."""
+    return [
+        Track(
+            motion.t[picked] - motion.t[0],
+            motion.q[picked],
+            motion.dq[picked],
+            motion.ddq[picked],
+            scene.load[picked],
+            values,
+            motion.lowpass.cutoff_hz,
+        )
+        for scene, motion, picked, values in zip(
+            rows.scenes, (s.motion for s in rows.scenes), rows.picked, series, strict=True
+        )
+    ]
+
+
+def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
+    """Cut logs into overlapping windows of one length."""
+    top = np.max([np.max(np.abs(track.dq), axis=0) for track in tracks], axis=0)
+    top = np.maximum(top, 1e-12)
+    parts = [_windows_of_track(number, x, top, length_s) for number, x in enumerate(tracks)]
+    scene, centre, means, state, speed, reverses = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
+    known = np.isfinite(means).any(axis=1)
+    states = state[known]
+    spread = np.std(states, axis=0) if len(states) else np.ones(states.shape[1])
+    return Windows(
+        length_s=length_s,
+        scene=scene[known],
+        centre=centre[known],
+        mean=means[known],
+        state=states / np.where(spread > 0, spread, 1.0),
+        speed=speed[known],
+        reverses=reverses[known],
+    )
+
+
+def _windows_of_track(number: int, track: Track, top: Array, length_s: float) -> tuple[Any, ...]:
+    """Data set, centre, mean, state, speed and reversals of one log's windows."""
+    t, v = track.t, track.dq
+    step = float(np.min(np.diff(t), initial=np.inf))
+    begin = np.arange(t[0], t[-1] - length_s + 1e-9, length_s / OVERLAP)
+    low, high = np.searchsorted(t, begin), np.searchsorted(t, begin + length_s)
+    reach = 0.5 / track.cutoff_hz
+    wide = np.searchsorted(t, begin - reach), np.searchsorted(t, begin + length_s + reach)
+    own = [track.q, np.arcsinh(v / (STEEP * top)), track.ddq]
+    turns = np.hstack([_changes(v), _changes(track.load)])
+    return (
+        np.full(len(begin), number),
+        begin + 0.5 * length_s,
+        _means(track.residual, low, high, USED * length_s / step),
+        _means(np.hstack(own), low, high, 1.0),
+        _means(np.abs(v), low, high, 1.0),
+        _means(turns, *wide, 1.0) > 0,
+    )
+
+
+def _changes(values: Array) -> Array:
+    """One (M, k) where a column's sign differs from that of the row before, else zero."""
+    sign = np.sign(values)
+    changes: Array = (np.diff(sign, axis=0, prepend=sign[:1]) != 0).astype(float)
+    return changes
+
+
+def _means(values: Array, low: Index, high: Index, fewest: float) -> Array:
+    """Means (W, k) over half-open ranges of the finite values, NaN where fewer than `fewest`."""
+    there = np.isfinite(values)
+    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(np.where(there, values, 0.0), axis=0)])
+    counts = np.vstack([np.zeros(values.shape[1]), np.cumsum(there, axis=0)])
+    count = counts[high] - counts[low]
+    total = sums[high] - sums[low]
+    mean: Array = np.where(count >= max(fewest, 1.0), total / np.maximum(count, 1.0), np.nan)
+    return mean

@@ -1,0 +1,326 @@
+"""Events: short stretches of a log in which something from outside pushed the arm.
+
+The residual's mean over a short window is compared with what such windows show elsewhere: with
+windows of like speed, with all those in which a joint reverses, and with the nearest ones in state
+(same place, same motion of this joint, same motion of all joints). What the model does not know of
+friction, gears or load recurs there and so is no event; a push does not. A push on link k moves the
+joints up to k, so their evidence is taken together.
+
+    z_w = min_c |m_w - med_c| / max_c s_c
+
+m_w is the mean of the residual over the window, med_c and s_c median and robust size of such means
+over the comparison c; s is of unit size for Gaussian noise, so z counts robust sigmas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+
+from seqid_cli.discover.survey.event_windows import (
+    OVERLAP,
+    Windows,
+    residual_series,
+    tracks_of,
+    windows_of,
+)
+from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF, Rows
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.robust import PER_MEDIAN, gaussian_spread
+from seqid_cli.typing import Array, Index, Mask
+
+LENGTHS_S = (0.15, 0.3, 0.6)
+GATE = 5.2  # robust sigmas that an event must reach
+LOOKED_AT = 3.0  # robust sigmas within its class from which a window is compared with like ones
+MOST_REFERENCES = 3000
+EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
+MOST_TIME = 0.05  # share of a log (or LONGEST_S, whichever is more) that events may fill
+LONGEST_S = 2.0  # of one event
+TOUCH_S = 0.1  # between intervals that are one event
+FEW, RARE_S = 3, 10.0  # events that a log may have: this number, or one in so many seconds
+NEIGHBOURS = 24
+APART_S = 1.5  # windows nearer in time are no comparison
+SPEEDS = 4  # classes of speed
+FEWEST = 8  # windows that a class must have to be one
+USUAL = 0.95  # share of the windows whose neighbours count as near
+TRUST = 0.75  # of a size from few windows: what they show at least
+MOST = 1.645  # magnitude that one in ten exceeds, per standard deviation
+
+
+@dataclass(frozen=True)
+class Interval:
+    """One event: a stretch of one data set, in seconds since its first sample."""
+
+    scene: int
+    start: float
+    end: float
+    joints: tuple[int, ...]
+    score: float
+
+    def inside(self, scene: Scene, margin: float = 0.0) -> Mask:
+        """Samples (N,) between its start and its end, and so many seconds more."""
+        t = scene.motion.t - scene.motion.t[0]
+        return np.asarray((t >= self.start - margin) & (t <= self.end + margin))
+
+    def energy(self, scene: Scene, scaled: Array) -> float:
+        """Squared residual (N, n) in it beyond that of noise, by samples as far apart as rows.
+
+        `scaled` is in units of each joint's noise.
+        """
+        motion = scene.motion
+        thin = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
+        return thin * float(np.sum(np.maximum(scaled[self.inside(scene)] ** 2 - 1.0, 0.0)))
+
+
+def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
+    """Find what stands out against the rest of the logs.
+
+    Parameters
+    ----------
+    rows : Rows
+    left_out : sequence of (M_j,) arrays
+        Scaled residual of each joint's rows.
+
+    Returns
+    -------
+    list of Interval
+        By data set and time.
+    """
+    found: list[Interval] = []
+    scored = [(windows, scores(windows)) for windows in _all_windows(rows, left_out)]
+    for number in range(len(rows.scenes)):
+        found += _events_of_scene(number, scored)
+    return found
+
+
+def standing_out(all_windows: Sequence[Windows]) -> list[Interval]:
+    """Places of one log that stand out against the rest of it, however many there are.
+
+    Parameters
+    ----------
+    all_windows : sequence of Windows
+        Of one log (number 0), by length.
+    """
+    found: list[Interval] = []
+    for windows in all_windows:
+        found += _joined(0, windows, scores(windows), windows.centre)
+    return _merged(found)
+
+
+def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
+    """Samples (N,) of each data set that belong to events or feel them through the low-pass."""
+    masks = []
+    for number, scene in enumerate(rows.scenes):
+        margin = 0.5 / scene.motion.lowpass.cutoff_hz
+        mask = np.zeros(scene.samples, dtype=bool)
+        for event in events:
+            if event.scene == number:
+                mask |= event.inside(scene, margin)
+        masks.append(mask)
+    return masks
+
+
+def _all_windows(rows: Rows, left_out: Sequence[Array]) -> list[Windows]:
+    tracks = tracks_of(rows, residual_series(rows, left_out))
+    return [windows_of(tracks, length) for length in LENGTHS_S]
+
+
+def scores(windows: Windows) -> Array:
+    """Robust sigmas (W, n), signed, by which every window stands out; zero where unknown."""
+    n = windows.mean.shape[1]
+    sizes = np.stack([_class_size(windows, j) for j in range(n)], axis=1)
+    z = np.nan_to_num(windows.mean / np.maximum(sizes, 1e-300))
+    looked = np.flatnonzero(combined(z) > LOOKED_AT)
+    if len(looked) == 0:
+        return z
+    shared = [_neighbours(windows, looked, columns)[0] for columns in _shared_states(n)]
+    places = [_neighbours(windows, looked, [j]) for j in range(n)]
+    motions = [_neighbours(windows, looked, [n + j, 2 * n + j]) for j in range(n)]
+    turning = [
+        np.where(windows.reverses[looked, k, None], index, -1)
+        for k, (index, _) in enumerate(motions)
+    ]
+    for j in range(n):
+        remote = np.maximum(places[j][1], motions[j][1])
+        others = [turning[k] for k in range(n) if k != j]
+        likes = [*shared, places[j][0], motions[j][0], *others]
+        z[looked, j] = _compared(windows.mean[:, j], sizes[looked, j] * remote, looked, likes)
+    return z
+
+
+def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> Array:
+    """Robust sigmas (L,) of some windows' means of m (W,) beside each set of like windows."""
+    rest = m[looked]
+    for index in likes:
+        median, deviation = _robust(np.where(index >= 0, m[index], np.nan))
+        size = np.maximum(size, TRUST * PER_MEDIAN * deviation)
+        shifted = m[looked] - median
+        rest = np.where(np.abs(shifted) < np.abs(rest), shifted, rest)
+    result: Array = np.nan_to_num(rest / np.maximum(size, 1e-300))
+    return result
+
+
+def combined(z: Array) -> Array:
+    """Score (W,) of windows from z (W, n): the largest of one joint or of the first k together."""
+    best = np.max(np.abs(z), axis=1)
+    squares = np.cumsum(z**2, axis=1)
+    for k in range(2, z.shape[1] + 1):
+        best = np.maximum(best, gaussian(squares[:, k - 1], k))
+    result: Array = best
+    return result
+
+
+def gaussian(square: Array, k: int) -> Array:
+    """Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931)."""
+    spread = 2.0 / (9.0 * k)
+    deviate: Array = (np.cbrt(square / k) - 1.0 + spread) / np.sqrt(spread)
+    return deviate
+
+
+def _shared_states(n: int) -> list[list[int]]:
+    """Columns of the state by which windows are compared for all joints: full, and velocities."""
+    return [list(range(2 * n)), list(range(n, 2 * n))]
+
+
+def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:
+    """Windows (L, NEIGHBOURS) nearest to some in columns of the state, -1 where too near in time.
+
+    And how remote each of those looked at is (L,): 1 where its neighbours are as near as usual,
+    more beyond what other windows have seen. Only every few windows serve as references: they
+    overlap, and logs may be long.
+    """
+    stride = max(OVERLAP, len(windows.centre) // MOST_REFERENCES)
+    reference = np.arange(0, len(windows.centre), stride)
+    state = windows.state[:, columns]
+    overlapping = 2 * int(np.ceil(APART_S * OVERLAP / windows.length_s / stride))
+    asked = [*range(1, min(NEIGHBOURS + overlapping, len(reference)) + 1)]
+    tree = cKDTree(state[reference])
+    found, at = tree.query(state[looked], k=asked)
+    distance = np.asarray(found, dtype=np.float64)
+    index = reference[at]
+    same = windows.scene[index] == windows.scene[looked, None]
+    close = same & (np.abs(windows.centre[index] - windows.centre[looked, None]) < APART_S)
+    order = np.argsort(close, axis=1, kind="stable")[:, :NEIGHBOURS]
+    picked: Index = np.take_along_axis(np.where(close, -1, index), order, axis=1)
+    reached = np.median(np.take_along_axis(distance, order, axis=1), axis=1)
+    usual = np.quantile(np.median(tree.query(state[reference], k=asked)[0], axis=1), USUAL)
+    return picked, np.maximum(1.0, reached / max(float(usual), 1e-300))
+
+
+def _robust(values: Array) -> tuple[Array, Array]:
+    """Median and median absolute deviation (L,) of rows with NaN; zero where too few."""
+    count = np.count_nonzero(np.isfinite(values), axis=1)
+    median = np.where(count >= FEWEST, _medians(values, count), 0.0)
+    deviation = _medians(np.abs(values - median[:, None]), count)
+    return median, np.where(count >= FEWEST, deviation, 0.0)
+
+
+def _medians(values: Array, count: Index) -> Array:
+    """Medians (L,) of the `count` numbers of each row; NaN come last in order."""
+    ordered = np.sort(values, axis=1)
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
+    row = np.arange(len(values))
+    medians: Array = 0.5 * (ordered[row, low] + ordered[row, high])
+    return medians
+
+
+def _class_size(windows: Windows, j: int) -> Array:
+    """Robust size (W,) of the means of joint j in windows of like speed and like reversals."""
+    m = windows.mean[:, j]
+    known = np.isfinite(m)
+    if np.count_nonzero(known) < FEWEST:
+        return np.full(len(m), np.inf)
+    size = np.full(len(m), float(gaussian_spread(m[known])))
+    edges = np.quantile(windows.speed[known, j], np.linspace(0, 1, SPEEDS + 1)[1:-1])
+    speed = np.searchsorted(edges, windows.speed[:, j])
+    classes = [speed == k for k in range(SPEEDS)]
+    classes += list(windows.reverses.T)
+    for members in classes:
+        inside = np.abs(m[members & known])
+        if len(inside) >= FEWEST:
+            size[members] = np.maximum(size[members], _robust_size(inside))
+        elif len(inside):
+            size[members] = np.maximum(size[members], float(np.max(inside)))
+    return size
+
+
+def _robust_size(values: Array) -> float:
+    """Standard deviation of Gaussian values of which these are the magnitudes, bursts included."""
+    median, most = np.quantile(values, (0.5, 0.9))
+    return float(max(PER_MEDIAN * median, most / MOST))
+
+
+def _events_of_scene(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
+    """Events of one data set: windows above the gate and what belongs to them, joined.
+
+    What fills more than a small share of a log is no event but something that the model lacks.
+    """
+    found: list[Interval] = []
+    length = 0.0
+    for windows, z in scored:
+        here = windows.scene == number
+        length = max(length, windows.length_s * np.count_nonzero(here) / OVERLAP)
+        found += _joined(number, windows, z[here], windows.centre[here])
+    events = _merged(found)
+    taken = sum(event.end - event.start for event in events)
+    few = len(events) <= max(FEW, length / RARE_S)
+    return events if few and taken <= max(MOST_TIME * length, LONGEST_S) else []
+
+
+def _joined(number: int, windows: Windows, z: Array, centre: Array) -> list[Interval]:
+    score = combined(z)
+    found = []
+    half = 0.5 * windows.length_s
+    while len(score) and float(np.max(score)) > GATE:
+        peak = int(np.argmax(score))
+        top = float(score[peak])
+        along = score * (np.abs(centre - centre[peak]) < LONGEST_S) > EDGE_SHARE * top
+        first, last = next((a, b - 1) for a, b in runs(along, len(along)) if a <= peak < b)
+        weight = np.abs(z[first : last + 1]).max(axis=0)
+        joints = tuple(int(j) for j in np.flatnonzero(weight > 0.5 * max(GATE, weight.max())))
+        start, end = centre[first] - 0.5 * half, centre[last] + 0.5 * half
+        if end - start <= LONGEST_S:
+            chosen = joints or (int(np.argmax(weight)),)
+            found.append(Interval(number, float(max(start, 0.0)), float(end), chosen, top))
+        score = np.where(binary_dilation(_range(len(score), first, last), iterations=2), 0.0, score)
+    return found
+
+
+def _range(length: int, first: int, last: int) -> Mask:
+    mask = np.zeros(length, dtype=bool)
+    mask[first : last + 1] = True
+    return mask
+
+
+def _merged(found: Sequence[Interval]) -> list[Interval]:
+    """Join what overlaps; the interval of the higher score stands."""
+    kept: list[Interval] = []
+    for event in sorted(found, key=lambda e: -e.score):
+        overlaps = [k for k, e in enumerate(kept) if event.start < e.end and e.start < event.end]
+        if not overlaps:
+            kept.append(event)
+            continue
+        k = overlaps[0]
+        joints = tuple(sorted(set(kept[k].joints) | set(event.joints)))
+        kept[k] = Interval(event.scene, kept[k].start, kept[k].end, joints, kept[k].score)
+    return _bridged(kept)
+
+
+def _bridged(events: Sequence[Interval]) -> list[Interval]:
+    """Join what nearly touches: one push, whose flanks are lower than its peak."""
+    joined: list[Interval] = []
+    for event in sorted(events, key=lambda e: e.start):
+        if joined and event.start - joined[-1].end < TOUCH_S:
+            last = joined[-1]
+            if event.end - last.start <= LONGEST_S:
+                joints = tuple(sorted(set(last.joints) | set(event.joints)))
+                score = max(last.score, event.score)
+                joined[-1] = Interval(event.scene, last.start, event.end, joints, score)
+                continue
+        joined.append(event)
+    return joined

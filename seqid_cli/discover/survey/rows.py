@@ -1,0 +1,245 @@
+"""The samples that count, as rows: per joint, low-passed, thinned to what the band holds.
+
+Twice low-passed signals hold nothing above about twice the cut-off, so five samples per period of
+it lose nothing. Samples at which a joint does not certainly slide are left out: whether and how
+long it sticks at a reversal is its controller's doing as much as the friction's.
+
+Rows belong to blocks of about two seconds, longer than the memory of the residual, and blocks to
+folds, which are left out in turn: whatever is said to help must help where it was not fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from seqid_cli.discover.survey.reversals import Reversal, reversals_of
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import REACH
+from seqid_cli.typing import Array, Index, Mask
+
+SAMPLES_PER_CUTOFF = 5
+BLOCK_S = 2.0  # of the shortest blocks of time whose errors are compared
+FOLDS = 10
+MOST_ROWS = 40_000
+TOGETHER = 64  # columns that are low-passed together
+FEWEST_ROWS = 50  # of a joint, all logs together, that are worth looking at
+SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
+FEWEST_FOLDS = 3  # in which a joint must have rows
+LEAST_OF_FOLD = 0.02  # of a joint's rows, that a fold must have to count
+SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
+SIMPLE = 2  # coefficients: Coulomb and viscous
+MOST_OUTSIDE = 0.6  # share of the logs outside the identified friction, from which it counts all
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Which samples of each data set count, joint by joint.
+
+    Attributes
+    ----------
+    `scenes` : tuple of `Scene`
+    picked : tuple of (M,) index arrays
+        Per data set, the samples that are kept of all N.
+    used : tuple of (M, n) masks
+        Per data set, the kept samples at which each joint counts.
+    block : tuple of (M,) index arrays
+        Per data set, the block (counted over all of them) of each kept sample.
+    fold : (blocks,) index array
+        The fold of each block.
+    """
+
+    scenes: tuple[Scene, ...]
+    picked: tuple[Index, ...]
+    used: tuple[Mask, ...]
+    block: tuple[Index, ...]
+    fold: Index
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.scenes[0].robot.n
+
+    def count(self, joint: int) -> int:
+        """Number of rows of a joint."""
+        return sum(int(used[:, joint].sum()) for used in self.used)
+
+    def blocks_of(self, joint: int) -> Index:
+        """Block of every row of a joint."""
+        parts = [b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)]
+        return np.concatenate(parts)
+
+    def folds_of(self, joint: int) -> Index:
+        """Fold of every row of a joint."""
+        return self.fold[self.blocks_of(joint)]
+
+    def of(self, joint: int, values: Sequence[Array]) -> Array:
+        """Stack the joint's rows of filtered values (N, ...), one array per data set."""
+        parts = [v[p][u[:, joint]] for v, p, u in zip(values, self.picked, self.used, strict=True)]
+        return np.concatenate(parts)
+
+    def torque(self, joint: int, values: Sequence[Array]) -> Array:
+        """Stack the joint's rows of filtered torques (N, ...), whitened at reversals."""
+        return self.whitened(joint, self.of(joint, values))
+
+    def whitened(self, joint: int, values: Array) -> Array:
+        """Whiten a joint's rows (M, ...) for what reversals leave open."""
+        result = np.array(values, dtype=np.float64)
+        wide = result.reshape(len(result), math.prod(result.shape[1:]))
+        for reversal in self._reversals[joint]:
+            reversal.whiten(wide)
+        return result
+
+    @cached_property
+    def _reversals(self) -> list[list[Reversal]]:
+        result: list[list[Reversal]] = []
+        for j in range(self.n):
+            found, first = [], 0
+            for number, scene in enumerate(self.scenes):
+                used = self.used[number][:, j]
+                for reversal in reversals_of(scene, self.picked[number], used, j):
+                    found.append(replace(reversal, first=reversal.first + first))
+                first += int(used.sum())
+            result.append(found)
+        return result
+
+    def columns(self, per_scene: Sequence[Mapping[int, Array]], passes: int) -> dict[int, Array]:
+        """Low-pass an effect's columns, log by log, and keep the rows of each joint."""
+        rows: dict[int, list[Array]] = {}
+        for number, columns in enumerate(per_scene):
+            for joint, values in columns.items():
+                kept = self.filtered(number, values, passes)
+                rows.setdefault(joint, []).append(kept[self.used[number][:, joint]])
+        return {j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()}
+
+    def filtered(self, number: int, values: Array, passes: int) -> Array:
+        """Low-pass values (N, K) of one data set and keep its rows (M, K)."""
+        motion, picked = self.scenes[number].motion, self.picked[number]
+        kept = np.empty((len(picked), values.shape[1]))
+        for first in range(0, values.shape[1], TOGETHER):
+            own = slice(first, first + TOGETHER)
+            kept[:, own] = motion.filtered(values[:, own], passes)[picked]
+        return kept
+
+    @cached_property
+    def made(self) -> dict[str, object]:
+        """What others have computed of these rows and want to keep with them."""
+        return {}
+
+    def without(self, masks: Sequence[Mask]) -> Rows:
+        """The same rows without some samples of each data set: (N,) of all joints, or (N, n)."""
+        used = tuple(
+            u & ~m.reshape(len(m), -1)[p]
+            for u, m, p in zip(self.used, masks, self.picked, strict=True)
+        )
+        return replace(self, used=used)
+
+
+def rows_of(scenes: Sequence[Scene]) -> Rows:
+    """Choose the rows of all logs, their blocks and folds."""
+    picked, used, block, lengths = [], [], [], []
+    thin = _thinning(scenes)
+    first = 0
+    for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
+        motion = scene.motion
+        stride = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
+        at = np.arange(0, motion.samples, stride)
+        count = max(1, round(motion.t[-1] / BLOCK_S))
+        own = np.minimum((at * count) // motion.samples, count - 1)
+        kept = own % thin == 0
+        picked.append(at[kept])
+        counts = scene.slides & ~outside
+        used.append(counts[at[kept]])
+        block.append(own[kept] + first)
+        lengths.append(count)
+        first += count
+    kept = _moved(scenes, picked, used)
+    folds = _folds(lengths)
+    kept = _predictable(kept, block, folds)
+    return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
+
+
+def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
+    """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
+
+    What is left there is the surface's extrapolation, nothing that the model lacks. A joint that
+    is hardly ever inside is not masked: then the surface is all there is; nor is Coulomb and
+    viscous friction, which the base has as columns that go on beyond.
+    """
+    found = [_extrapolated(scene) for scene in scenes]
+    share = np.mean(np.concatenate(found), axis=0)
+    surfaces = scenes[0].model.surfaces
+    simple = np.array([s is None or s.positive.size <= SIMPLE for s in surfaces])
+    return [outside & ~(simple | (share > MOST_OUTSIDE)) for outside in found]
+
+
+def _extrapolated(scene: Scene) -> Mask:
+    """Samples (N, n) that the low-pass reaches from where a surface is held, or bent."""
+    motion = scene.motion
+    reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
+    outside = scene.model.outside(motion)
+    for j, surface in enumerate(scene.model.surfaces):
+        if surface is not None:
+            outside[:, j] |= surface.vague(motion.q[:, j], motion.dq[:, j])
+    return np.asarray(binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool)))
+
+
+def _moved(
+    scenes: Sequence[Scene], picked: Sequence[Index], used: Sequence[Mask]
+) -> tuple[Mask, ...]:
+    """Leave out joints in logs in which they are only shaken or hardly move, or of next to no rows.
+
+    Where a held joint gives way a little, its brake or stiction holds what its base columns, and
+    its few rows elsewhere, would have to explain. Other logs do
+    not predict a single move of a joint: left out, it would count for more than all of them.
+    """
+    parts = zip(scenes, picked, used, strict=True)
+    travel = np.array([_travel(s.motion.q[p], u) for s, p, u in parts])
+    often = np.array([u.mean(axis=0) for u in used])
+    moves = (travel > SHAKEN * travel.max(axis=0)) & (often > SELDOM * often.max(axis=0))
+    kept = [u & m for u, m in zip(used, moves, strict=True)]
+    enough = sum(u.sum(axis=0) for u in kept) >= FEWEST_ROWS
+    return tuple(u & enough for u in kept)
+
+
+def _predictable(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> tuple[Mask, ...]:
+    """Leave out joints that move in too few folds: the other folds would not predict them."""
+    number = int(folds.max()) + 1
+    counts = np.zeros((number, used[0].shape[1]))
+    for u, b in zip(used, block, strict=True):
+        np.add.at(counts, folds[b], u)
+    share = counts / np.maximum(counts.sum(axis=0), 1)
+    enough = (share > LEAST_OF_FOLD).sum(axis=0) >= min(FEWEST_FOLDS, number)
+    enough |= not enough.any()
+    return tuple(u & enough for u in used)
+
+
+def _travel(q: Array, used: Mask) -> Array:
+    """Range (n,) of positions (M, n) where each joint counts."""
+    high = np.max(np.where(used, q, -np.inf), axis=0, initial=-np.inf)
+    low = np.min(np.where(used, q, np.inf), axis=0, initial=np.inf)
+    return np.where(used.any(axis=0), high - low, 0.0)
+
+
+def _thinning(scenes: Sequence[Scene]) -> int:
+    """Every how many blocks one is kept, so that very long logs fit into memory."""
+    rows = sum(
+        float(s.motion.t[-1]) * SAMPLES_PER_CUTOFF * s.motion.lowpass.cutoff_hz for s in scenes
+    )
+    return max(1, int(np.ceil(rows / MOST_ROWS)))
+
+
+def _folds(lengths: Sequence[int]) -> Index:
+    """Folds of contiguous blocks: about FOLDS over all logs, and two in each at the least."""
+    total = sum(lengths)
+    folds: list[Index] = []
+    for length in lengths:
+        pieces = max(min(2, length), round(FOLDS * length / total))
+        start = folds[-1][-1] + 1 if folds else 0
+        folds.append(start + (np.arange(length) * pieces) // length)
+    return np.concatenate(folds).astype(np.intp)

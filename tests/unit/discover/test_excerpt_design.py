@@ -1,0 +1,102 @@
+"""Pieces of long logs: how many, where, and that they are varied."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from seqid_cli.discover.excerpts.design import MOST_PIECES, PIECE_S, excerpts_of
+from seqid_cli.discover.excerpts.excerpts import ABOUT_S, INNER_S, MOST_PLACES, about_places
+from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
+from seqid_cli.discover.survey.events import Interval
+from seqid_cli.discover.survey.rows import BLOCK_S
+from seqid_cli.logs.recording import Whole
+
+Array = NDArray[np.float64]
+RATE = 500.0
+
+
+def survey(
+    seconds: float,
+    *,
+    speed: Array | None = None,
+    usable: Array | None = None,
+    places: tuple[Interval, ...] = (),
+) -> ResidualSurvey:
+    """One joint that swings to and fro, at a speed of its own in each block; 2 rad/s by default."""
+    blocks = int(seconds / BLOCK_S) + 1
+    size = np.full(blocks, 2.0) if speed is None else speed
+    return ResidualSurvey(
+        path=Path("log"),
+        whole=Whole("0" * 64, 0.0, seconds),
+        samples=int(seconds * RATE),
+        rate_hz=RATE,
+        kind="",
+        squares=np.ones((blocks, 1)),
+        counts=np.ones((blocks, 1)),
+        travel=0.5 * BLOCK_S * np.stack([size, size], axis=1)[:, None],
+        usable=np.ones(blocks) if usable is None else usable,
+        places=places,
+    )
+
+
+@pytest.mark.parametrize(("seconds", "held"), [(600.0, 140.0), (3600.0, 140.0), (200.0, 143.0)])
+def test_pieces_fill_what_may_be_held_and_reach_over_the_time(seconds: float, held: float) -> None:
+    (pieces,) = excerpts_of([survey(seconds)], held * RATE)
+    assert sum(b - a for a, b in pieces) == pytest.approx(held, rel=1e-9)
+    assert len(pieces) == round(held / PIECE_S)
+    assert all(b <= c for (_, b), (c, _) in pairwise(pieces))
+    assert pieces[0][1] <= seconds / len(pieces) + 1e-9
+    assert pieces[-1][0] >= seconds * (1 - 1 / len(pieces)) - 1e-9
+
+
+def test_slow_logs_have_longer_pieces() -> None:
+    (pieces,) = excerpts_of([survey(7200.0)], 1800.0 * RATE)
+    assert len(pieces) == MOST_PIECES
+    assert sum(b - a for a, b in pieces) == pytest.approx(1800.0)
+
+
+def test_what_fits_is_taken_whole() -> None:
+    assert excerpts_of([survey(100.0), survey(50.0)], 150.0 * RATE) == [
+        [(0.0, 100.0)],
+        [(0.0, 50.0)],
+    ]
+
+
+def test_the_stretch_of_most_travel_is_taken() -> None:
+    seconds = 900.0
+    speed = np.full(int(seconds / BLOCK_S) + 1, 0.2)
+    odd = slice(int(500.0 / BLOCK_S), int(524.0 / BLOCK_S))
+    speed[odd] = 2.0
+    (pieces,) = excerpts_of([survey(seconds, speed=speed)], 60.0 * RATE)
+    assert any(a >= 498.0 and b <= 526.0 for a, b in pieces)
+
+
+def test_every_log_has_its_part_and_a_gap_has_none() -> None:
+    usable = np.ones(301)
+    usable[50:150] = 0.0
+    logs = [survey(600.0, usable=usable), survey(60.0), survey(60.0)]
+    pieces = excerpts_of(logs, 120.0 * RATE)
+    assert all(pieces)
+    assert all(b <= 102.0 or a >= 298.0 for a, b in pieces[0])
+    assert sum(b - a for some in pieces for a, b in some) <= 121.0
+
+
+def test_places_that_stand_out_have_excerpts_of_their_own() -> None:
+    inside, outside = (Interval(0, at, at + 0.3, (0,), 9.0) for at in (50.0, 300.0))
+    at_edge = Interval(0, 42.0, 42.2, (0,), 7.0)
+    logs = [survey(600.0, places=(inside, outside, at_edge))]
+    ((first, second),) = about_places(logs, [[(41.5, 61.5)]])
+    assert first == (300.0 - ABOUT_S, 300.3 + ABOUT_S)
+    assert second[0] + INNER_S < at_edge.start < second[1]
+
+
+def test_the_strongest_places_come_first() -> None:
+    many = [Interval(0, 20.0 * k, 20.0 * k + 0.2, (0,), float(k)) for k in range(1, 20)]
+    pieces = about_places([survey(600.0, places=tuple(many[:9])), survey(600.0)], [[], []])
+    assert len(pieces[0]) == MOST_PLACES
+    assert [round(a + ABOUT_S) for a, _ in pieces[0]] == [20 * k for k in range(9, 3, -1)]

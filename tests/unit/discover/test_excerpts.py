@@ -1,0 +1,213 @@
+"""Logs too long to be held: what is found of them in pieces, and that nothing is overlooked."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec import structs
+from numpy.typing import NDArray
+
+from seqid_cli.discover.diagnosis import diagnose
+from seqid_cli.discover.excerpts import excerpts, residual_survey
+from seqid_cli.discover.excerpts.excerpts import Excerpts, one_each, take_excerpts
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.motion.blocks import open_surveyed
+from seqid_cli.params.results.diagnosis import DiagnosisFile
+from tests.unit.discover.long_logs import BEGUN, LongCase, long_case
+
+Array = NDArray[np.float64]
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
+
+OPTIONS = DiscoverOptions()
+MOST = 68_000  # as MOST_VALUES counts: a good half of the log
+PUSHED = 66.0  # s, in no piece of the clean log
+
+
+@pytest.fixture(autouse=True)
+def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
+
+
+def gathered(case: LongCase, folder: Path, most: int = MOST) -> Excerpts:
+    path = case.written(folder / "long.parquet")
+    files = LogSet([path], case.robot)
+    options = OPTIONS.motion
+    return take_excerpts(files, case.robot, case.stages, options=options, most_values=most)
+
+
+def diagnosed(case: LongCase, pieces: Excerpts) -> DiagnosisFile:
+    found = diagnose(pieces.recordings, case.robot, case.stages, options=OPTIONS)
+    return structs.replace(found, created="")
+
+
+def push(size: float = 1.0) -> LongCase:
+    def torque(t: Array) -> Array:
+        shape = np.exp(-(((t - PUSHED) / 0.1) ** 2))
+        return np.asarray(shape[:, None] * np.array([4.0, 1.5]) * size)
+
+    return long_case().with_torque(torque)
+
+
+@cache
+def clean_pieces(folder: Path) -> Excerpts:
+    return gathered(long_case(), folder)
+
+
+@cache
+def clean_diagnosis(folder: Path) -> DiagnosisFile:
+    return diagnosed(long_case(), clean_pieces(folder))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("long")
+
+
+def test_pieces_are_of_the_log_with_its_stamps(folder: Path) -> None:
+    case, pieces = long_case(), clean_pieces(folder)
+    assert case.log.tau is not None
+    assert len(pieces.recordings) == 2
+    assert sum(len(x.t) for x in pieces.recordings) * 2 * (1 + 350 / 500) <= MOST
+    for piece in pieces.recordings:
+        assert piece.whole is not None
+        assert piece.whole.start == pytest.approx(BEGUN)
+        first = round(piece.offset * case.log.rate_hz)
+        part = slice(first, first + len(piece.t))
+        np.testing.assert_array_equal(piece.q, case.log.q[part])
+        np.testing.assert_array_equal(piece.tau, case.log.tau[part])
+        assert piece.start == pytest.approx(BEGUN + case.log.t[first], abs=1e-6)
+    assert len({x.sha256 for x in pieces.recordings}) == 2
+    assert len(one_each(pieces)) == 1
+
+
+def test_pieces_reach_over_the_whole_time(folder: Path) -> None:
+    case, pieces = long_case(), clean_pieces(folder)
+    length = float(case.log.t[-1])
+    for part, piece in enumerate(pieces.recordings):
+        centre = piece.offset + 0.5 * float(piece.t[-1])
+        assert part / 2 <= centre / length <= (part + 1) / 2
+    assert not pieces.about_places
+
+
+def test_nothing_is_missing_where_nothing_is(folder: Path) -> None:
+    found = clean_diagnosis(folder)
+    assert found.verdict == "nothing_missing"
+    assert not found.events
+
+
+def test_the_notes_say_what_was_looked_at(folder: Path) -> None:
+    case, pieces = long_case(), clean_pieces(folder)
+    first, residual, *others = pieces.notes(case.robot)
+    assert "of 72 s 40 s were looked at, in 2 pieces" in first
+    (log,) = predict([case.log], case.robot, case.stages, options=InertiaOptions())
+    counts = log.used[:, None] & log.sliding
+    left = np.where(counts, log.tau - log.predicted, 0.0)
+    rms = np.sqrt(np.sum(left**2, axis=0) / counts.sum(axis=0))
+    np.testing.assert_allclose(pieces.surveys[0].rms, rms, rtol=1e-7)
+    assert residual.endswith(f"shoulder {rms[0]:.3g}, elbow {rms[1]:.3g}")
+    assert not others
+
+
+def test_an_effect_is_found(folder: Path) -> None:
+    case = long_case(("stribeck", 1, 1.0))
+    found = diagnosed(case, gathered(case, folder))
+    first = found.findings[0]
+    assert (first.effect, first.joint) == ("stribeck", "elbow")
+    assert first.confidence > 0.8
+    assert not [f for f in found.findings if f.joint == "shoulder"]
+
+
+def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
+    case = push()
+    pieces = gathered(case, folder)
+    same = [x.offset for x in clean_pieces(folder).recordings]
+    others = [x.offset for x in pieces.recordings]
+    assert [x for x in others if x in same] == same  # the residual has no say in them
+    assert not any(x <= PUSHED <= x + 20.0 for x in same)
+    assert pieces.about_places == len(others) - len(same) == 1
+    found = diagnosed(case, pieces)
+    (event,) = found.events
+    assert event.start < PUSHED < event.end < event.start + 1.0
+    assert event.log == str(folder / "long.parquet")
+    assert [f.effect for f in found.findings] == ["external_contact"]
+    assert found.findings[0].confidence > 0.5
+    for name, joint in clean_diagnosis(folder).joints.items():
+        assert found.joints[name].rmse == pytest.approx(joint.rmse, rel=0.2)
+
+
+def test_a_slow_drift_is_found(folder: Path) -> None:
+    def torque(t: Array) -> Array:
+        return np.asarray((t / t[-1])[:, None] * np.array([0.6, 0.0]))
+
+    case = long_case().with_torque(torque)
+    pieces = gathered(case, folder)
+    found = diagnosed(case, pieces)
+    first = found.findings[0]
+    assert (first.effect, first.joint) == ("drift", "shoulder")
+    rate = next(p for p in first.parameters if p.name == "rate")
+    assert rate.value == pytest.approx(0.6 / float(case.log.t[-1]), rel=0.1)
+    assert any("shoulder in tenths of the time" in note for note in pieces.notes(case.robot))
+
+
+def test_logs_that_fit_are_held_as_they_are(folder: Path) -> None:
+    case = long_case()
+    path = case.written(folder / "fits.parquet")
+    files, most = LogSet([path], case.robot), 4 * len(case.log.t)
+    held = take_excerpts(files, case.robot, case.stages, options=OPTIONS.motion, most_values=most)
+    assert not held.surveys
+    assert not held.about_places
+    assert held.notes(case.robot) == ()
+    (log,) = held.recordings
+    assert log.whole is None
+    np.testing.assert_array_equal(log.q, case.log.q)
+
+
+def test_a_log_that_is_at_hand_is_cut_alike(folder: Path) -> None:
+    case, pieces = long_case(), clean_pieces(folder)
+    held = take_excerpts(
+        [case.log], case.robot, case.stages, options=OPTIONS.motion, most_values=MOST
+    )
+    assert [x.offset for x in held.recordings] == pytest.approx(
+        [x.offset for x in pieces.recordings], abs=1e-9
+    )
+    for one, other in zip(held.recordings, pieces.recordings, strict=True):
+        np.testing.assert_array_equal(one.q, other.q)
+
+
+def test_memory_of_the_pass_does_not_grow_with_the_log(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(residual_survey, "SPAN", 500)
+    short, long = (_peak(rounds, folder) for rounds in (3, 9))
+    assert long < 1.15 * short
+
+
+def _peak(times: int, folder: Path) -> int:
+    """Bytes at the worst moment of a pass over the log so many times over."""
+    case, log = long_case(), long_case().log
+    tau = log.tau
+    assert tau is not None
+    repeated = replace(
+        log,
+        t=np.arange(times * len(log.t)) / log.rate_hz,
+        q=np.tile(log.q, (times, 1)),
+        tau=np.tile(tau, (times, 1)),
+    )
+    path = replace(case, log=repeated).written(folder / f"{times}.parquet")
+    surveyed = open_surveyed(path, case.robot)
+    assert surveyed is not None
+    gc.collect()
+    tracemalloc.start()
+    residual_survey.residual_survey(surveyed, case.robot, case.stages, options=InertiaOptions())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak

@@ -76,9 +76,10 @@ class Ground:
         rigid = base.rigid_hold(hold.rigid)
         friction = [base.friction_hold(j, hold.friction, free=hold.slow_terms) for j in joints]
         timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
+        own = [np.diag(bound**2) for bound in base.bounds[1]]
         return [
-            Part(dict(enumerate(base.rigid)), rigid.T @ rigid),
-            *(Part({j: base.friction[j]}, friction[j].T @ friction[j]) for j in joints),
+            Part(dict(enumerate(base.rigid)), rigid.T @ rigid, np.diag(base.bounds[0] ** 2)),
+            *(Part({j: base.friction[j]}, friction[j].T @ friction[j], own[j]) for j in joints),
             *(
                 Part({j: base.timing[j] if timed[j] else base.untimed[j]}, timing[j])
                 for j in joints

@@ -33,7 +33,7 @@ from seqid_cli.discover.select.model import (
     Model,
     rms_of_rows,
 )
-from seqid_cli.discover.select.naming import TIE, TOLD, reality
+from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.terms import Term, smooth_terms
 from seqid_cli.discover.select.tuning import Tried, Tuner
@@ -68,7 +68,7 @@ class Options:
     improvement: float = 0.04
     chance: float = 6.0
     law: float = 0.03
-    tie: float = TIE
+    tie: float = 0.04
     most: int = 8
 
 
@@ -87,11 +87,13 @@ class Taken:
 
     `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
     is what the model without it leaves of every channel's blocks, each fitted to all others.
+    `untried` are effects that look alike and that these logs lack the channels to look for.
     """
 
     one: Ranked
     rivals: tuple[Ranked, ...]
     left: Sequence[Array]
+    untried: tuple[str, ...] = ()
 
     @property
     def without(self) -> Array:
@@ -217,7 +219,8 @@ class Selection:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, behind = self.options, best.foretold.density - one.foretold.density
         least = max(BEHIND * scatter(behind), options.tie * best.foretold.total, 1.0)
-        return bool(one.term.channels & best.term.channels) and float(behind.sum()) <= least
+        less = best.foretold.total - one.foretold.total
+        return bool(one.term.channels & best.term.channels) and less <= least
 
     def take_back(self, worth: Callable[[Ranked], bool] | None = None) -> set[Key]:
         """Take back, the weakest first, what is not worth it beside all others."""
@@ -322,7 +325,9 @@ class Selection:
     def _all_taken(self) -> tuple[Taken, ...]:
         """All terms with their rivals; they give way to simpler ones until none is left."""
         for number, term in enumerate(self.model.terms):
-            best = self._simplest([r for r in self._taken(term).rivals if self._passes(r)])
+            taken = {one.key for one in self.model.terms if one is not term and not is_wide(one)}
+            free = [r for r in self._taken(term).rivals if r.term.key not in taken]
+            best = self._simplest([r for r in free if self._passes(r)])
             if best is not None and best.term is not term:
                 self.model.terms[number] = best.term
                 self.model.settle()
@@ -336,11 +341,22 @@ class Selection:
         candidates = list(self._candidates(self.model.left(without=term), joints))
         others = self._ranked(linear, candidates, [term.key], term.channels)
         near = [x for x in others if x.term.channels & term.channels]
-        return Taken(one, tuple(sorted([one, *near], key=_by_gain)), linear.left_out)
+        ranked = tuple(sorted([one, *near], key=_by_gain))
+        return Taken(one, ranked, linear.left_out, self._untried(term))
+
+    def _untried(self, term: Term) -> tuple[str, ...]:
+        """Effects that look like a term and cannot be looked for at its joint."""
+        if not isinstance(term.what, Candidate):
+            return ()
+        known = {effect.name: effect for effect in self.catalogue}
+        alike = [known[name] for name in term.what.effect.alike if name in known]
+        scenes = self.model.ground.stage.scenes
+        return tuple(one.name for one in alike if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it takes away no more than the error of a taken term's law may leave."""
-        least, squares = self.options.law**2, float(one.foretold.squares.sum())
+        least = self.options.law**2
+        squares = float(one.foretold.squares.sum()) + one.foretold.strain
         channels = one.term.channels
         return any(
             squares < least * self._torque(other, channels)

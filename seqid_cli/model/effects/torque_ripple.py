@@ -48,7 +48,7 @@ LAWS = ("constant", "torque", "direction", "load")
 PEAKS = 4  # per law
 USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
-FINE = 12.0  # cycles per joint turn, from which a ripple need not be a whole number per motor turn
+FINE = 12.0  # cycles per joint turn, below which friction goes by position_dependent_friction
 FINE_IN_RANGE = 8.0  # cycles in the range of a slide, likewise: it has no turn
 HIGHEST = 4000.0
 HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
@@ -79,6 +79,10 @@ class TorqueRipple(Effect):
         "angle; what grows with load, direction or speed tells which kind it is"
     )
 
+    def searched(self, settings: Settings) -> int:
+        """Return 1 for an order that is read off the spectrum; whole ones are where motors rub."""
+        return int(settings["order"] != round(settings["order"]))
+
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return sine and cosine parts."""
         unit = "1" if settings["law"] in (1.0, 3.0) else "N m"
@@ -103,8 +107,8 @@ class TorqueRipple(Effect):
             orders = (self._named(profile, k / gear, gear) for k in peaks(profile, lowest, PEAKS))
             for order in dict.fromkeys(orders):
                 turned = order * gear * lag * speed
-                fine = order == round(order) or order * gear >= fine_from
-                if fine and (lag == 0.0 or turned > TURNED):
+                own = LAWS[law] != "direction" or order * gear >= fine_from
+                if own and (lag == 0.0 or turned > TURNED):
                     yield {"order": order, "law": float(law), "lag": lag}
 
     def _named(self, profile: Profile, order: float, gear: float) -> float:

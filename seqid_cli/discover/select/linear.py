@@ -226,9 +226,7 @@ class Linear:
         return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
 
     def _factor(self, A: Array) -> tuple[Array, bool]:
-        scaled = (A + self.prior) * np.outer(self._scale, self._scale)
-        scaled[np.diag_indices(self.size)] += RIDGE
-        return cho_factor(scaled, check_finite=False)
+        return _factored(A + self.prior, self._scale)
 
     def _solved(self, factor: tuple[Array, bool], right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
@@ -277,13 +275,24 @@ class Linear:
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
-        factor, theta = self._whole
+        return self._evidence(self.prior)
+
+    def evidence_under(self, precisions: Sequence[Array]) -> float:
+        """The same where the first parts had other precisions (k, k) beforehand."""
+        P = self.prior.copy()
+        for precision, where in zip(precisions, self.where, strict=False):
+            P[where, where] = precision
+        return self._evidence(P)
+
+    def _evidence(self, P: Array) -> float:
+        A, b = self._sums
         squares = sum(float(y @ y) for y in self._y)
-        logarithms = 2.0 * float(np.sum(np.log(np.diag(factor[0])) - np.log(self._scale)))
-        scaled = self.prior * np.outer(self._scale, self._scale)
-        scaled[np.diag_indices(self.size)] += RIDGE
-        before = 2.0 * float(np.sum(np.log(np.diag(cho_factor(scaled)[0])) - np.log(self._scale)))
-        return 0.5 * (float(self._sums[1] @ theta) - logarithms + before - squares)
+        diagonal = np.diag(P) + np.diag(A)
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+        after, before = (_factored(matrix, scale) for matrix in (A + P, P))
+        theta = scale * cho_solve(after, scale * b, check_finite=False)
+        spread = [float(np.sum(np.log(np.diag(factor[0])))) for factor in (after, before)]
+        return 0.5 * (float(b @ theta) - squares) - spread[0] + spread[1]
 
     def residual(self) -> list[Array]:
         """What is left (M_c,) N m of every channel."""
@@ -424,6 +433,13 @@ class _Crossed:
             part = X[:, first : first + self.terms[i].size]
             self.D[i][block] += part.T @ part
             first += part.shape[1]
+
+
+def _factored(A: Array, scale: Array) -> tuple[Array, bool]:
+    """Cholesky factor of a matrix (p, p) whose rows and columns are scaled."""
+    scaled = A * np.outer(scale, scale)
+    scaled[np.diag_indices(len(scaled))] += RIDGE
+    return cho_factor(scaled, check_finite=False)
 
 
 def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[float, Array, Array]:

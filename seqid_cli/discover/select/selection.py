@@ -6,8 +6,10 @@ terms that do so equally well, the one of the fewest parameters is taken, and of
 the largest evidence; smooth functions have many. What does not hold beside terms that came later is
 taken back.
 
-The base is held to the file in one of three ways: as the file says; friction's slow terms free, as
-files have them that have taken up an effect; all free. The evidence of the finished models decides.
+The base is held to the file in one of three ways to begin with: as the file says; friction loosely,
+as files have it that have taken up an effect; all loosely. Of each finished model the evidence says
+how loosely the rigid body and each joint's friction are held; then the selection goes on. The
+evidence of the models decides.
 
 References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for model
 selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes factors", JASA 90,
@@ -28,7 +30,7 @@ from seqid_cli.discover.select.linear import Foretold, Gained, Linear, scatter
 from seqid_cli.discover.select.model import (
     FREE,
     HELD,
-    SLOW_TERMS_FREE,
+    LOOSE,
     Ground,
     Model,
     rms_of_rows,
@@ -44,7 +46,7 @@ Array = NDArray[np.float64]
 Key = tuple[str, int | None]
 T = TypeVar("T")
 
-HOLDS = (HELD, SLOW_TERMS_FREE, FREE)
+HOLDS = (HELD, LOOSE, FREE)
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
 CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
@@ -144,6 +146,9 @@ def select(
     every = [Selection(Model(ground, hold), options or Options(), catalogue) for hold in HOLDS]
     for one in every:
         one.run()
+        if one.model.rescale():
+            one.take_back()
+            one.run()
     least = min((one.model.noise for one in every), key=lambda noise: noise.level(ground.n))
     return max(every, key=lambda one: one.worth(least))
 

@@ -39,6 +39,10 @@ class Hold:
         """By how much friction of a joint may move."""
         return self.own[joint] if self.own else self.friction
 
+    def loosened(self, joints: int) -> int:
+        """How many parts are held more loosely than the file says: the rigid body, each joint."""
+        return sum(scale > 1.0 for scale in (self.rigid, *map(self.of, range(joints))))
+
 
 HELD = Hold("held")
 LOOSE = Hold("loose friction", friction=10.0)
@@ -78,7 +82,7 @@ class Ground:
         """The base: rigid body, friction by joint, time offset by joint where it has its own."""
         base, joints = self.base, range(self.n)
         rigid = base.rigid_hold(hold.rigid)
-        friction = [base.friction_hold(j, hold.of(j), free=False) for j in joints]
+        friction = [base.friction_hold(j, hold.of(j)) for j in joints]
         timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
         own = [np.diag(bound**2) for bound in base.bounds[1]]
         return [
@@ -120,13 +124,14 @@ class Model:
             self.timed = timed
             self.settle()
 
-    def rescale(self) -> bool:
+    def rescale(self, chance: float) -> bool:
         """Hold the rigid body, and each joint's friction, as loosely as the evidence says.
 
-        Returns whether that changes anything.
+        What is held more loosely than the file says must be better by `chance`. Returns whether
+        anything changes.
         """
         n, first = self.ground.n, self.hold
-        best, most = first, self.linear.evidence
+        best, most = first, self.linear.evidence - chance * first.loosened(n)
         for number in range(1 + n):
             for scale in SCALES:
                 own = [best.of(j) for j in range(n)]
@@ -136,9 +141,10 @@ class Model:
                 hold = replace(best, rigid=rigid, own=tuple(own))
                 parts = self.ground.parts(hold, self.timed)
                 evidence = self.linear.evidence_under([part.precision for part in parts])
+                evidence -= chance * hold.loosened(n)
                 if evidence > most:
                     best, most = hold, evidence
-        self.hold = best
+        self.hold = best if best.loosened(n) else HELD
         self.settle()
         return best is not first
 

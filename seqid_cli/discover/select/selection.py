@@ -139,17 +139,29 @@ def select(
 ) -> Selection:
     """Select what the model lacks, with the base held in every way; the evidence chooses one.
 
-    Models are compared under one noise, that of the one that leaves least.
+    A base that is held loosely takes up friction that has changed: the terms of such a model are
+    tried with the base held as the file says, too.
     """
     if catalogue is None:
         catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
-    every = [Selection(Model(ground, hold), options or Options(), catalogue) for hold in HOLDS]
+    options = options or Options()
+    every = [Selection(Model(ground, hold), options, catalogue) for hold in HOLDS]
     for one in every:
-        one.run()
-        if one.model.rescale():
-            one.take_back()
-            one.run()
-    least = min((one.model.noise for one in every), key=lambda noise: noise.level(ground.n))
+        one.finish()
+    best = _best_of_all(every)
+    if best.model.hold.loosened(ground.n):
+        held = Selection(Model(ground, HELD), options, catalogue)
+        held.model.terms = list(best.model.terms)
+        held.model.settle()
+        held.finish()
+        best = _best_of_all([held, *every])
+    return best
+
+
+def _best_of_all(every: Sequence[Selection]) -> Selection:
+    """The selection of the best model, all under the noise of the one that leaves least."""
+    joints = every[0].model.ground.n
+    least = min((one.model.noise for one in every), key=lambda noise: noise.level(joints))
     return max(every, key=lambda one: one.worth(least))
 
 
@@ -181,10 +193,23 @@ class Selection:
         self._tried: list[Ranked] = []
 
     def worth(self, noise: Noise) -> float:
-        """Evidence under a noise; smooth functions must be better than effects by what is a tie."""
+        """Evidence under a noise, less what simpler models are granted.
+
+        Smooth functions must be better than effects by what is a tie, and whatever is held more
+        loosely than the file says must be better by chance.
+        """
         smooth = [term for term in self.model.terms if term.smooth]
         gained = [_again(term, self.model.beside(term)).foretold.total for term in smooth]
-        return self.model.under(noise).evidence - self.options.tie * sum(gained)
+        granted = self.options.tie * sum(gained)
+        granted += self.options.chance * self.model.hold.loosened(self.model.ground.n)
+        return self.model.under(noise).evidence - granted
+
+    def finish(self) -> None:
+        """Select, hold the base as the evidence says, and go on."""
+        self.run()
+        if self.model.rescale(self.options.chance):
+            self.take_back()
+            self.run()
 
     def run(self) -> None:
         """Forward, and backward after each step."""

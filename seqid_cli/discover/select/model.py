@@ -39,9 +39,13 @@ class Hold:
         """By how much friction of a joint may move."""
         return self.own[joint] if self.own else self.friction
 
-    def loosened(self, joints: int) -> int:
-        """How many parts are held more loosely than the file says: the rigid body, each joint."""
-        return sum(scale > 1.0 for scale in (self.rigid, *map(self.of, range(joints))))
+    def doubt(self, joints: int) -> float:
+        """Log odds against standard errors that are so many times too small, part by part.
+
+        A scale s is believed as 1 / s. Zero where all is held as the file says.
+        """
+        scales = (self.rigid, *map(self.of, range(joints)))
+        return float(sum(np.log(max(scale, 1.0)) for scale in scales))
 
 
 HELD = Hold("held")
@@ -124,14 +128,13 @@ class Model:
             self.timed = timed
             self.settle()
 
-    def rescale(self, chance: float) -> bool:
+    def rescale(self) -> bool:
         """Hold the rigid body, and each joint's friction, as loosely as the evidence says.
 
-        What is held more loosely than the file says must be better by `chance`. Returns whether
-        anything changes.
+        Returns whether anything changes.
         """
         n, first = self.ground.n, self.hold
-        best, most = first, self.linear.evidence - chance * first.loosened(n)
+        best, most = first, self.linear.evidence - first.doubt(n)
         for number in range(1 + n):
             for scale in SCALES:
                 own = [best.of(j) for j in range(n)]
@@ -141,10 +144,10 @@ class Model:
                 hold = replace(best, rigid=rigid, own=tuple(own))
                 parts = self.ground.parts(hold, self.timed)
                 evidence = self.linear.evidence_under([part.precision for part in parts])
-                evidence -= chance * hold.loosened(n)
+                evidence -= hold.doubt(n)
                 if evidence > most:
                     best, most = hold, evidence
-        self.hold = best if best.loosened(n) else HELD
+        self.hold = best if best.doubt(n) else HELD
         self.settle()
         return best is not first
 

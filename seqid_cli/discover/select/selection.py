@@ -149,7 +149,7 @@ def select(
     for one in every:
         one.finish()
     best = _best_of_all(every)
-    if best.model.hold.loosened(ground.n):
+    if best.model.hold.doubt(ground.n):
         held = Selection(Model(ground, HELD), options, catalogue)
         held.model.terms = list(best.model.terms)
         held.model.settle()
@@ -195,19 +195,18 @@ class Selection:
     def worth(self, noise: Noise) -> float:
         """Evidence under a noise, less what simpler models are granted.
 
-        Smooth functions must be better than effects by what is a tie, and whatever is held more
-        loosely than the file says must be better by chance.
+        Smooth functions must be better than effects by what is a tie, and standard errors of the
+        file are not likely to be far too small.
         """
         smooth = [term for term in self.model.terms if term.smooth]
         gained = [_again(term, self.model.beside(term)).foretold.total for term in smooth]
-        granted = self.options.tie * sum(gained)
-        granted += self.options.chance * self.model.hold.loosened(self.model.ground.n)
+        granted = self.options.tie * sum(gained) + self.model.hold.doubt(self.model.ground.n)
         return self.model.under(noise).evidence - granted
 
     def finish(self) -> None:
         """Select, hold the base as the evidence says, and go on."""
         self.run()
-        if self.model.rescale(self.options.chance):
+        if self.model.rescale():
             self.take_back()
             self.run()
 

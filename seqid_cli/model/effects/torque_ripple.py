@@ -112,10 +112,8 @@ class TorqueRipple(Effect):
             for order in dict.fromkeys(orders):
                 turned = order * gear * lag * speed
                 fine = order == round(order) or order * gear >= fine_from
-                # Friction of few waves goes by another name.
-                clear = fine or (
-                    LAWS[law] != "direction" and clearness(profile, lowest, order * gear) > CLEAR
-                )
+                few = not _slides(scenes[0], joint) and LAWS[law] != "direction"
+                clear = fine or (few and clearness(profile, lowest, order * gear) > CLEAR)
                 if clear and (lag == 0.0 or turned > TURNED):
                     yield {"order": order, "law": float(law), "lag": lag}
 

@@ -52,6 +52,7 @@ CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
 SMOOTH_SHORTLIST = 3  # smooth functions per joint
 BEHIND = 2.0  # standard errors, by which a term is clearly behind the best
+UNDECIDED = 3.0  # log evidence, by which a model is no better for certain
 BATCH = 200  # terms that are tried at once
 
 
@@ -159,10 +160,15 @@ def select(
 
 
 def _best_of_all(every: Sequence[Selection]) -> Selection:
-    """The selection of the best model, all under the noise of the one that leaves least."""
+    """The selection of the best model, all under the noise of the one that leaves least.
+
+    Of models that the evidence does not tell apart the one whose terms have the fewest parameters.
+    """
     joints = every[0].model.ground.n
     least = min((one.model.noise for one in every), key=lambda noise: noise.level(joints))
-    return max(every, key=lambda one: one.worth(least))
+    worth = [one.worth(least) for one in every]
+    near = [k for k, value in enumerate(worth) if value >= max(worth) - UNDECIDED]
+    return every[min(near, key=lambda k: (every[k].freedom, -worth[k]))]
 
 
 def select_again(ground: Ground, found: Selection) -> Selection:
@@ -192,15 +198,21 @@ class Selection:
         self._grid: dict[int | None, list[Candidate]] = {}
         self._tried: list[Ranked] = []
 
+    @property
+    def freedom(self) -> int:
+        """Parameters of all terms."""
+        return sum(term.freedom for term in self.model.terms)
+
     def worth(self, noise: Noise) -> float:
         """Evidence under a noise, less what simpler models are granted.
 
-        Smooth functions must be better than effects by what is a tie, and standard errors of the
-        file are not likely to be far too small.
+        Every term must be better than chance, a smooth function better than effects by what is a
+        tie, and standard errors of the file are not likely to be far too small.
         """
         smooth = [term for term in self.model.terms if term.smooth]
         gained = [_again(term, self.model.beside(term)).foretold.total for term in smooth]
-        granted = self.options.tie * sum(gained) + self.model.hold.doubt(self.model.ground.n)
+        granted = self.options.tie * sum(gained) + self.options.chance * len(self.model.terms)
+        granted += self.model.hold.doubt(self.model.ground.n)
         return self.model.under(noise).evidence - granted
 
     def finish(self) -> None:

@@ -28,11 +28,9 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Index
+from seqid_cli.typing import Array
 
-_NO_TERMS: Index = np.zeros(0, dtype=np.intp)
 MOST_TORQUE = 2.0  # of a column, over what the file leaves
-BROAD = (5, 2)  # orders in position and in speed, each by itself, of a surface's broad terms
 
 
 @dataclass(frozen=True)
@@ -42,8 +40,7 @@ class Base:
     `rigid[j]` (M_j, b) shared by all joints, `friction[j]` (M_j, k_j), `timing[j]` (M_j, 1) and the
     residual of the file's model `y[j]` (M_j,) N m. `prior_rigid`
     (m, b) and `prior_friction[j]` (m_j, k_j) are rows of unit variance: what the file knows of the
-    deviations being zero. `broad[j]` are the terms of a surface that vary little over position or
-    speed.
+    deviations being zero.
     """
 
     basis: Basis
@@ -55,29 +52,15 @@ class Base:
     prior_friction: tuple[Array, ...]
     whole: tuple[Whole, ...]
     start: Array
-    broad: tuple[Index, ...] = ()
 
     def rigid_hold(self, inflation: float) -> Array:
         """Rows (m, b) that hold the rigid parameters to within so many standard errors."""
         return np.vstack([self.prior_rigid / inflation, np.diag(self.bounds[0])])
 
-    def friction_hold(self, joint: int, inflation: float, *, free: bool) -> Array:
-        """Rows (m_j, k_j) that hold a joint's friction to within so many standard errors.
-
-        `free` leaves its broad terms to the bounds alone: a friction stage that was recorded with
-        an undeclared effect has taken up what of it looked like friction there, a few terms wide.
-        """
-        key = joint, inflation, free
-        if key not in self._holds:
-            bound = self.bounds[1][joint]
-            held = np.vstack([self.prior_friction[joint] / inflation, np.diag(bound)])
-            broad = self.broad[joint] if free else _NO_TERMS
-            self._holds[key] = _freed(held, broad, bound[broad]) if len(broad) else held
-        return self._holds[key]
-
-    @cached_property
-    def _holds(self) -> dict[tuple[int, float, bool], Array]:
-        return {}
+    def friction_hold(self, joint: int, inflation: float) -> Array:
+        """Rows (m_j, k_j) that hold a joint's friction to within so many standard errors."""
+        own = self.prior_friction[joint] / inflation
+        return np.vstack([own, np.diag(self.bounds[1][joint])])
 
     @cached_property
     def bounds(self) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
@@ -111,15 +94,6 @@ class Base:
             own = [f @ c for f, c in zip(whole.friction, theta_friction, strict=True)]
             result.append((whole.H @ rigid).astype(np.float64) + np.stack(own, axis=1))
         return result
-
-
-def _freed(held: Array, terms: Index, bound: Array) -> Array:
-    """Rows of what `held` (m, k) says once some terms may move by 1 / bound besides (Woodbury)."""
-    P = held.T @ held
-    inner = P[np.ix_(terms, terms)] + np.diag(bound**2)
-    P = P - P[:, terms] @ np.linalg.solve(inner, P[terms])
-    value, vector = np.linalg.eigh(0.5 * (P + P.T))
-    return np.asarray(np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T)
 
 
 @dataclass(frozen=True)
@@ -171,20 +145,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
             for h, f, r in zip(H, friction, left, strict=True)
         ),
         start=np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in y]),
-        broad=tuple(_broad(rows.scenes[0], stages.friction, j) for j in range(robot.n)),
     )
-
-
-def _broad(scene: Scene, stage: FrictionStage | None, joint: int) -> Index:
-    """Terms of a joint's surface that vary little; none of one that has few terms anyhow."""
-    surface = scene.model.surfaces[joint]
-    if surface is None or stage is None or _simple_terms(stage, scene.robot.joint_names[joint]):
-        return _NO_TERMS
-    over_position, over_speed = np.indices(surface.positive.shape)
-    alone = (over_position == 0) | (over_speed == 0)
-    kept = alone & (over_position <= BROAD[0]) & (over_speed <= BROAD[1])
-    terms = np.flatnonzero(kept.ravel())
-    return np.concatenate([terms, terms + kept.size]) if surface.directional else terms
 
 
 def _filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Array:

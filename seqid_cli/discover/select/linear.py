@@ -11,7 +11,9 @@ log evidence by
     D = X'wX - X'wB M^-1 B'wX,   d = X'w (y - B M^-1 B'wy),   M = P + B'wB,
 
 and the log density that all other blocks foretell for block b by E - E without b. All of it follows
-from products block by block: no fit is repeated.
+from products block by block: no fit is repeated. What a parameter file says of the base is a block
+as well: a base that is free enough takes up a constant effect at the price of leaving the file, and
+E - E without the file is what the term saves of it.
 
 How sure a gain is over blocks that differ is told by drawn weights of the blocks (D. B. Rubin, "The
 Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a few blocks alone may still be
@@ -65,10 +67,14 @@ class Rows:
 
 @dataclass(frozen=True)
 class Part:
-    """Columns that are fitted together, and the precision (k, k) that their coefficients had."""
+    """Columns that are fitted together, and the precision (k, k) that their coefficients had.
+
+    `apart` is the part of that precision which is not a parameter file's; all, where it is None.
+    """
 
     columns: Channels
     precision: Array
+    apart: Array | None = None
 
     @property
     def size(self) -> int:
@@ -95,32 +101,37 @@ class Foretold:
     """What one term does to blocks that were left out, (blocks,) each.
 
     `density` is the gain in log predictive density, `squares` the weighted squared error that it
-    takes away at its channels, `loss` what there was.
+    takes away at its channels, `loss` what there was. `file` is the gain in the density of what the
+    parameter file says, `strain` the squares, in standard errors, by which the base comes nearer to
+    the file.
     """
 
     density: Array
     squares: Array
     loss: Array
+    file: float = 0.0
+    strain: float = 0.0
 
     @property
     def total(self) -> float:
-        """Gain of all blocks."""
-        return float(self.density.sum())
+        """Gain of all blocks and of the file."""
+        return float(self.density.sum()) + self.file
 
-    @property
-    def error(self) -> float:
-        """Standard error of `total`, from the scatter over blocks."""
-        return scatter(self.density)
+    @cached_property
+    def drawn(self) -> Array:
+        """The same (DRAWS,) over drawn weights of the blocks; there is one file."""
+        return np.asarray(weights_of(len(self.density)) @ self.density + self.file)
 
     @property
     def doubt(self) -> float:
         """Probability that nothing is gained, over drawn weights of the blocks."""
-        return float(np.mean(weights_of(len(self.density)) @ self.density <= 0.0))
+        return float(np.mean(self.drawn <= 0.0))
 
     @property
     def share(self) -> float:
-        """Share of the squared error that goes."""
-        return float(self.squares.sum() / max(float(self.loss.sum()), 1e-300))
+        """Share of the squared error that goes, the file's strain for want of the term in it."""
+        there = float(self.loss.sum()) + abs(self.strain)
+        return (float(self.squares.sum()) + self.strain) / max(there, 1e-300)
 
 
 @lru_cache
@@ -180,6 +191,15 @@ class Linear:
         return P
 
     @cached_property
+    def _of_file(self) -> Array:
+        """The part of it (p, p) that is the parameter file's."""
+        P = np.zeros((self.size, self.size))
+        for part, where in zip(self.parts, self.where, strict=True):
+            if part.apart is not None:
+                P[where, where] = part.precision - part.apart
+        return P
+
+    @cached_property
     def _products(self) -> tuple[Array, Array]:
         """B'wB (blocks, p, p) and B'wy (blocks, p)."""
         A = np.zeros((self.rows.blocks, self.size, self.size))
@@ -206,9 +226,7 @@ class Linear:
         return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
 
     def _factor(self, A: Array) -> tuple[Array, bool]:
-        scaled = (A + self.prior) * np.outer(self._scale, self._scale)
-        scaled[np.diag_indices(self.size)] += RIDGE
-        return cho_factor(scaled, check_finite=False)
+        return _factored(A + self.prior, self._scale)
 
     def _solved(self, factor: tuple[Array, bool], right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
@@ -231,6 +249,13 @@ class Linear:
             for factor in [self._factor(A - own_A)]
         ]
 
+    @cached_property
+    def _without_file(self) -> tuple[tuple[Array, bool], Array]:
+        """Factor and solution (p,) without what the parameter file says."""
+        A, b = self._sums
+        factor = self._factor(A - self._of_file)
+        return factor, self._solved(factor, b)
+
     @property
     def theta(self) -> Array:
         """Parameters (p,) given all rows."""
@@ -250,13 +275,24 @@ class Linear:
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
-        factor, theta = self._whole
+        return self._evidence(self.prior)
+
+    def evidence_under(self, precisions: Sequence[Array]) -> float:
+        """The same where the first parts had other precisions (k, k) beforehand."""
+        P = self.prior.copy()
+        for precision, where in zip(precisions, self.where, strict=False):
+            P[where, where] = precision
+        return self._evidence(P)
+
+    def _evidence(self, P: Array) -> float:
+        A, b = self._sums
         squares = sum(float(y @ y) for y in self._y)
-        logarithms = 2.0 * float(np.sum(np.log(np.diag(factor[0])) - np.log(self._scale)))
-        scaled = self.prior * np.outer(self._scale, self._scale)
-        scaled[np.diag_indices(self.size)] += RIDGE
-        before = 2.0 * float(np.sum(np.log(np.diag(cho_factor(scaled)[0])) - np.log(self._scale)))
-        return 0.5 * (float(self._sums[1] @ theta) - logarithms + before - squares)
+        diagonal = np.diag(P) + np.diag(A)
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+        after, before = (_factored(matrix, scale) for matrix in (A + P, P))
+        theta = scale * cho_solve(after, scale * b, check_finite=False)
+        spread = [float(np.sum(np.log(np.diag(factor[0])))) for factor in (after, before)]
+        return 0.5 * (float(b @ theta) - squares) - spread[0] + spread[1]
 
     def residual(self) -> list[Array]:
         """What is left (M_c,) N m of every channel."""
@@ -284,16 +320,26 @@ class Linear:
         crossed = _Crossed.of(terms, self.size, 1)
         for c, (index, B) in enumerate(self._own):
             crossed.add(0, c, index, B, self._y[c], self._root[c])
-        factor, theta = self._whole
-        C, d = crossed.C[0], crossed.d[0]
+        return self._given(self._whole, terms, crossed)[0]
+
+    def _given(
+        self,
+        solved: tuple[tuple[Array, bool], Array],
+        terms: Sequence[Part],
+        crossed: _Crossed,
+    ) -> tuple[list[Gained], list[Array]]:
+        """What each term by itself does to a solved model, and how parameters (p,) move."""
+        (factor, theta), C, d = solved, crossed.C.sum(axis=0), crossed.d.sum(axis=0)
         Z, left = self._solved(factor, C), d - C.T @ theta
-        found = []
-        for term, at, D in zip(terms, crossed.where, crossed.D, strict=True):
-            S = D[0] - C[:, at].T @ Z[:, at]
+        found, moved = [], []
+        for term, at, blocks in zip(terms, crossed.where, crossed.D, strict=True):
+            D = blocks.sum(axis=0)
+            S = D - C[:, at].T @ Z[:, at]
             value, a, covariance = bayes_factor(S, left[at], term.precision)
-            visible = float(np.trace(S) / max(float(np.trace(D[0])), 1e-300))
+            visible = float(np.trace(S) / max(float(np.trace(D)), 1e-300))
             found.append(Gained(value, a, covariance, max(visible, 0.0)))
-        return found
+            moved.append(-Z[:, at] @ a)
+        return found, moved
 
     def foretold(self, terms: Sequence[Part]) -> list[Foretold]:
         """Try each term by itself on every block, all fitted to the other blocks."""
@@ -304,7 +350,9 @@ class Linear:
         for c, (index, B) in enumerate(self._own):
             for k, here in enumerate(self.rows.at[c]):
                 crossed.add(k, c, index, B[here], self._y[c][here], self._root[c][here], here)
-        every = [gained.evidence for gained in self.gained(terms)]
+        found, moved = self._given(self._whole, terms, crossed)
+        alone = self._given(self._without_file, terms, crossed)[0]
+        every = [one.evidence for one in found]
         density, squares = np.zeros((2, len(terms), blocks))
         C, d, (A, b) = crossed.C.sum(axis=0), crossed.d.sum(axis=0), self._products
         for k, (factor, theta) in enumerate(self._without):
@@ -321,9 +369,15 @@ class Linear:
                 cross = Ck[:, at].T @ z
                 density[i, k] = every[i] - value
                 squares[i, k] = 2 * a @ slope - a @ (own - cross - cross.T + z.T @ AZ[:, at]) @ a
-        loss = self._loss
+        loss, P = self._loss, self._of_file
         return [
-            Foretold(density[i], squares[i], loss[:, sorted(term.columns)].sum(axis=1))
+            Foretold(
+                density[i],
+                squares[i],
+                loss[:, sorted(term.columns)].sum(axis=1),
+                every[i] - alone[i].evidence,
+                float(-moved[i] @ P @ (2.0 * self.theta + moved[i])),
+            )
             for i, term in enumerate(terms)
         ]
 
@@ -379,6 +433,13 @@ class _Crossed:
             part = X[:, first : first + self.terms[i].size]
             self.D[i][block] += part.T @ part
             first += part.shape[1]
+
+
+def _factored(A: Array, scale: Array) -> tuple[Array, bool]:
+    """Cholesky factor of a matrix (p, p) whose rows and columns are scaled."""
+    scaled = A * np.outer(scale, scale)
+    scaled[np.diag_indices(len(scaled))] += RIDGE
+    return cho_factor(scaled, check_finite=False)
 
 
 def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[float, Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from seqid_cli.model.effects.scene import Scene
 Array = NDArray[np.float64]
 
 FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
+SCALES = (1.0, 3.0, 10.0, FAR)  # of which the evidence chooses
 OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
 
 
@@ -26,18 +27,29 @@ OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no ef
 class Hold:
     """By how many of the file's standard errors the base may move from it.
 
-    `slow_terms` frees those terms of friction that vary little over position and speed: files have
-    taken up effects there.
+    `own` is the friction of each joint, where joints differ.
     """
 
     name: str
     rigid: float = 1.0
     friction: float = 1.0
-    slow_terms: bool = False
+    own: tuple[float, ...] = ()
+
+    def of(self, joint: int) -> float:
+        """By how much friction of a joint may move."""
+        return self.own[joint] if self.own else self.friction
+
+    def doubt(self, joints: int) -> float:
+        """Log odds against standard errors that are so many times too small, part by part.
+
+        A scale s is believed as 1 / s. Zero where all is held as the file says.
+        """
+        scales = (self.rigid, *map(self.of, range(joints)))
+        return float(sum(np.log(max(scale, 1.0)) for scale in scales))
 
 
 HELD = Hold("held")
-SLOW_TERMS_FREE = Hold("slow terms free", rigid=FAR, slow_terms=True)
+LOOSE = Hold("loose friction", friction=10.0)
 FREE = Hold("free", rigid=FAR, friction=FAR)
 FIRM = Hold("firm", rigid=0.1, friction=0.1)
 
@@ -74,11 +86,12 @@ class Ground:
         """The base: rigid body, friction by joint, time offset by joint where it has its own."""
         base, joints = self.base, range(self.n)
         rigid = base.rigid_hold(hold.rigid)
-        friction = [base.friction_hold(j, hold.friction, free=hold.slow_terms) for j in joints]
+        friction = [base.friction_hold(j, hold.of(j)) for j in joints]
         timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
+        own = [np.diag(bound**2) for bound in base.bounds[1]]
         return [
-            Part(dict(enumerate(base.rigid)), rigid.T @ rigid),
-            *(Part({j: base.friction[j]}, friction[j].T @ friction[j]) for j in joints),
+            Part(dict(enumerate(base.rigid)), rigid.T @ rigid, np.diag(base.bounds[0] ** 2)),
+            *(Part({j: base.friction[j]}, friction[j].T @ friction[j], own[j]) for j in joints),
             *(
                 Part({j: base.timing[j] if timed[j] else base.untimed[j]}, timing[j])
                 for j in joints
@@ -114,6 +127,29 @@ class Model:
         if timed != self.timed:
             self.timed = timed
             self.settle()
+
+    def rescale(self) -> bool:
+        """Hold the rigid body, and each joint's friction, as loosely as the evidence says.
+
+        Returns whether anything changes.
+        """
+        n, first = self.ground.n, self.hold
+        best, most = first, self.linear.evidence - first.doubt(n)
+        for number in range(1 + n):
+            for scale in SCALES:
+                own = [best.of(j) for j in range(n)]
+                if number:
+                    own[number - 1] = scale
+                rigid = best.rigid if number else scale
+                hold = replace(best, rigid=rigid, own=tuple(own))
+                parts = self.ground.parts(hold, self.timed)
+                evidence = self.linear.evidence_under([part.precision for part in parts])
+                evidence -= hold.doubt(n)
+                if evidence > most:
+                    best, most = hold, evidence
+        self.hold = best if best.doubt(n) else HELD
+        self.settle()
+        return best is not first
 
     @property
     def offsets(self) -> list[float]:

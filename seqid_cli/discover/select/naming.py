@@ -4,10 +4,12 @@ That a term is more than the errors of a model which lacks nothing goes with the
 squared error that it takes away where it was not fitted, and with its gain in log predictive
 density: a logistic regression on cases of which the truth is known (docs/discovery.md).
 
-How sure its name is follows from the gains of all that touches the same channels, over drawn
+How sure its name is follows from the gains of all effects that touch the same channels, over drawn
 weights of the blocks (D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981). The
 gains are tempered: no law is exactly the effect's, and of a large effect the rows tell laws apart
-that differ by less than the effect's own does from its law.
+that differ by less than the effect's own does from its law. Smooth functions have no part in it:
+where one is clearly better than all effects, it is what the selection takes. An effect that looks
+alike and that these logs lack the channels for cannot be ruled out: it is as likely as the name.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.select.linear import Foretold, weights_of
+from seqid_cli.discover.select.linear import Foretold
 
 if TYPE_CHECKING:
     from seqid_cli.discover.select.selection import Taken
@@ -27,7 +29,6 @@ Array = NDArray[np.float64]
 
 CONSTANT, OF_SHARE, OF_GAIN = 0.0, 1.56, 1.13  # of the log odds: of logit(share), log10(gain)
 TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely
-TIE = 0.04  # of the gain, by which a smooth function must be better than an effect
 TOLD = 0.5  # probability from which something is told
 SELDOM = 0.05  # share of them, below which a rival is not told
 
@@ -52,19 +53,19 @@ def named(taken: Taken) -> Named:
     """How sure a term is to be there, and to be what its name says."""
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
-    others = {name: share for name, share in shares.items() if name and share > SELDOM}
+    others = {name: share for name, share in shares.items() if share > SELDOM}
     there = reality(taken.one.foretold)
-    return Named(there * (own + sum(others.values())), there * own, tuple(others))
+    every = (*others, *(name for name in taken.untried if name not in others))
+    by_itself = there * own / (1.0 + len(taken.untried))
+    return Named(there * (own + sum(others.values())), by_itself, every)
 
 
 def _shares(taken: Taken) -> dict[str, float]:
-    """Probability of each name; of smooth functions, which have none, that of the empty one."""
-    rivals = taken.rivals
-    weights = weights_of(len(taken.one.foretold.density))
-    gains = weights @ np.array([rival.foretold.density for rival in rivals]).T
-    gains -= TIE * taken.one.foretold.total * np.array([r.term.smooth for r in rivals])
+    """Probability of each name."""
+    rivals = [rival for rival in taken.rivals if not rival.term.smooth]
+    gains = np.stack([rival.foretold.drawn for rival in rivals], axis=1)
     gains /= max(TEMPER * taken.one.foretold.total, 1.0)
-    names = ["" if rival.term.smooth else rival.term.name for rival in rivals]
+    names = [rival.term.name for rival in rivals]
     every = list(dict.fromkeys(names))
     best = np.stack([gains[:, np.equal(names, name)].max(axis=1) for name in every], axis=1)
     odds = np.exp(best - best.max(axis=1, keepdims=True))

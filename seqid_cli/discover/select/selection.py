@@ -6,8 +6,10 @@ terms that do so equally well, the one of the fewest parameters is taken, and of
 the largest evidence; smooth functions have many. What does not hold beside terms that came later is
 taken back.
 
-The base is held to the file in one of three ways: as the file says; friction's slow terms free, as
-files have them that have taken up an effect; all free. The evidence of the finished models decides.
+The base is held to the file in one of three ways to begin with: as the file says; friction loosely,
+as files have it that have taken up an effect; all loosely. Of each finished model the evidence says
+how loosely the rigid body and each joint's friction are held; then the selection goes on. The
+evidence of the models decides.
 
 References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for model
 selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes factors", JASA 90,
@@ -28,12 +30,12 @@ from seqid_cli.discover.select.linear import Foretold, Gained, Linear, scatter
 from seqid_cli.discover.select.model import (
     FREE,
     HELD,
-    SLOW_TERMS_FREE,
+    LOOSE,
     Ground,
     Model,
     rms_of_rows,
 )
-from seqid_cli.discover.select.naming import TIE, TOLD, reality
+from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.terms import Term, smooth_terms
 from seqid_cli.discover.select.tuning import Tried, Tuner
@@ -44,12 +46,13 @@ Array = NDArray[np.float64]
 Key = tuple[str, int | None]
 T = TypeVar("T")
 
-HOLDS = (HELD, SLOW_TERMS_FREE, FREE)
+HOLDS = (HELD, LOOSE, FREE)
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
 CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
 SMOOTH_SHORTLIST = 3  # smooth functions per joint
 BEHIND = 2.0  # standard errors, by which a term is clearly behind the best
+UNDECIDED = 3.0  # log evidence, by which a model is no better for certain
 BATCH = 200  # terms that are tried at once
 
 
@@ -68,7 +71,7 @@ class Options:
     improvement: float = 0.04
     chance: float = 6.0
     law: float = 0.03
-    tie: float = TIE
+    tie: float = 0.04
     most: int = 8
 
 
@@ -87,11 +90,13 @@ class Taken:
 
     `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
     is what the model without it leaves of every channel's blocks, each fitted to all others.
+    `untried` are effects that look alike and that these logs lack the channels to look for.
     """
 
     one: Ranked
     rivals: tuple[Ranked, ...]
     left: Sequence[Array]
+    untried: tuple[str, ...] = ()
 
     @property
     def without(self) -> Array:
@@ -135,15 +140,35 @@ def select(
 ) -> Selection:
     """Select what the model lacks, with the base held in every way; the evidence chooses one.
 
-    Models are compared under one noise, that of the one that leaves least.
+    A base that is held loosely takes up friction that has changed: the terms of such a model are
+    tried with the base held as the file says, too.
     """
     if catalogue is None:
         catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
-    every = [Selection(Model(ground, hold), options or Options(), catalogue) for hold in HOLDS]
+    options = options or Options()
+    every = [Selection(Model(ground, hold), options, catalogue) for hold in HOLDS]
     for one in every:
-        one.run()
-    least = min((one.model.noise for one in every), key=lambda noise: noise.level(ground.n))
-    return max(every, key=lambda one: one.worth(least))
+        one.finish()
+    best = _best_of_all(every)
+    if best.model.hold.doubt(ground.n):
+        held = Selection(Model(ground, HELD), options, catalogue)
+        held.model.terms = list(best.model.terms)
+        held.model.settle()
+        held.finish()
+        best = _best_of_all([held, *every])
+    return best
+
+
+def _best_of_all(every: Sequence[Selection]) -> Selection:
+    """The selection of the best model, all under the noise of the one that leaves least.
+
+    Of models that the evidence does not tell apart the one whose terms have the fewest parameters.
+    """
+    joints = every[0].model.ground.n
+    least = min((one.model.noise for one in every), key=lambda noise: noise.level(joints))
+    worth = [one.worth(least) for one in every]
+    near = [k for k, value in enumerate(worth) if value >= max(worth) - UNDECIDED]
+    return every[min(near, key=lambda k: (every[k].freedom, -worth[k]))]
 
 
 def select_again(ground: Ground, found: Selection) -> Selection:
@@ -173,11 +198,29 @@ class Selection:
         self._grid: dict[int | None, list[Candidate]] = {}
         self._tried: list[Ranked] = []
 
+    @property
+    def freedom(self) -> int:
+        """Parameters of all terms."""
+        return sum(term.freedom for term in self.model.terms)
+
     def worth(self, noise: Noise) -> float:
-        """Evidence under a noise; smooth functions must be better than effects by what is a tie."""
+        """Evidence under a noise, less what simpler models are granted.
+
+        Every term must be better than chance, a smooth function better than effects by what is a
+        tie, and standard errors of the file are not likely to be far too small.
+        """
         smooth = [term for term in self.model.terms if term.smooth]
         gained = [_again(term, self.model.beside(term)).foretold.total for term in smooth]
-        return self.model.under(noise).evidence - self.options.tie * sum(gained)
+        granted = self.options.tie * sum(gained) + self.options.chance * len(self.model.terms)
+        granted += self.model.hold.doubt(self.model.ground.n)
+        return self.model.under(noise).evidence - granted
+
+    def finish(self) -> None:
+        """Select, hold the base as the evidence says, and go on."""
+        self.run()
+        if self.model.rescale():
+            self.take_back()
+            self.run()
 
     def run(self) -> None:
         """Forward, and backward after each step."""
@@ -217,7 +260,8 @@ class Selection:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, behind = self.options, best.foretold.density - one.foretold.density
         least = max(BEHIND * scatter(behind), options.tie * best.foretold.total, 1.0)
-        return bool(one.term.channels & best.term.channels) and float(behind.sum()) <= least
+        less = best.foretold.total - one.foretold.total
+        return bool(one.term.channels & best.term.channels) and less <= least
 
     def take_back(self, worth: Callable[[Ranked], bool] | None = None) -> set[Key]:
         """Take back, the weakest first, what is not worth it beside all others."""
@@ -322,7 +366,9 @@ class Selection:
     def _all_taken(self) -> tuple[Taken, ...]:
         """All terms with their rivals; they give way to simpler ones until none is left."""
         for number, term in enumerate(self.model.terms):
-            best = self._simplest([r for r in self._taken(term).rivals if self._passes(r)])
+            taken = {one.key for one in self.model.terms if one is not term and not is_wide(one)}
+            free = [r for r in self._taken(term).rivals if r.term.key not in taken]
+            best = self._simplest([r for r in free if self._passes(r)])
             if best is not None and best.term is not term:
                 self.model.terms[number] = best.term
                 self.model.settle()
@@ -336,11 +382,22 @@ class Selection:
         candidates = list(self._candidates(self.model.left(without=term), joints))
         others = self._ranked(linear, candidates, [term.key], term.channels)
         near = [x for x in others if x.term.channels & term.channels]
-        return Taken(one, tuple(sorted([one, *near], key=_by_gain)), linear.left_out)
+        ranked = tuple(sorted([one, *near], key=_by_gain))
+        return Taken(one, ranked, linear.left_out, self._untried(term))
+
+    def _untried(self, term: Term) -> tuple[str, ...]:
+        """Effects that look like a term and cannot be looked for at its joint."""
+        if not isinstance(term.what, Candidate):
+            return ()
+        known = {effect.name: effect for effect in self.catalogue}
+        alike = [known[name] for name in term.what.effect.alike if name in known]
+        scenes = self.model.ground.stage.scenes
+        return tuple(one.name for one in alike if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it takes away no more than the error of a taken term's law may leave."""
-        least, squares = self.options.law**2, float(one.foretold.squares.sum())
+        least = self.options.law**2
+        squares = float(one.foretold.squares.sum()) + one.foretold.strain
         channels = one.term.channels
         return any(
             squares < least * self._torque(other, channels)

@@ -25,6 +25,7 @@ from seqid_cli.robot.types import Robot
 Array = NDArray[np.float64]
 
 LARGEST_RAD = 0.35
+MOST_MOMENT = 10.0  # of the first link, over the largest torque that a gear passes on
 PARALLEL = 1e-6
 
 
@@ -58,6 +59,19 @@ class BaseTilt(Effect):
     def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
         """Whether the first joint turns about gravity."""
         return {"upright": [float(first_joint_upright(scenes[0].robot))]}
+
+    def plausible(
+        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
+    ) -> bool:
+        """Ask that a tilt comes with the first link's moments, where other joints would show it.
+
+        Moments alone are any function of the first joint's angle.
+        """
+        alone = not settings["upright"] or scenes[0].robot.n == 1
+        tilt, moments = np.linalg.norm(c[:2]), np.linalg.norm(c[2:])
+        largest = max(float(np.max(np.abs(scene.load))) for scene in scenes)
+        tilted = alone or moments <= MOST_MOMENT * largest * tilt
+        return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
     def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
         """Gravity torque of two directions square to gravity."""

@@ -184,6 +184,10 @@ class Effect(abc.ABC):
         """Return whether robot file and channels allow to look for the effect at this joint."""
         return True
 
+    def possible(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Return whether it may be there though it cannot be looked for: a channel is lacking."""
+        return not self.available(scenes, joint)
+
     def grid(
         self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
     ) -> Iterator[dict[str, float]]:

@@ -126,6 +126,12 @@ def clearest(profile: Profile, lowest: float) -> float:
     return float(np.max(_lines(profile, lowest)[2], initial=0.0))
 
 
+def clearness(profile: Profile, lowest: float, order: float) -> float:
+    """How many times its surroundings' level the line nearest to an order has."""
+    orders, _, clear = _lines(profile, lowest)
+    return float(clear[np.argmin(np.abs(orders - order))]) if len(orders) else 0.0
+
+
 def _lines(profile: Profile, lowest: float) -> tuple[Array, Array, Array]:
     """Orders from `lowest` on, their power, and how clear they stand above their surroundings."""
     orders, power = profile.spectrum()

@@ -57,6 +57,13 @@ class ThermalFriction(Effect):
         shared = all(scene.shared_clock for scene in scenes)
         return session(scenes) >= (LEAST_SESSION_S if shared else LEAST_LOG_S)
 
+    def possible(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+        """Not where logs and file know the temperature, and it is the same."""
+        surface = None if joint is None else scenes[0].model.surfaces[joint]
+        logged = all(scene.temperature is not None for scene in scenes)
+        known = logged and surface is not None and surface.temperature is not None
+        return not known and super().possible(scenes, joint)
+
     def local(self, settings: Settings) -> bool:
         """Only without a logged temperature."""
         return not settings["logged"]

@@ -36,7 +36,7 @@ from seqid_cli.model.effects.effect import (
     Settings,
     Value,
 )
-from seqid_cli.model.effects.orders import Profile, clearest, peaks
+from seqid_cli.model.effects.orders import Profile, clearest, clearness, peaks
 from seqid_cli.model.effects.periodic import amplitude_and_phase
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.units import unit_of
@@ -48,7 +48,9 @@ LAWS = ("constant", "torque", "direction", "load")
 PEAKS = 4  # per law
 USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
-FINE = 12.0  # cycles per joint turn, from which a ripple need not be a whole number per motor turn
+FINE = (
+    12.0  # cycles per joint turn, below which a ripple is a whole number per motor turn, or clear
+)
 FINE_IN_RANGE = 8.0  # cycles in the range of a slide, likewise: it has no turn
 HIGHEST = 4000.0
 HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
@@ -57,7 +59,9 @@ WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole numbe
 SAME_ORDER = 1e-3
 TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
 LAGS_S = (0.005, 0.01, 0.015, 0.02)
-CLEAR = 15.0  # times the level around it, that a line with lag must have: the luckiest of noise
+CLEAR = (
+    15.0  # times the level around it, that a line of lag or few waves has: the luckiest of noise
+)
 SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
 
 
@@ -78,6 +82,10 @@ class TorqueRipple(Effect):
         "slow passes at two constant speeds and two loads, both ways: ripple keeps its place in "
         "angle; what grows with load, direction or speed tells which kind it is"
     )
+
+    def searched(self, settings: Settings) -> int:
+        """Return 1 for an order that is read off the spectrum; whole ones are where motors rub."""
+        return int(settings["order"] != round(settings["order"]))
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return sine and cosine parts."""
@@ -104,7 +112,9 @@ class TorqueRipple(Effect):
             for order in dict.fromkeys(orders):
                 turned = order * gear * lag * speed
                 fine = order == round(order) or order * gear >= fine_from
-                if fine and (lag == 0.0 or turned > TURNED):
+                few = not _slides(scenes[0], joint) and LAWS[law] != "direction"
+                clear = fine or (few and clearness(profile, lowest, order * gear) > CLEAR)
+                if clear and (lag == 0.0 or turned > TURNED):
                     yield {"order": order, "law": float(law), "lag": lag}
 
     def _named(self, profile: Profile, order: float, gear: float) -> float:

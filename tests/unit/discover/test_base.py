@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis, standard_names
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
@@ -155,39 +154,3 @@ def test_unknown_rotors_are_free() -> None:
     known, unknown = (free_basis(two_joint_robot(drives=d)) for d in (True, False))
     assert len(unknown.names) > len(known.names)
     assert any(name.startswith("Ia") for name in unknown.names)
-
-
-def test_broad_terms_of_a_surface_are_held_by_their_bounds_alone(scenes: list[Scene]) -> None:
-    """What a free base's friction says is the sum of two covariances."""
-    rng = np.random.default_rng(3)
-    L = rng.normal(size=(14, 14))
-    joint = friction_joint(covariance=1e-4 * L @ L.T)
-    joint.positive = joint.negative = rng.normal(size=(7, 2)).tolist()
-    joint.position_order = 6
-    stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
-    surfaces: list[FrictionSurface | None] = [FrictionSurface.from_stage(joint)] * 2
-    wavy = [replace(s, model=replace(s.model, surfaces=surfaces)) for s in scenes]
-    base = base_of(rows_of(wavy), stages)
-    assert base.broad[0].tolist() == [0, 1, 2, 4, 6, 8, 10]
-    held = base.friction_hold(0, 0.5, free=False)
-    free = base.friction_hold(0, 0.5, free=True)
-    expected = np.linalg.inv(held.T @ held)
-    bound = base.bounds[1][0][base.broad[0]]
-    expected[base.broad[0], base.broad[0]] += 1.0 / bound**2
-    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(np.linalg.inv(free.T @ free) / size, expected / size, atol=1e-5)
-
-
-def test_friction_of_few_terms_has_no_broad_ones(scenes: list[Scene]) -> None:
-    parameters = tuple(
-        Parameter(name=name, value=1.0, std_error=0.5, unit="N m")
-        for name in ("coulomb", "viscous")
-    )
-    joint = friction_joint(covariance=np.eye(2), parameters=parameters)
-    both = {"joint_1": joint, "joint_2": joint}
-    for stages in (Stages(), Stages(friction=FrictionStage(joints=both))):
-        base = base_of(rows_of(scenes), stages)
-        assert [len(terms) for terms in base.broad] == [0, 0]
-        for free in (True, False):
-            held = base.friction_hold(0, 2.0, free=free)
-            assert held.shape[1] == base.friction[0].shape[1]

@@ -85,6 +85,33 @@ def test_gain_of_a_block_is_that_of_its_density_given_all_others(
         assert told.density[b] == pytest.approx(given[1] - given[0], abs=1e-6)
 
 
+def test_gain_of_the_file_is_what_the_term_gains_less_without_it(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array]
+) -> None:
+    alone = [Part(part.columns, 0.1 * part.precision) for part in base]
+    held = [Part(a.columns, b.precision, a.precision) for a, b in zip(alone, base, strict=True)]
+    every = np.ones(sum(LENGTHS), dtype=bool)
+    with_file, without = (
+        log_density(rows, [*parts, term], weight, every) - log_density(rows, parts, weight, every)
+        for parts in (base, alone)
+    )
+    told = Linear(rows, held, weight).foretold([term])[0]
+    assert told.file == pytest.approx(with_file - without, abs=1e-6)
+    assert told.total == pytest.approx(told.density.sum() + told.file)
+
+
+def test_strain_is_how_far_the_base_comes_back_to_the_file(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array]
+) -> None:
+    held = [Part(p.columns, p.precision, np.zeros_like(p.precision)) for p in base]
+    size = sum(part.size for part in base)
+    before, after = (Linear(rows, parts, weight) for parts in (held, [*held, term]))
+    P = after.prior[:size, :size]
+    moved = [x.theta[:size] @ P @ x.theta[:size] for x in (before, after)]
+    told = before.foretold([term])[0]
+    assert told.strain == pytest.approx(moved[0] - moved[1])
+
+
 def test_squares_are_those_of_fits_without_the_block(
     rows: Rows, base: list[Part], term: Part, weight: list[Array]
 ) -> None:

@@ -48,6 +48,15 @@ def test_a_held_base_moves_within_the_files_errors_only() -> None:
     assert models[1].rms().max() > 2.0 * models[0].rms().max()
 
 
+@pytest.mark.parametrize(("extra", "loose"), [(None, False), (payload, True)])
+def test_the_evidence_says_how_loosely_the_base_is_held(extra: Extra | None, loose: bool) -> None:
+    scenes = arm_scenes(extra)
+    model = model_of(scenes, HELD, file_of(scenes[0]))
+    assert model.rescale() == loose
+    assert (model.hold.rigid > 1.0) == loose
+    assert (model.hold.doubt(2) > 0.0) == loose
+
+
 def late(share: float) -> Extra:
     """Torque that is late by a share of a sample."""
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.model import HELD, Ground
+from seqid_cli.discover.select import terms
+from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
 from seqid_cli.discover.select.naming import named, reality
 from seqid_cli.discover.select.selection import Options, Selected, select, select_again
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -158,6 +159,22 @@ def test_a_payload_of_all_logs_is_seen_where_the_file_was_before_it() -> None:
     found = selected(payload, names, stages=stages)
     assert ("payload", None) in keys(found)
     assert found.model.hold == HELD
+
+
+def test_what_a_free_base_takes_up_is_gained_from_the_file() -> None:
+    """Blocks of time do not miss it: the base leaves the file to explain them."""
+    stages = file_of(arm_scenes()[0])
+    model = Model(ground_of(arm_scenes(payload), stages), FREE)
+    (term,) = terms.effects(
+        model.ground.stage,
+        [Candidate(CATALOGUE["payload"], None, {"from_log": 0.0})],
+        model.ground.size,
+    )
+    model.terms.append(term)
+    model.settle()
+    told = model.beside(term).foretold([term.part])[0]
+    assert told.file > 10.0 * max(float(told.density.sum()), 1.0)
+    assert told.strain > 0.0
 
 
 @pytest.mark.parametrize("drive", [0, 1])

@@ -78,3 +78,11 @@ def test_axes_are_square_to_gravity(gravity: list[float]) -> None:
 
 def test_upright_they_are_x_and_y() -> None:
     np.testing.assert_allclose(tilt_axes(np.array([0.0, 0.0, -9.81])), np.eye(3)[:2], atol=1e-15)
+
+
+def test_moments_without_a_tilt_are_none() -> None:
+    """Of the first link alone they are any function of its angle."""
+    scene = scene_of(wander(5.0), robot=upright_robot())
+    settings = {"upright": 1.0}
+    assert BaseTilt().plausible([scene], None, settings, np.array([0.02, 0.0, 0.3, 0.0]))
+    assert not BaseTilt().plausible([scene], None, settings, np.array([1e-5, 0.0, 0.3, 0.0]))

@@ -129,3 +129,16 @@ def test_short_logs_without_a_shared_clock_say_nothing() -> None:
     q = wander(20.0)
     assert not ThermalFriction().available([scene_of(q), scene_of(q)], 0)
     assert ThermalFriction().available([scene_of(wander(150.0))], 0)
+
+
+def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
+    """Where file and logs know the temperature, and it is the same, it can."""
+    short = scene_of(wander(10.0))
+    assert ThermalFriction().possible([short], 0)
+    known = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
+    surface = short.model.surfaces[0]
+    assert surface is not None
+    surfaces = [replace(surface, temperature=AMBIENT), short.model.surfaces[1]]
+    assert ThermalFriction().possible([known], 0)
+    same = replace(known, model=replace(known.model, surfaces=surfaces))
+    assert not ThermalFriction().possible([same], 0)

@@ -164,6 +164,7 @@ def _ran_with_a_signal(
     (folder / "program.py").write_text(f"""
 import signal, sys
 import seqid_cli.commands.completion as completion
+signal.signal(signal.{name}, signal.SIG_DFL)  # tests that run in the background ignore some
 {before}
 words = completion.all_words()
 def interrupted():

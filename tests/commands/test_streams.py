@@ -104,6 +104,7 @@ def test_signals_end_it_like_an_interrupt(name: str, after: float, tmp_path: Pat
     process = started(
         *("refine", str(changed / "fourier.parquet"), "--holdout", str(held_out)),
         *("-r", str(changed.parent / "robot.toml"), "-p", str(model), "-o", str(made)),
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # not so in the background
     )
     wait_for_work(process, after)
     process.send_signal(getattr(signal, name))

@@ -51,9 +51,9 @@ COMMANDS: Mapping[str, Entry] = {
     "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
     "plan": Entry("plan", "Plan what to record next, and the errors that it will give."),
     "payload": Entry(
-        "payload", "Identify the mass, centre and inertia of what the flange carries."
+        "payload", "Identify the mass, centre and inertia that the flange carries."
     ),
-    "trend": Entry("trend", "Find out what changed over time, beyond its error, on any robot."),
+    "trend": Entry("trend", "Find what changed over dates, beyond its error."),
     "report": Entry("report", "Write the results as one HTML page, the verdict first."),
     "export": Entry("export", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
     "compare": Entry("compare", "Compare two results against their standard errors."),

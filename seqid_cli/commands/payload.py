@@ -24,8 +24,10 @@ from seqid_cli.commands.show import show_poor, verdict_text
 from seqid_cli.params.results.payload import Measured, PayloadFile
 
 EXAMPLES = (
-    "seqid payload loaded/*.parquet -r robot.toml -p inertia.json -o payload.json",
-    "seqid payload loaded -r robot.toml -p inertia.json --friction-change 0.1 --json",
+    "seqid payload sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    " -p inertia.json -o payload.json",
+    "seqid payload sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
+    " -p inertia.json --friction-change 0.1 --json",
 )
 
 FrictionChange = Annotated[

@@ -15,8 +15,8 @@ from seqid_cli.params.results.trend import ChangeEntry, TrendFile
 from seqid_cli.trend.options import By
 
 EXAMPLES = (
-    "seqid trend january.json february.json march.json -o trend.json",
-    "seqid trend cell_*/2026-*.json --by folder --table trend.parquet --json",
+    "seqid trend sample_logs/two_joint/golden.json inertia.json -o trend.json",
+    "seqid trend sample_logs/*_joint/golden.json cell_*/*.json --by folder --table trend.parquet",
 )
 
 

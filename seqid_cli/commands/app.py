@@ -50,9 +50,7 @@ COMMANDS: Mapping[str, Entry] = {
     "refine": Entry("refine", "Add the effects that a model lacks, checked on held-out logs."),
     "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
     "plan": Entry("plan", "Plan what to record next, and the errors that it will give."),
-    "payload": Entry(
-        "payload", "Identify the mass, centre and inertia that the flange carries."
-    ),
+    "payload": Entry("payload", "Identify the mass, centre and inertia that the flange carries."),
     "trend": Entry("trend", "Find what changed over dates, beyond its error."),
     "report": Entry("report", "Write the results as one HTML page, the verdict first."),
     "export": Entry("export", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),

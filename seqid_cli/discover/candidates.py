@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.select.linear import Channels
+from seqid_cli.discover.select.rows import Channels
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.effect import Effect

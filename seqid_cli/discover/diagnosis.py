@@ -29,7 +29,7 @@ from seqid_cli.discover.notes import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.select.naming import TOLD, named
-from seqid_cli.discover.select.selection import Taken
+from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import GATE, Interval
 from seqid_cli.discover.survey.usable import usable_logs
@@ -145,7 +145,7 @@ def _contact(found: Investigation, robot: Robot) -> FindingEntry:
     effect = CATALOGUE["external_contact"]
     energies = _event_energies(found)
     inside = sum(energies)
-    gained = sum(max(taken.one.foretold.total, 0.0) for taken in found.found.taken)
+    gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
     ratio = max(event.score for event in found.events) / GATE
     confidence = (1.0 - 0.5**ratio**2) * _apart(found, energies)
     return FindingEntry(
@@ -215,14 +215,14 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
         explains=_explains(found, taken),
         confusable_with=list(name.others),
         separate_by=effect.separate_by,
-        gain=taken.one.foretold.share,
+        gain=taken.one.predicted.share,
         parameters=[
             EffectParameter(name=v.name, value=v.value, std_error=v.std_error, unit=v.unit)
             for v in values
         ],
         settings=dict(what.settings),
         note=effect.lacking(robot, what.joint),
-        log_gain=taken.one.foretold.total,
+        log_gain=taken.one.predicted.total,
         evidence=evidence_of(found, robot, taken),
         rivals=rivals_of(robot, taken, name.others),
     )
@@ -250,11 +250,11 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     """Describe a smooth function that was taken."""
     what = taken.term.what
     assert isinstance(what, SmoothFunction)
-    told = taken.one.foretold
+    told = taken.one.predicted
     effects = [rival for rival in taken.rivals if not rival.term.smooth]
     closest = None
     if effects:
-        share = effects[0].foretold.total / max(told.total, 1e-300)
+        share = effects[0].predicted.total / max(told.total, 1e-300)
         nearest = effects[0].term.name
         closest = ClosestEffect(effect=nearest, share=float(np.clip(share, 0.0, 1.0)))
     return UnexplainedPart(

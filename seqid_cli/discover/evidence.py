@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.select.selection import Taken
+from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.model.effects.scene import Scene

@@ -20,7 +20,8 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.discover.select.naming import TOLD
-from seqid_cli.discover.select.selection import Options, Selected, select, select_again
+from seqid_cli.discover.select.results import Options, Selected
+from seqid_cli.discover.select.selection import select, select_again
 from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.select.selection import Options, Ranked, Taken
+from seqid_cli.discover.select.results import Options, Ranked, Taken
 from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -18,7 +18,7 @@ def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[R
     others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
     told = [one for one in others if one.term.name in alike]
     told += [one for one in others if one not in told]
-    ranked = sorted(told[:MOST], key=lambda one: -one.foretold.total)
+    ranked = sorted(told[:MOST], key=lambda one: -one.predicted.total)
     return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
 
 
@@ -26,7 +26,7 @@ def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]
     """What was tried at a joint beside all that was taken, the largest gain first."""
     n = found.ground.n
     here = [r for r in found.found.tried if any(c % n == joint for c in r.term.channels)]
-    ranked = sorted(_each_once(here), key=lambda one: -one.foretold.total)
+    ranked = sorted(_each_once(here), key=lambda one: -one.predicted.total)
     return [_rival(robot, one, _lacking(one)) for one in ranked[:MOST]]
 
 
@@ -41,12 +41,12 @@ def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
 def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
     joint = None if one.term.joint is None else robot.joint_names[one.term.joint]
     name = f"some function of {one.term.name}" if one.term.smooth else one.term.name
-    return RivalEntry(effect=name, joint=joint, log_gain=one.foretold.total, why_not=why_not)
+    return RivalEntry(effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not)
 
 
 def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
     """Why a rival was not taken in a term's place."""
-    reach = one.foretold.total / max(taken.one.foretold.total, 1e-300)
+    reach = one.predicted.total / max(taken.one.predicted.total, 1e-300)
     if one.term.name in alike:
         return f"these logs cannot tell the two apart: it reaches {percent(reach)} of the gain"
     if reach <= 0.0:
@@ -61,7 +61,7 @@ def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
 
 def _lacking(one: Ranked) -> str:
     """Why something was not taken beside all that was."""
-    options, told = Options(), one.foretold
+    options, told = Options(), one.predicted
     if told.total <= 0.0:
         return "predicts left-out blocks worse than the model without it"
     if told.doubt >= options.doubt:

@@ -28,7 +28,7 @@ from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_mode
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.select.naming import named
-from seqid_cli.discover.select.selection import Options, Taken
+from seqid_cli.discover.select.results import Options, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
@@ -149,7 +149,7 @@ def _investigated(material: Material, model: Refitted) -> Investigation:
 
 def _add_effects(loop: Loop, found: Investigation) -> None:
     """Try each effect that was found, and keep those that left-out blocks agree with."""
-    ordered = sorted(found.found.effects, key=lambda taken: -taken.one.foretold.total)
+    ordered = sorted(found.found.effects, key=lambda taken: -taken.one.predicted.total)
     seen = loop.material
     if found.events:
         loop.material = replace(seen, training=quiet(seen.training, found.events))
@@ -299,7 +299,7 @@ def _add_smooth(loop: Loop, found: Investigation) -> None:
 
 
 def _told_smooth(loop: Loop, taken: Taken) -> RefinementRound:
-    told, joint = taken.one.foretold, taken.term.joint
+    told, joint = taken.one.predicted, taken.term.joint
     assert joint is not None
     change = gain_of(told.loss, told.loss - told.squares)
     return RefinementRound(

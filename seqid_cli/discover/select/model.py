@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.linear import Linear, Part, Rows
+from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.noise import Noise, settled
+from seqid_cli.discover.select.rows import Part, Rows
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.discover.select.tuning import NEAR, Tuner
 from seqid_cli.model.effects.scene import Scene

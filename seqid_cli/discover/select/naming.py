@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.select.linear import Foretold
+from seqid_cli.discover.select.rows import Predicted
 
 if TYPE_CHECKING:
-    from seqid_cli.discover.select.selection import Taken
+    from seqid_cli.discover.select.results import Taken
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class Named:
     others: tuple[str, ...] = ()
 
 
-def reality(told: Foretold) -> float:
+def reality(told: Predicted) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing."""
     share = float(np.clip(told.share, 1e-3, 1.0 - 1e-3))
     odds = CONSTANT + OF_SHARE * np.log(share / (1.0 - share))
@@ -54,7 +54,7 @@ def named(taken: Taken) -> Named:
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > SELDOM}
-    there = reality(taken.one.foretold)
+    there = reality(taken.one.predicted)
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
     return Named(there * (own + sum(others.values())), by_itself, every)
@@ -63,8 +63,8 @@ def named(taken: Taken) -> Named:
 def _shares(taken: Taken) -> dict[str, float]:
     """Probability of each name."""
     rivals = [rival for rival in taken.rivals if not rival.term.smooth]
-    gains = np.stack([rival.foretold.drawn for rival in rivals], axis=1)
-    gains /= max(TEMPER * taken.one.foretold.total, 1.0)
+    gains = np.stack([rival.predicted.drawn for rival in rivals], axis=1)
+    gains /= max(TEMPER * taken.one.predicted.total, 1.0)
     names = [rival.term.name for rival in rivals]
     every = list(dict.fromkeys(names))
     best = np.stack([gains[:, np.equal(names, name)].max(axis=1) for name in every], axis=1)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.select.linear import Linear, Part, Rows
+from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.rows import Part, Rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

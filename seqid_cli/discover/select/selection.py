@@ -1,6 +1,6 @@
 """Forward and backward selection of what a model lacks.
 
-A term is taken if it foretells blocks of time that were left out better than the model without it:
+A term is taken if it predicts blocks of time that were left out better than the model without it:
 surely over drawn blocks, and by so much of their squared error that it matters. Of
 terms that do so equally well, the one of the fewest parameters is taken, and of these the one of
 the largest evidence; smooth functions have many. What does not hold beside terms that came later is
@@ -18,32 +18,31 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
-from seqid_cli.discover.select.linear import Foretold, Gained, Linear, scatter
+from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import (
     FREE,
     HELD,
     LOOSE,
     Ground,
     Model,
-    rms_of_rows,
 )
 from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
+from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken
+from seqid_cli.discover.select.rows import scatter
 from seqid_cli.discover.select.terms import Term, smooth_terms
 from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 
 Array = NDArray[np.float64]
-Key = tuple[str, int | None]
 T = TypeVar("T")
 
 HOLDS = (HELD, LOOSE, FREE)
@@ -54,83 +53,6 @@ SMOOTH_SHORTLIST = 3  # smooth functions per joint
 BEHIND = 2.0  # standard errors, by which a term is clearly behind the best
 UNDECIDED = 3.0  # log evidence, by which a model is no better for certain
 BATCH = 200  # terms that are tried at once
-
-
-@dataclass(frozen=True)
-class Options:
-    """What decides.
-
-    `doubt` is the probability over drawn blocks that a term gains nothing, and `improvement` the
-    share of the squared error left out that it must take away; `chance` is the log evidence that
-    the best of all terms has on noise; an effect's law is known to `law` of its torque, and less
-    than that at its joints is not told; terms that gain within `tie` of each other are equal, and
-    an effect goes before a smooth function then; at most `most` terms.
-    """
-
-    doubt: float = 0.025
-    improvement: float = 0.04
-    chance: float = 6.0
-    law: float = 0.03
-    tie: float = 0.04
-    most: int = 8
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """A term, what it gains given all rows, and on blocks that were left out."""
-
-    term: Term
-    gained: Gained
-    foretold: Foretold
-
-
-@dataclass(frozen=True)
-class Taken:
-    """A term of the finished model.
-
-    `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
-    is what the model without it leaves of every channel's blocks, each fitted to all others.
-    `untried` are effects that look alike and that these logs lack the channels to look for.
-    """
-
-    one: Ranked
-    rivals: tuple[Ranked, ...]
-    left: Sequence[Array]
-    untried: tuple[str, ...] = ()
-
-    @property
-    def without(self) -> Array:
-        """RMS (channels,) N m of that."""
-        return rms_of_rows(self.left)
-
-    @property
-    def term(self) -> Term:
-        """The term."""
-        return self.one.term
-
-
-@dataclass(frozen=True)
-class Selected:
-    """The finished model, the terms that are told, and what the model hides.
-
-    `visible` is the share of each other effect's torque that the model does not absorb; `tried`
-    ranks what was tried last, beside all that was taken.
-    """
-
-    model: Model
-    taken: tuple[Taken, ...]
-    visible: Mapping[Key, float]
-    tried: tuple[Ranked, ...] = ()
-
-    @property
-    def effects(self) -> list[Taken]:
-        """Those of the catalogue."""
-        return [one for one in self.taken if not one.term.smooth]
-
-    @property
-    def smooth(self) -> list[Taken]:
-        """Smooth functions."""
-        return [one for one in self.taken if one.term.smooth]
 
 
 def select(
@@ -176,7 +98,7 @@ def select_again(ground: Ground, found: Selection) -> Selection:
     model = Model(ground, found.model.hold)
     model.add(found.model.candidates)
     again = Selection(model, found.options, found.catalogue)
-    again.take_back()
+    again.eliminate()
     again.run()
     return again
 
@@ -210,7 +132,7 @@ class Selection:
         tie, and standard errors of the file are not likely to be far too small.
         """
         smooth = [term for term in self.model.terms if term.smooth]
-        gained = [_again(term, self.model.beside(term)).foretold.total for term in smooth]
+        gained = [_again(term, self.model.beside(term)).predicted.total for term in smooth]
         granted = self.options.tie * sum(gained) + self.options.chance * len(self.model.terms)
         granted += self.model.hold.doubt(self.model.ground.n)
         return self.model.under(noise).evidence - granted
@@ -219,7 +141,7 @@ class Selection:
         """Select, hold the base as the evidence says, and go on."""
         self.run()
         if self.model.rescale():
-            self.take_back()
+            self.eliminate()
             self.run()
 
     def run(self) -> None:
@@ -234,7 +156,7 @@ class Selection:
             self.model.settle()
             if len(self.model.terms) > 1:
                 self.model.polish()
-            gone = self.take_back()
+            gone = self.eliminate()
             refused |= gone
             if best.key in gone:
                 return
@@ -252,18 +174,18 @@ class Selection:
 
     def _passes(self, one: Ranked) -> bool:
         """Whether a term is worth it."""
-        options, told = self.options, one.foretold
+        options, told = self.options, one.predicted
         sure = one.gained.evidence > options.chance and told.doubt < options.doubt
         return sure and told.share > options.improvement
 
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
-        options, behind = self.options, best.foretold.density - one.foretold.density
-        least = max(BEHIND * scatter(behind), options.tie * best.foretold.total, 1.0)
-        less = best.foretold.total - one.foretold.total
+        options, behind = self.options, best.predicted.density - one.predicted.density
+        least = max(BEHIND * scatter(behind), options.tie * best.predicted.total, 1.0)
+        less = best.predicted.total - one.predicted.total
         return bool(one.term.channels & best.term.channels) and less <= least
 
-    def take_back(self, worth: Callable[[Ranked], bool] | None = None) -> set[Key]:
+    def eliminate(self, worth: Callable[[Ranked], bool] | None = None) -> set[Key]:
         """Take back, the weakest first, what is not worth it beside all others."""
         worth = worth or self._passes
         model, gone = self.model, set[Key]()
@@ -272,7 +194,7 @@ class Selection:
             weak = [one for one in every if not worth(one)]
             if not weak:
                 break
-            weakest = min(weak, key=lambda one: one.foretold.total)
+            weakest = min(weak, key=lambda one: one.predicted.total)
             self._changed(weakest.term)
             model.terms.remove(weakest.term)
             gone.add(weakest.term.key)
@@ -310,7 +232,7 @@ class Selection:
         """The best settings of every effect, and smooth functions, the largest gain first."""
         tried = [*self._effects(linear, candidates, near), *self._smooth(linear, near)]
         there = [t for t in tried if t.evidence > 0.0 and t.term.key not in refused]
-        told = linear.foretold([t.term.part for t in there])
+        told = linear.predicted([t.term.part for t in there])
         ranked = [Ranked(t.term, t.gained, f) for t, f in zip(there, told, strict=True)]
         return sorted(ranked, key=_by_gain)
 
@@ -352,9 +274,9 @@ class Selection:
         Without what is less likely than `least` to be more than an error of the model's laws. A
         simpler rival that does as well takes a term's place.
         """
-        self.take_back(
+        self.eliminate(
             lambda one: (
-                self._passes(one) and reality(one.foretold) >= least and not self._of_a_law(one)
+                self._passes(one) and reality(one.predicted) >= least and not self._of_a_law(one)
             )
         )
         told = self._all_taken()
@@ -397,7 +319,7 @@ class Selection:
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it takes away no more than the error of a taken term's law may leave."""
         least = self.options.law**2
-        squares = float(one.foretold.squares.sum()) + one.foretold.strain
+        squares = float(one.predicted.squares.sum()) + one.predicted.strain
         channels = one.term.channels
         return any(
             squares < least * self._torque(other, channels)
@@ -415,11 +337,11 @@ class Selection:
 
 def _again(term: Term, linear: Linear) -> Ranked:
     """A taken term as it gains beside all others."""
-    return Ranked(term, linear.gained([term.part])[0], linear.foretold([term.part])[0])
+    return Ranked(term, linear.gained([term.part])[0], linear.predicted([term.part])[0])
 
 
 def _by_gain(one: Ranked) -> float:
-    return -one.foretold.total
+    return -one.predicted.total
 
 
 def _best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:

@@ -1,6 +1,6 @@
 """Smooth functions of one or two quantities: rivals of the catalogue's effects.
 
-Where such a function foretells the residual better than any physical effect does, the residual
+Where such a function predicts the residual better than any physical effect does, the residual
 depends on that quantity in a way that the catalogue does not know.
 
 Splines are held beyond what more than one fold of the rows has seen, and combined so that each

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.linear import Channels, Part
+from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import Rows
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.linear import Gained, Linear
+from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.rows import Gained
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.model.effects.effect import Setting
 

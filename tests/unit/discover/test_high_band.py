@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
-from seqid_cli.discover.select.linear import Part
-from seqid_cli.discover.select.selection import Selected, select
+from seqid_cli.discover.select.results import Selected
+from seqid_cli.discover.select.rows import Part
+from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -45,7 +46,7 @@ def test_a_line_above_the_cutoff_is_found() -> None:
     assert what.settings["frequency"] == pytest.approx(LINE_HZ, abs=2e-3)
     amplitude = np.hypot(*taken.one.gained.coefficients)
     assert float(amplitude) == pytest.approx(LINE, rel=0.05)
-    assert taken.one.foretold.share > 0.5
+    assert taken.one.predicted.share > 0.5
 
 
 def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from seqid_cli.discover.select.linear import Linear, Part, Rows
+from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.rows import Part, Rows
 
 Array = NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def test_gain_of_a_block_is_that_of_its_density_given_all_others(
 ) -> None:
     block = np.concatenate(rows.block)
     every = np.ones(sum(LENGTHS), dtype=bool)
-    told = Linear(rows, base, weight).foretold([term])[0]
+    told = Linear(rows, base, weight).predicted([term])[0]
     for b in range(BLOCKS):
         given = [
             log_density(rows, parts, weight, every) - log_density(rows, parts, weight, block != b)
@@ -95,7 +96,7 @@ def test_gain_of_the_file_is_what_the_term_gains_less_without_it(
         log_density(rows, [*parts, term], weight, every) - log_density(rows, parts, weight, every)
         for parts in (base, alone)
     )
-    told = Linear(rows, held, weight).foretold([term])[0]
+    told = Linear(rows, held, weight).predicted([term])[0]
     assert told.file == pytest.approx(with_file - without, abs=1e-6)
     assert told.total == pytest.approx(told.density.sum() + told.file)
 
@@ -108,14 +109,14 @@ def test_strain_is_how_far_the_base_comes_back_to_the_file(
     before, after = (Linear(rows, parts, weight) for parts in (held, [*held, term]))
     P = after.prior[:size, :size]
     moved = [x.theta[:size] @ P @ x.theta[:size] for x in (before, after)]
-    told = before.foretold([term])[0]
+    told = before.predicted([term])[0]
     assert told.strain == pytest.approx(moved[0] - moved[1])
 
 
 def test_squares_are_those_of_fits_without_the_block(
     rows: Rows, base: list[Part], term: Part, weight: list[Array]
 ) -> None:
-    told = Linear(rows, base, weight).foretold([term])[0]
+    told = Linear(rows, base, weight).predicted([term])[0]
     before, after = (Linear(rows, parts, weight).left_out for parts in (base, [*base, term]))
     for b in range(BLOCKS):
         squares = [

@@ -14,7 +14,8 @@ from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select import terms
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
 from seqid_cli.discover.select.naming import named, reality
-from seqid_cli.discover.select.selection import Options, Selected, select, select_again
+from seqid_cli.discover.select.results import Options, Selected
+from seqid_cli.discover.select.selection import select, select_again
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
@@ -128,7 +129,7 @@ def test_selection_goes_on_from_what_was_found() -> None:
 @pytest.mark.slow
 def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) -> None:
     for taken in pair.taken:
-        totals = [rival.foretold.total for rival in taken.rivals]
+        totals = [rival.predicted.total for rival in taken.rivals]
         assert taken.rivals[0].term is taken.term
         assert totals == sorted(totals, reverse=True)
         joint = taken.term.joint
@@ -140,7 +141,7 @@ def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) 
 
 @pytest.mark.slow
 def test_more_of_the_error_is_surer(pair: Selected) -> None:
-    told = pair.taken[0].one.foretold
+    told = pair.taken[0].one.predicted
     less = replace(told, squares=0.1 * told.squares, density=0.1 * told.density)
     little = replace(told, squares=0.02 * told.squares, density=0.02 * told.density)
     assert 1.0 > reality(told) > reality(less) > reality(little) > 0.0
@@ -172,7 +173,7 @@ def test_what_a_free_base_takes_up_is_gained_from_the_file() -> None:
     )
     model.terms.append(term)
     model.settle()
-    told = model.beside(term).foretold([term.part])[0]
+    told = model.beside(term).predicted([term.part])[0]
     assert told.file > 10.0 * max(float(told.density.sum()), 1.0)
     assert told.strain > 0.0
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.select.selection import Selected, Selection, select
+from seqid_cli.discover.select.results import Selected
+from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.select.smoothest import knots_of, smoothest
 from seqid_cli.discover.select.terms import smooth_terms

@@ -88,7 +88,11 @@ def test_leaving_early_ends_the_processes() -> None:
 
 def test_an_interrupt_ends_the_processes_in_the_middle_of_their_work() -> None:
     before = set(multiprocessing.active_children())
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
     threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt), processes(2) as executor:
-        next(ordered(executor, jobs.Waiting(9, step_s=10.0), range(8)))
+    try:
+        with pytest.raises(KeyboardInterrupt), processes(2) as executor:
+            next(ordered(executor, jobs.Waiting(9, step_s=10.0), range(8)))
+    finally:
+        signal.signal(signal.SIGINT, usual)
     assert set(multiprocessing.active_children()) == before

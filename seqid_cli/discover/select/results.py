@@ -1,0 +1,93 @@
+"""What the selection decides by, what it ranks, and what it ends with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.discover.select.model import Model, rms_of_rows
+from seqid_cli.discover.select.rows import Gained, Predicted
+from seqid_cli.discover.select.terms import Term
+
+Array = NDArray[np.float64]
+Key = tuple[str, int | None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What decides.
+
+    `doubt` is the probability over drawn blocks that a term gains nothing, and `improvement` the
+    share of the squared error left out that it must take away; `chance` is the log evidence that
+    the best of all terms has on noise; an effect's law is known to `law` of its torque, and less
+    than that at its joints is not told; terms that gain within `tie` of each other are equal, and
+    an effect goes before a smooth function then; at most `most` terms.
+    """
+
+    doubt: float = 0.025
+    improvement: float = 0.04
+    chance: float = 6.0
+    law: float = 0.03
+    tie: float = 0.04
+    most: int = 8
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A term, what it gains given all rows, and on blocks that were left out."""
+
+    term: Term
+    gained: Gained
+    predicted: Predicted
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A term of the finished model.
+
+    `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
+    is what the model without it leaves of every channel's blocks, each fitted to all others.
+    `untried` are effects that look alike and that these logs lack the channels to look for.
+    """
+
+    one: Ranked
+    rivals: tuple[Ranked, ...]
+    left: Sequence[Array]
+    untried: tuple[str, ...] = ()
+
+    @property
+    def without(self) -> Array:
+        """RMS (channels,) N m of that."""
+        return rms_of_rows(self.left)
+
+    @property
+    def term(self) -> Term:
+        """The term."""
+        return self.one.term
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The finished model, the terms that are told, and what the model hides.
+
+    `visible` is the share of each other effect's torque that the model does not absorb; `tried`
+    ranks what was tried last, beside all that was taken.
+    """
+
+    model: Model
+    taken: tuple[Taken, ...]
+    visible: Mapping[Key, float]
+    tried: tuple[Ranked, ...] = ()
+
+    @property
+    def effects(self) -> list[Taken]:
+        """Those of the catalogue."""
+        return [one for one in self.taken if not one.term.smooth]
+
+    @property
+    def smooth(self) -> list[Taken]:
+        """Smooth functions."""
+        return [one for one in self.taken if one.term.smooth]

@@ -1,0 +1,130 @@
+"""Rows that are to be explained, columns that may explain them, and what they gain.
+
+How sure a gain is over blocks that differ is told by drawn weights of the blocks (D. B. Rubin, "The
+Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a few blocks alone may still be
+sure, if nothing speaks against it elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Channels = Mapping[int, Array]  # channel -> its rows of some columns (M_c, k)
+
+DRAWS, SEED = 400, 0  # of weights of the blocks
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What is to be explained.
+
+    Attributes
+    ----------
+    y : tuple of (M_c,) arrays
+        Torque of every channel [N m; N where prismatic].
+    block : tuple of (M_c,) index arrays
+        Block of time of every row, ascending.
+    blocks : int
+        Number of blocks.
+    """
+
+    y: tuple[Array, ...]
+    block: tuple[Index, ...]
+    blocks: int
+
+    @cached_property
+    def at(self) -> tuple[tuple[slice, ...], ...]:
+        """The rows of every block, channel by channel."""
+        every = np.arange(self.blocks + 1)
+        edges = [np.searchsorted(block, every) for block in self.block]
+        return tuple(tuple(slice(int(a), int(b)) for a, b in pairwise(edge)) for edge in edges)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Columns that are fitted together, and the precision (k, k) that their coefficients had.
+
+    `apart` is the part of that precision which is not a parameter file's; all, where it is None.
+    """
+
+    columns: Channels
+    precision: Array
+    apart: Array | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return len(self.precision)
+
+
+@dataclass(frozen=True)
+class Gained:
+    """What one term does to a model that does not have it.
+
+    `evidence` is the log Bayes factor; `coefficients` (k,) and their `covariance`; `visible` the
+    share of the columns' square that the model does not absorb.
+    """
+
+    evidence: float
+    coefficients: Array
+    covariance: Array
+    visible: float
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What one term does to blocks that were left out, (blocks,) each.
+
+    `density` is the gain in log predictive density, `squares` the weighted squared error that it
+    takes away at its channels, `loss` what there was. `file` is the gain in the density of what the
+    parameter file says, `strain` the squares, in standard errors, by which the base comes nearer to
+    the file.
+    """
+
+    density: Array
+    squares: Array
+    loss: Array
+    file: float = 0.0
+    strain: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Gain of all blocks and of the file."""
+        return float(self.density.sum()) + self.file
+
+    @cached_property
+    def drawn(self) -> Array:
+        """The same (DRAWS,) over drawn weights of the blocks; there is one file."""
+        return np.asarray(weights_of(len(self.density)) @ self.density + self.file)
+
+    @property
+    def doubt(self) -> float:
+        """Probability that nothing is gained, over drawn weights of the blocks."""
+        return float(np.mean(self.drawn <= 0.0))
+
+    @property
+    def share(self) -> float:
+        """Share of the squared error that goes, the file's strain for want of the term in it."""
+        there = float(self.loss.sum()) + abs(self.strain)
+        return (float(self.squares.sum()) + self.strain) / max(there, 1e-300)
+
+
+@lru_cache
+def weights_of(blocks: int) -> Array:
+    """Weights (DRAWS, blocks) of the Bayesian bootstrap."""
+    return np.random.default_rng(SEED).exponential(size=(DRAWS, blocks))
+
+
+def scatter(values: Array) -> float:
+    """Standard error of the sum of independent values (blocks,)."""
+    if len(values) < 2:
+        return np.inf
+    return float(np.std(values, ddof=1) * np.sqrt(len(values)))

@@ -42,6 +42,8 @@ from seqid_cli.robot.types import Array
 
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
 
+_KINDS = ("parameter", "prediction", "diagnosis")
+
 
 def compare(a: Source, b: Source, *, rule: Rule) -> Comparison:
     """Compare two parameter, prediction or diagnosis files.
@@ -70,6 +72,12 @@ def compare(a: Source, b: Source, *, rule: Rule) -> Comparison:
             where=b.path,
             hint="Compare files of one kind.",
         )
+    if kind not in _KINDS:
+        raise UsageError(
+            f"is a {kind} file; what can be compared: {', '.join(_KINDS)}",
+            where=a.path,
+            hint="Compare the parameter files that it was made from.",
+        )
     _same_robot(a, b)
     notes = []
     if a.content.robot.sha256 != b.content.robot.sha256:
@@ -88,7 +96,7 @@ def compare(a: Source, b: Source, *, rule: Rule) -> Comparison:
 def _kind(content: Document) -> str:
     if isinstance(content, ParameterFile):
         return "parameter"
-    return "prediction" if isinstance(content, PredictionFile) else "diagnosis"
+    return content.schema.removeprefix("seqid/").partition("@")[0]
 
 
 def _same_robot(a: Source, b: Source) -> None:

@@ -16,6 +16,8 @@ from seqid_cli.params.check import check_consistency
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
+from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
+from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
@@ -24,14 +26,17 @@ if TYPE_CHECKING:
 
 Json = dict[str, object]
 Migration = Callable[[Json], Json]
-Document = ParameterFile | PredictionFile | DiagnosisFile
+Result = PredictionFile | DiagnosisFile | PayloadFile | PlanFile
+Document = ParameterFile | Result
 
 PARAMS_VERSION = 1
 # From each older version: the function that turns it into the next. Version 1 is the oldest.
 PARAMS_MIGRATIONS: Mapping[int, Migration] = {}
-_RESULTS: Mapping[str, type[PredictionFile] | type[DiagnosisFile]] = {
+_RESULTS: Mapping[str, type[Result]] = {
     PREDICTION_SCHEMA: PredictionFile,
     DIAGNOSIS_SCHEMA: DiagnosisFile,
+    PAYLOAD_SCHEMA: PayloadFile,
+    PLAN_SCHEMA: PlanFile,
 }
 _RESULT_HINT = "Name JSON files that seqid wrote with -o."
 _MAX_BYTES = 256 * 1024 * 1024
@@ -224,7 +229,7 @@ class Source:
 
 
 def read_any(paths: Sequence[Path]) -> list[Source]:
-    """Read parameter, prediction and diagnosis files, in the order given.
+    """Read parameter files and results about one robot, in the order given.
 
     Raises
     ------
@@ -254,7 +259,7 @@ def _read(path: Path) -> Source:
     return Source(where, sha256, _result(data, match, where))
 
 
-def _result(data: bytes, match: re.Match[str], where: str) -> PredictionFile | DiagnosisFile:
+def _result(data: bytes, match: re.Match[str], where: str) -> Result:
     name, kind = match.group(), match["kind"]
     if name in _RESULTS:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -10,14 +10,22 @@ from typing import Literal
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import join, present
 from seqid_cli.params.evidence_schema import EvidenceEntry
-from seqid_cli.params.io import Source
+from seqid_cli.params.io import Result, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
-from seqid_cli.params.results.prediction import PredictionFile
+from seqid_cli.params.results.payload import PayloadFile
+from seqid_cli.params.results.plan import PlanFile
+from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import ParameterFile, RobotId, Stages
 
 Kind = Literal["identified", "refined", "simultaneous"]
 KINDS: tuple[Kind, ...] = ("refined", "identified", "simultaneous")
 _MOST_JOINTS = 200
+WRITTEN_BY: Mapping[type, str] = {
+    PredictionFile: "predict",
+    DiagnosisFile: "diagnose",
+    PayloadFile: "payload",
+    PlanFile: "plan",
+}
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,8 @@ class Collection:
     models: tuple[Model, ...]
     predictions: tuple[Prediction, ...]
     diagnoses: tuple[Diagnosed, ...]
+    payloads: tuple[PayloadFile, ...]
+    plans: tuple[PlanFile, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -155,6 +165,8 @@ def collect(documents: Sequence[Source]) -> Collection:
             for item in unique
             if isinstance(item.content, DiagnosisFile)
         ),
+        payloads=tuple(item.content for item in unique if isinstance(item.content, PayloadFile)),
+        plans=tuple(item.content for item in unique if isinstance(item.content, PlanFile)),
         warnings=tuple(_warnings(unique)),
     )
 
@@ -228,16 +240,21 @@ def _check_stale(documents: Sequence[Source]) -> None:
     for item in documents:
         if isinstance(item.content, ParameterFile):
             continue
-        for used in item.content.parameters:
+        for used in models_of(item.content):
             now = given.get(Path(used.path).resolve())
             if now is not None and used.sha256 not in hashes:
-                kind = "predict" if isinstance(item.content, PredictionFile) else "diagnose"
+                kind = WRITTEN_BY[type(item.content)]
                 message = (
                     f"was made with {used.path} as it was before (sha256 {used.sha256[:12]}); "
                     f"{now.path} has changed since (now {now.sha256[:12]})"
                 )
                 hint = f"Run seqid {kind} again, or leave {item.path} out."
                 raise ConfigError(message, where=item.path, hint=hint)
+
+
+def models_of(content: Result) -> list[FileId]:
+    """The parameter files that a result was made with."""
+    return content.models if isinstance(content, PayloadFile) else content.parameters
 
 
 def _kind(file: ParameterFile) -> Kind:
@@ -278,7 +295,7 @@ def _warnings(documents: Sequence[Source]) -> Iterable[str]:
     for item in documents:
         if isinstance(item.content, ParameterFile) or not _has_parameters(documents):
             continue
-        for used in item.content.parameters:
+        for used in models_of(item.content):
             if used.sha256 not in given:
                 yield (
                     f"{item.path} was made with {used.path} (sha256 {used.sha256[:12]}), "

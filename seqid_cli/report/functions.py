@@ -22,7 +22,8 @@ def report(
     Parameters
     ----------
     files : path or sequence of paths
-        Parameter, prediction and diagnosis files of one robot; a torque file may be among them.
+        Parameter, prediction, diagnosis, payload and plan files of one robot; a torque file may be
+        among them.
     output : path
         Where the page goes.
     torques : path, optional

@@ -16,7 +16,9 @@ from seqid_cli.report.sections.imu import imu
 from seqid_cli.report.sections.loop import closed_loop
 from seqid_cli.report.sections.overview import overview
 from seqid_cli.report.sections.parameters import parameters
+from seqid_cli.report.sections.payload import payload
 from seqid_cli.report.sections.pipeline import pipeline
+from seqid_cli.report.sections.plan import plan
 from seqid_cli.report.sections.torque import torque
 from seqid_cli.report.torques import TorqueTable, find_torques, matches
 
@@ -44,7 +46,7 @@ def make_report(
     Parameters
     ----------
     documents : sequence of Source
-        Parameter, prediction and diagnosis files of one robot, from `read_any`.
+        Parameter files and results about one robot, from `read_any`.
     torques : Path, optional
         What `seqid predict --torques` wrote; left out, the `torques.parquet` beside the
         prediction is taken if it holds exactly its logs.
@@ -66,7 +68,7 @@ def make_report(
         note = f"The torques are those of {table.path}, which lies beside the prediction."
     judgement = judge(collection)
     used = table.path if table else ""
-    sections = [
+    made = [
         overview(collection, judgement),
         pipeline(collection, used),
         torque(collection, table, note),
@@ -75,7 +77,10 @@ def make_report(
         imu(collection),
         diagnosis(collection),
         closed_loop(collection),
+        payload(collection),
+        plan(collection),
     ]
+    sections = [section for section in made if section is not None]
     html = render(collection, judgement, sections, title=title)
     whole = {
         section.id: not section.absent and not any(group.absent for group in section.groups)

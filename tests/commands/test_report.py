@@ -106,9 +106,9 @@ def test_unknown_files_are_named(rig: Rig, good: list[str]) -> None:
     done = rig.run("report", good[0], "none.json", "-o", "r.html")
     assert done.code == 2
     assert "none.json: does not exist" in done.err
-    (rig.folder / "plan.json").write_text('{"schema": "seqid/plan@1"}')
-    done = rig.run("report", good[0], "plan.json", "-o", "r.html")
-    assert "plan.json: is a plan file" in done.err
+    (rig.folder / "trend.json").write_text('{"schema": "seqid/trend@1"}')
+    done = rig.run("report", good[0], "trend.json", "-o", "r.html")
+    assert "trend.json: is a trend file" in done.err
     assert rig.run("report", "-o", "r.html").code == 2
     assert rig.run("report", good[0]).code == 2
 

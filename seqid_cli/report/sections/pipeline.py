@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from seqid_cli.params.document import present
+from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import InputLog, ParameterFile
-from seqid_cli.report.collection import Collection, Model
+from seqid_cli.report.collection import WRITTEN_BY, Collection, Model, models_of
 from seqid_cli.report.judgement import stage_verdicts
 from seqid_cli.report.views import Column, Section, Table
 from seqid_cli.report.words import effect_at, file_name, listed, plural
@@ -147,7 +148,7 @@ def _files(collection: Collection) -> Table:
             holds = ", ".join(present(content.stages))
         else:
             holds = "of " + ", ".join(
-                f"{file_name(used.path)} {used.sha256[:12]}" for used in content.parameters
+                f"{file_name(used.path)} {used.sha256[:12]}" for used in models_of(content)
             )
         made = f"{content.tool.name} {content.tool.version}"
         rows.append((item.path, kind, holds, content.created, made, item.sha256))
@@ -164,9 +165,8 @@ def _logs(collection: Collection) -> Table:
     found: dict[tuple[str, str, str], InputLog] = {}
     for item in collection.sources:
         content = item.content
-        own = {"prediction": "predict", "diagnosis": "diagnose"}
-        default = own.get(content.schema.removeprefix("seqid/").partition("@")[0], "refine")
-        for log in content.inputs:
+        default = WRITTEN_BY.get(type(content), "refine")
+        for log in [] if isinstance(content, PlanFile) else content.inputs:
             by = _COMMANDS.get(log.stage, log.stage) or default
             found.setdefault((by, log.sha256, log.path), log)
         if isinstance(content, ParameterFile) and content.closed_loop is not None:

@@ -313,7 +313,7 @@ def test_files_are_read_by_what_they_say_they_are(tmp_path: Path) -> None:
         ("{}", "`schema` is missing"),
         ('{"schema": 3}', "`schema` is 3"),
         ('{"schema": "other/params@1"}', "is no result"),
-        ('{"schema": "seqid/plan@1"}', "is a plan file"),
+        ('{"schema": "seqid/trend@1"}', "is a trend file"),
         ('{"schema": "seqid/diagnosis@9"}', "seqid/diagnosis@9"),
         ('{"schema": "seqid/prediction@1", "created": 5}', "created"),
         ('{"schema": "seqid/params@1"}', "created"),

@@ -1,0 +1,88 @@
+"""What the flange carries: the body, how controllers take it, and what it explains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from seqid_cli.params.results.payload import CarriedBodyEntry, Measured, PayloadFile
+from seqid_cli.report.collection import Collection
+from seqid_cli.report.views import VALUE_COLUMNS, Column, Group, Section, Table
+from seqid_cli.report.words import DASH, interval, number, percent, with_error
+
+
+def payload(collection: Collection) -> Section | None:
+    """Return the section on payloads; None where no file of one is given."""
+    if not collection.payloads:
+        return None
+    lead = (
+        "The body that the logs carry beyond the model, by the torque that the model leaves. Its "
+        "frame is that of the last joint; its inertia is about the centre of mass."
+    )
+    groups = [_group(place, file) for place, file in enumerate(collection.payloads)]
+    return Section("payload", "Payload", lead, groups)
+
+
+def _group(place: int, file: PayloadFile) -> Group:
+    good = all(verdict.good for verdict in file.verdicts)
+    return Group(
+        f"payload-{place + 1}",
+        f"Payload, frame {file.payload.frame}",
+        lead="; ".join(verdict.reason for verdict in file.verdicts if verdict.reason),
+        badge="good" if good else "poor",
+        badge_text="good" if good else "poor",
+        tables=[_body(file.payload), _settings(file), _joints(file)],
+        notes=file.notes,
+        unfolded=True,
+    )
+
+
+def _body(body: CarriedBodyEntry) -> Table:
+    rows = [_row("mass", body.mass)]
+    rows += [
+        _row(f"centre of mass {axis}", x)
+        for axis, x in zip("xyz", body.center_of_mass, strict=True)
+    ]
+    rows += [_row(name, own) for name, own in _inertia(body)]
+    return Table("The body", VALUE_COLUMNS, rows)
+
+
+def _inertia(body: CarriedBodyEntry) -> Iterator[tuple[str, Measured]]:
+    """The upper triangle of the inertia, row by row; nothing where it is not known."""
+    for i in range(3 if body.inertia else 0):
+        for k in range(i, 3):
+            error = body.inertia_std_errors[i][k]
+            own = Measured(value=body.inertia[i][k], std_error=error, unit="kg m^2")
+            yield f"inertia {'xyz'[i]}{'xyz'[k]}", own
+
+
+def _row(name: str, own: Measured) -> tuple[str, ...]:
+    if own.value is None or own.std_error is None:
+        return name, "not determined", DASH, DASH, own.unit
+    value, error = with_error(own.value, own.std_error)
+    return name, value, error, interval(own.value, own.std_error), own.unit
+
+
+def _settings(file: PayloadFile) -> Table:
+    rows = [(name, text) for name, text in file.settings.items()]
+    return Table("As controllers take it", (Column("for"), Column("setting")), rows)
+
+
+def _joints(file: PayloadFile) -> Table:
+    columns = (
+        Column("joint"),
+        Column("RMS error without", numeric=True, unit="N m"),
+        Column("RMS error with", numeric=True, unit="N m"),
+        Column("of the torque", numeric=True),
+        Column("friction differs by", numeric=True),
+    )
+    rows = [
+        (
+            name,
+            number(joint.before),
+            number(joint.after),
+            percent(joint.relative) if joint.relative is not None else DASH,
+            percent(joint.friction_change),
+        )
+        for name, joint in file.joints.items()
+    ]
+    return Table("Torque error where joints slide", columns, rows)

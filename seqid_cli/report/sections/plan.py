@@ -1,0 +1,69 @@
+"""What to record next, and the errors that it will give."""
+
+from __future__ import annotations
+
+from seqid_cli.params.results.plan import PlanFile, PlannedStage
+from seqid_cli.report.collection import Collection
+from seqid_cli.report.views import Column, Group, Section, Table
+from seqid_cli.report.words import number, percent
+
+
+def plan(collection: Collection) -> Section | None:
+    """Return the section on plans; None where none is given."""
+    if not collection.plans:
+        return None
+    groups = [
+        _group(f"plan-{place + 1}-{name}", name, file, stage)
+        for place, file in enumerate(collection.plans)
+        for name, stage in file.stages.items()
+    ]
+    lead = "Moves to record, and the standard errors that parameters will have after them."
+    return Section("plan", "What to record next", lead, groups)
+
+
+def _group(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
+    facts = [("moves", f"{number(stage.duration_s)} s")]
+    if stage.rank is not None and stage.structural_rank is not None:
+        facts.append(("rank", f"{stage.rank} of {stage.structural_rank}"))
+    if stage.condition is not None:
+        facts.append(("condition", number(stage.condition)))
+    return Group(
+        key,
+        name,
+        facts=facts,
+        tables=[table for table in (_moves(name, file), _errors(stage)) if table.rows],
+        notes=stage.notes,
+    )
+
+
+def _moves(name: str, file: PlanFile) -> Table:
+    columns = (
+        Column("move"),
+        Column("joints"),
+        Column("duration", numeric=True, unit="s"),
+        Column("largest torque of the limit", numeric=True),
+    )
+    rows = [
+        (
+            move.name,
+            ", ".join(move.joints),
+            number(move.duration_s),
+            "not known" if move.torque_share is None else percent(move.torque_share),
+        )
+        for move in file.moves
+        if move.stage == name
+    ]
+    return Table("Moves", columns, rows)
+
+
+def _errors(stage: PlannedStage) -> Table:
+    columns = (
+        Column("parameter"),
+        Column("std error after", numeric=True),
+        Column("value so far", numeric=True),
+        Column("unit"),
+    )
+    rows = [
+        (own.name, number(own.std_error), number(own.value), own.unit) for own in stage.parameters
+    ]
+    return Table("Standard errors that it will give", columns, rows)

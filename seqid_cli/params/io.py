@@ -19,6 +19,7 @@ from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
 from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
+from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 if TYPE_CHECKING:
@@ -238,6 +239,24 @@ def read_any(paths: Sequence[Path]) -> list[Source]:
         knows, or does not follow its schema. The message names the file and the key.
     """
     return [_read(path) for path in paths]
+
+
+def read_trend(path: Path) -> TrendFile | None:
+    """Read a trend; None where the document is another one.
+
+    Raises
+    ------
+    ConfigError
+        It is missing, is no JSON, or does not follow its schema.
+    """
+    data = read_bytes(path)
+    if parse_document(data, str(path)).get("schema") != TREND_SCHEMA:
+        return None
+    try:
+        return msgspec.json.decode(data, type=TrendFile)
+    except (msgspec.ValidationError, RecursionError) as error:
+        hint = "The file was edited or damaged: run seqid trend again."
+        raise ConfigError(str(error), where=str(path), hint=hint) from error
 
 
 def _read(path: Path) -> Source:

@@ -8,8 +8,9 @@ from pathlib import Path
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import PathLike, Paths, listed, optional, warn
 from seqid_cli.params.files import check_output, write_text_atomic
-from seqid_cli.params.io import read_any
+from seqid_cli.params.io import read_any, read_trend
 from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
+from seqid_cli.params.results.trend import TrendFile
 
 _MAGIC = b"PAR1"
 
@@ -23,7 +24,7 @@ def report(
     ----------
     files : path or sequence of paths
         Parameter, prediction, diagnosis, payload and plan files of one robot; a torque file may be
-        among them.
+        among them. Or one trend, which is a page of its own.
     output : path
         Where the page goes.
     torques : path, optional
@@ -35,6 +36,8 @@ def report(
     documents, table = _sorted([Path(path) for path in listed(files)], optional(torques))
     inputs = [*documents, *([table] if table else [])]
     check_output(target, inputs)
+    if len(documents) == 1 and (found := read_trend(documents[0])) is not None:
+        return _trend_report(found, documents[0], target, title)
     sources = read_any(documents)
     from seqid_cli.report.make import make_report
 
@@ -53,6 +56,25 @@ def report(
         files=[item.path for item in made.collection.sources],
         torques=made.torques or None,
         bytes=len(made.html.encode()),
+    )
+
+
+def _trend_report(file: TrendFile, path: Path, target: Path, title: str) -> ReportFile:
+    """Write the page of a trend, which is one of its own."""
+    from seqid_cli.report.trend import trend_page
+
+    html, judgement, sections = trend_page(file, title=title)
+    write_text_atomic(target, html, inputs=[path])
+    return ReportFile(
+        output=str(target),
+        robot=", ".join(file.robots),
+        verdict=judgement.level,
+        sentence=judgement.sentence,
+        points=[],
+        sections=[ReportSection(id=section.id, complete=True) for section in sections],
+        files=[str(path)],
+        torques=None,
+        bytes=len(html.encode()),
     )
 
 

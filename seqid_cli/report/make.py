@@ -21,6 +21,7 @@ from seqid_cli.report.sections.pipeline import pipeline
 from seqid_cli.report.sections.plan import plan
 from seqid_cli.report.sections.torque import torque
 from seqid_cli.report.torques import TorqueTable, find_torques, matches
+from seqid_cli.report.words import plural
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,9 @@ def make_report(
         plan(collection),
     ]
     sections = [section for section in made if section is not None]
-    html = render(collection, judgement, sections, title=title)
+    robot = collection.robot
+    about = [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"]
+    html = render(title or robot.name, about, judgement, sections)
     whole = {
         section.id: not section.absent and not any(group.absent for group in section.groups)
         for section in sections

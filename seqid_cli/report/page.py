@@ -15,15 +15,19 @@ import jinja2
 
 from seqid_cli import __version__
 from seqid_cli.params.document import now
-from seqid_cli.report.collection import Collection
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.views import Section
 
 
 def render(
-    collection: Collection, judgement: Judgement, sections: Sequence[Section], *, title: str = ""
+    title: str,
+    about: Sequence[str],
+    judgement: Judgement,
+    sections: Sequence[Section],
+    *,
+    subject: str = "Dynamic model",
 ) -> str:
-    """Return the page."""
+    """Return the page; `about` are facts under its title, `subject` says what it is about."""
     folder = files("seqid_cli.report") / "templates"
     style, script = (
         (folder / name).read_text(encoding="utf-8") for name in ("style.css", "script.js")
@@ -32,8 +36,9 @@ def render(
         _environment()
         .get_template("report.html.j2")
         .render(
-            title=title or collection.robot.name,
-            robot=collection.robot,
+            title=title,
+            about=about,
+            subject=subject,
             judgement=judgement,
             sections=sections,
             style=style,

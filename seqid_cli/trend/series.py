@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -79,10 +80,10 @@ def robots_of(files: Sequence[Dated], by: By) -> dict[str, list[Dated]]:
     UsageError
         If no robot has two files, or files of one robot name other joints.
     """
+    names = _folders(files) if by == "folder" else [dated.file.robot.name for dated in files]
     found: dict[str, list[Dated]] = {}
-    for dated in files:
-        folder = str(Path(dated.path).parent)
-        found.setdefault(folder if by == "folder" else dated.file.robot.name, []).append(dated)
+    for name, dated in zip(names, files, strict=True):
+        found.setdefault(name, []).append(dated)
     for name, own in found.items():
         own.sort(key=lambda dated: dated.time)
         for dated in own:
@@ -98,6 +99,15 @@ def robots_of(files: Sequence[Dated], by: By) -> dict[str, list[Dated]]:
             hint="Give results of several dates; --by folder tells robots of one name apart.",
         )
     return found
+
+
+def _folders(files: Sequence[Dated]) -> list[str]:
+    """Folders of the files, without what is common to all of them."""
+    folders = [Path(dated.path).parent for dated in files]
+    common = os.path.commonpath([folder.absolute() for folder in folders])
+    if all(folder.absolute() == Path(common) for folder in folders):
+        return [Path(common).name] * len(files)
+    return [str(folder.absolute().relative_to(common)) for folder in folders]
 
 
 def series_of(robot: str, files: Sequence[Dated]) -> Iterator[Series]:

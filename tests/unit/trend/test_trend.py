@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import EffectOfJoint, ParameterFile
+from seqid_cli.report import report
 from seqid_cli.trend import TrendOptions, trend
 from tests.unit.params.documents import inertia_file
 
@@ -77,7 +78,7 @@ def test_scatter_beyond_the_errors_is_seen(tmp_path: Path) -> None:
             files.append(path)
     found = trend(files, TrendOptions(by="folder"), table=tmp_path / "all.parquet")
     assert found.alarm is False
-    assert len(found.robots) == 4
+    assert found.robots == [f"robot_{k}" for k in range(4)]
     assert found.inflation["gravity"] == pytest.approx(3.0, rel=0.35)
     table = pq.read_table(tmp_path / "all.parquet")
     assert table.num_rows == sum(len(own.values) for own in found.series)
@@ -132,3 +133,24 @@ def test_the_document_is_json(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "trend.json").read_text())
     assert document["schema"] == "seqid/trend@1"
     assert document["alarm"] is False
+
+
+def test_the_page_shows_what_changed(tmp_path: Path) -> None:
+    change = np.where(np.arange(DATES) >= 7, 0.1, 0.0)
+    trend(history(1, change), output=tmp_path / "trend.json")
+    made = report(tmp_path / "trend.json", tmp_path / "trend.html")
+    assert (made.verdict, made.robot) == ("poor", "arm")
+    assert [section.id for section in made.sections] == ["verdict", "robot-1"]
+    text = (tmp_path / "trend.html").read_text()
+    assert text.count("<svg") == 1
+    for shown in ("gravity mx_1", dated(7)[:10], "Trend report", "1 change beyond the error: arm"):
+        assert shown in text
+
+
+def test_a_page_of_healthy_robots_is_good(tmp_path: Path) -> None:
+    trend(history(2), output=tmp_path / "trend.json")
+    made = report(tmp_path / "trend.json", tmp_path / "trend.html", title="Cell 7")
+    assert made.verdict == "good"
+    text = (tmp_path / "trend.html").read_text()
+    assert "<h1>Cell 7</h1>" in text
+    assert "<svg" not in text

@@ -34,6 +34,7 @@ _MEANING = {  # what each number of a joint is, for hints
     "velocity_limit": "It is the largest speed in rad/s.",
 }
 _POSITIVE = ("torque_constant", "encoder_resolution", "velocity_limit")
+SMALLEST, LARGEST = 1e-12, 1e9  # in SI units, of any constant of a drive, of any number
 
 
 _WORD = re.compile(r"[a-z][a-z0-9_]{0,40}")
@@ -118,6 +119,9 @@ class _Checks:
     def finite(self, key: str, value: float) -> None:
         if not math.isfinite(value):
             self.fail(f"{key} is {value}, not a finite number", "Write a finite number.")
+        if abs(value) > LARGEST:
+            hint = f"Write it in SI units; up to {LARGEST:g} is read."
+            self.fail(f"{key} is {value:g}, which no arm has", hint)
 
     def unique(self, table: str, names: list[str]) -> None:
         for k, name in enumerate(names):
@@ -154,6 +158,8 @@ class _Checks:
                 continue
             self.finite(f"{key}.{name}{of}", value)
             limit = "above 0" if name in _POSITIVE and value <= 0.0 else ""
+            if name in (*_POSITIVE, "gear_ratio") and 0.0 < abs(value) < SMALLEST:
+                limit = f"{SMALLEST:g} or more"
             if name == "gear_ratio" and value == 0.0:
                 limit = "other than 0"
             if name == "rotor_inertia" and value < 0.0:

@@ -156,6 +156,10 @@ CASES = {
     ),
     "twice": (ONE + DH, "not valid TOML: .*line"),
     "syntax": ("a b\n" + ONE, r"not valid TOML: .*line 4"),
+    "overflows": (ONE + "gear_ratio = 1e300\n", r"gear_ratio .* is 1e\+300, which no arm has"),
+    "inertia overflows": (ONE + "rotor_inertia = 1e300\n", "rotor_inertia .* which no arm has"),
+    "geometry overflows": (ONE.replace("0.1", "1e300"), r"dh\.a .* which no arm has"),
+    "subnormal": (ONE + "torque_constant = 5e-324\n", r"torque_constant .* 1e-12 or more"),
     "huge": (ONE + f"gear_ratio = 1{'0' * 400}\n", r"gear_ratio|too large"),
     "deep": ("x = " + "[" * 100000 + "\n", "not valid TOML"),
 }

@@ -6,6 +6,7 @@ from collections.abc import Container, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing_share
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
@@ -54,9 +55,32 @@ def _of_moving(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]
     if stuck:
         yield "torque_stuck", stuck
         return
+    spikes = _spikes(values)
+    if len(spikes):
+        size = float(values[spikes[0]])
+        text = f"is {size:.4g} for a moment at {t[spikes[0]]:.3f} s"
+        more = f" and {len(spikes) - 1} more times" if len(spikes) > 1 else ""
+        yield "torque_spikes", text + more
     limit = clipped(values)
     if limit is not None:
         yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
+
+
+def _spikes(
+    values: Array,
+    *,
+    min_ratio: float = 10.0,  # times what the usual samples differ from their neighbours
+    min_share: float = 1.0,  # of the span of the usual values
+    max_spikes: int = 16,
+) -> NDArray[np.intp]:
+    """Samples far from their neighbours on both sides, which agree with each other."""
+    if len(values) <= 4 * max_spikes:
+        return np.zeros(0, dtype=np.intp)
+    off = np.abs(values - median_filter(values, 7, mode="nearest"))
+    usual = float(np.partition(off, len(off) - max_spikes)[-max_spikes - 1])
+    span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
+    found_at: NDArray[np.intp] = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
+    return found_at if len(found_at) <= max_spikes else found_at[:0]
 
 
 def torque_quality(

@@ -271,6 +271,13 @@ CODES: Mapping[str, Code] = {
         "One single value.",
         "Log the measured motor current or torque.",
     ),
+    "torque_spikes": Code(
+        "warning",
+        "Single values of torque or current are far off.",
+        "At most 16 samples that differ from the median of their neighbours by more than the span "
+        "of all others, and by 10 times what others do.",
+        "Look at driver and cable; remove these samples: they weigh in every least squares.",
+    ),
     "torque_stuck": Code(
         "error",
         "The torque stands still for a while although the joint moves.",

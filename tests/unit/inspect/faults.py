@@ -161,6 +161,7 @@ FAULTS = (
     Fault("rows repeated", "stamps_repeated", "", p.repeated_rows),
     Fault("torque zero", "torque_zero", "elbow", p.constant("elbow.current", 0.0)),
     Fault("torque constant", "torque_constant_value", "elbow", p.constant("elbow.current", 0.7)),
+    Fault("torque spikes", "torque_spikes", "elbow", p.spikes("elbow.current", 60.0)),
     Fault("torque stuck", "torque_stuck", "elbow", p.stuck("elbow.current", 1.0)),
     Fault("torque held", "channel_held", "elbow", p.held("elbow.current", 5)),
     Fault("torque clipped", "torque_saturated", "elbow", p.clipped("elbow.current", 0.6)),

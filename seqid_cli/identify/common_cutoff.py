@@ -32,6 +32,7 @@ from seqid_cli.motion.filters.bandwidth import (
     Score,
     first_maximum,
     lowest_as_good,
+    needed_hz,
 )
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
@@ -118,7 +119,9 @@ def _summed(scores: Sequence[tuple[Score, float]]) -> tuple[Array, int]:
     """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
     ordered = sorted(tuple(one.values) for one, _ in scores)  # sums to the last bit
     highest = min(limit for _, limit in scores)
-    highest = min(highest, max(one.highest_hz for one, _ in scores))
+    seconds = sum(one.seconds for one, _ in scores)
+    needed = needed_hz(max(one.joints for one, _ in scores), seconds)
+    highest = min(highest, max(needed, *(one.highest_hz for one, _ in scores)))
     return np.sum(ordered, axis=0), max(1, int(np.searchsorted(GRID, highest, side="right")))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filters.bandwidth import HIGHEST_HZ, Cutoff
+from seqid_cli.motion.filters.bandwidth import HIGHEST_HZ, NOISE_BANDWIDTH, Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.filters.survey import Survey
@@ -21,7 +21,6 @@ from seqid_cli.typing import Array, Mask
 
 SAMPLES_PER_CUTOFF = 10
 PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
-NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
 
 
 @dataclass(frozen=True)

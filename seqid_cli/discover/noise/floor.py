@@ -47,9 +47,9 @@ from seqid_cli.discover.noise.spectra import (
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filters.bandwidth import encoder_step
+from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH, encoder_step
 from seqid_cli.motion.filters.differentiation import runs, shrink
-from seqid_cli.motion.motion import NOISE_BANDWIDTH, Motion, encoder_resolution
+from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
 from seqid_cli.typing import Array
 

@@ -14,7 +14,9 @@ errors-in-variables bias. The cut-off maximises
 which stops where a further percent of information would cost more than 1 / KAPPA percent of bias.
 With a fine encoder that is higher than the model reaches (elasticity, ripple), so the cut-off also
 stays below ten times the motion's own bandwidth, the frequency below which 99 percent of the
-velocity's power lies.
+velocity's power lies. A slow motion of many joints in a short log needs more: the cut-off may be as
+high as leaves twice as many independent samples of each joint's torque as a chain of so many links
+has inertial parameters.
 
 With motion from the smoother, N is the power of its error instead (see `smoothed_error`). That is
 so small that J rises as long as the motion has content; the cut-off is the lowest one within a
@@ -24,6 +26,7 @@ is never below that of the encoders, beside which the smoother has nowhere more 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +37,9 @@ from seqid_cli.typing import Array, Mask
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
 BANDWIDTHS = 10.0
+NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
+PER_LINK = 10  # inertial parameters
+PER_PARAMETER = 2.0  # independent samples of a joint's torque
 CLEAR_FALL = 0.05  # of the score, beyond which a later maximum is not looked for
 WORTH = 0.01  # of the score per joint, that a higher cut-off of smoothed motion must bring
 
@@ -135,11 +141,20 @@ class Score:
     values: Array
     bandwidth_hz: float
     joints: int
+    seconds: float = math.inf
 
     @property
     def highest_hz(self) -> float:
         """Highest cut-off that the motion's bandwidth allows."""
         return max(BANDWIDTHS * self.bandwidth_hz, 2 * LOWEST_HZ)
+
+
+def needed_hz(joints: int, seconds: float) -> float:
+    """Cut-off [Hz] at which so many seconds hold the independent samples that a chain needs.
+
+    Low-passed noise has 2 B independent samples a second, B its bandwidth.
+    """
+    return PER_PARAMETER * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
 
 
 def choose_smoothed_cutoff(

@@ -25,6 +25,7 @@ from seqid_cli.motion.filters.bandwidth import (
     acceleration_powers,
     bandwidth_of,
     first_maximum,
+    needed_hz,
 )
 from seqid_cli.motion.segmentation import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
@@ -221,7 +222,8 @@ class Survey:
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)
         if len(joints):
-            highest = min(highest, max(BANDWIDTHS * self._widest(joints), 2 * LOWEST_HZ))
+            own = max(BANDWIDTHS * self._widest(joints), 2 * LOWEST_HZ)
+            highest = min(highest, max(own, needed_hz(len(joints), self._seen / self.rate_hz)))
         candidates = np.geomspace(min(LOWEST_HZ, highest / 2), highest, 120)
         score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
         floors = step**2 / 12 * 2 / self.rate_hz
@@ -241,7 +243,8 @@ class Survey:
         below = np.minimum(cutoffs, self.rate_hz / 2)
         for _, signal, noise, _ in self._powers(joints, step, below):
             values += np.log(signal) - KAPPA * noise / signal
-        return Score(values, self._widest(joints), len(joints))
+        seconds = self._seen / self.rate_hz
+        return Score(values, self._widest(joints), len(joints), seconds)
 
     def _steps(self, resolution: Array) -> tuple[Array, Index]:
         """Encoder steps (n,) rad and the joints that move."""

@@ -31,8 +31,8 @@ from seqid_cli.motion.filters.bandwidth import (
     LOWEST_HZ,
     Score,
     first_maximum,
+    highest_of,
     lowest_as_good,
-    needed_hz,
 )
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
@@ -119,9 +119,9 @@ def _summed(scores: Sequence[tuple[Score, float]]) -> tuple[Array, int]:
     """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
     ordered = sorted(tuple(one.values) for one, _ in scores)  # sums to the last bit
     highest = min(limit for _, limit in scores)
-    seconds = sum(one.seconds for one, _ in scores)
-    needed = needed_hz(max(one.joints for one, _ in scores), seconds)
-    highest = min(highest, max(needed, *(one.highest_hz for one, _ in scores)))
+    widest = max(one.bandwidth_hz for one, _ in scores)
+    joints, seconds = max(one.joints for one, _ in scores), sum(one.seconds for one, _ in scores)
+    highest = min(highest, highest_of(widest, joints, seconds))
     return np.sum(ordered, axis=0), max(1, int(np.searchsorted(GRID, highest, side="right")))
 
 

@@ -32,13 +32,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import welch
 
+from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.typing import Array, Mask
 
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
 BANDWIDTHS = 10.0
 NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
-PER_LINK = 10  # inertial parameters
 PER_PARAMETER = 2.0  # independent samples of a joint's torque
 CLEAR_FALL = 0.05  # of the score, beyond which a later maximum is not looked for
 WORTH = 0.01  # of the score per joint, that a higher cut-off of smoothed motion must bring
@@ -146,15 +146,16 @@ class Score:
     @property
     def highest_hz(self) -> float:
         """Highest cut-off that the motion's bandwidth allows."""
-        return max(BANDWIDTHS * self.bandwidth_hz, 2 * LOWEST_HZ)
+        return highest_of(self.bandwidth_hz)
 
 
-def needed_hz(joints: int, seconds: float) -> float:
-    """Cut-off [Hz] at which so many seconds hold the independent samples that a chain needs.
+def highest_of(bandwidth_hz: float, joints: int = 0, seconds: float = math.inf) -> float:
+    """Highest cut-off [Hz] for a motion's bandwidth, and for the joints that move so long.
 
     Low-passed noise has 2 B independent samples a second, B its bandwidth.
     """
-    return PER_PARAMETER * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
+    needed = PER_PARAMETER * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
+    return max(BANDWIDTHS * bandwidth_hz, 2 * LOWEST_HZ, needed)
 
 
 def choose_smoothed_cutoff(

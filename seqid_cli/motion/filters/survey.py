@@ -16,7 +16,6 @@ from scipy.signal import get_window, welch
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.filters.bandwidth import (
-    BANDWIDTHS,
     HIGHEST_HZ,
     KAPPA,
     LOWEST_HZ,
@@ -25,7 +24,7 @@ from seqid_cli.motion.filters.bandwidth import (
     acceleration_powers,
     bandwidth_of,
     first_maximum,
-    needed_hz,
+    highest_of,
 )
 from seqid_cli.motion.segmentation import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
@@ -222,8 +221,8 @@ class Survey:
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)
         if len(joints):
-            own = max(BANDWIDTHS * self._widest(joints), 2 * LOWEST_HZ)
-            highest = min(highest, max(own, needed_hz(len(joints), self._seen / self.rate_hz)))
+            own = highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
+            highest = min(highest, own)
         candidates = np.geomspace(min(LOWEST_HZ, highest / 2), highest, 120)
         score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
         floors = step**2 / 12 * 2 / self.rate_hz

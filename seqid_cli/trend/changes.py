@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from seqid_cli.robust import gaussian_spread
 from seqid_cli.trend.series import Series
 
 Array = NDArray[np.float64]
 
 PER_KELVIN = 0.02  # of friction: the standard deviation of its change per kelvin
 ENOUGH = 30  # differences of neighbouring dates that tell the errors' inflation
-NORMAL_MEDIAN = float(stats.chi2.ppf(0.5, 1))  # median of the square of a normal value
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,14 @@ class Scatter:
 def scatter_of(series: Iterable[Series]) -> Scatter:
     """Inflation of the standard errors of quantities of one stage."""
     ratios = [
-        np.diff(own.values) ** 2 / np.maximum(own.errors[1:] ** 2 + own.errors[:-1] ** 2, 1e-300)
+        np.diff(own.values) / np.hypot(own.errors[1:], own.errors[:-1])
         for own in series
         if (own.errors > 0.0).all()
     ]
     every = np.concatenate(ratios) if ratios else np.zeros(0)
     if len(every) < ENOUGH:
         return Scatter(1.0, 0)
-    return Scatter(float(np.sqrt(max(np.median(every) / NORMAL_MEDIAN, 1.0))), len(every))
+    return Scatter(max(float(gaussian_spread(every)), 1.0), len(every))
 
 
 def limit_of(series: Sequence[Series], scatters: Iterable[Scatter], alpha: float) -> float:
@@ -109,8 +109,7 @@ def _fitted(series: Series, inflation: float, kind: str, at: int, column: Array)
     warmer = warmth - warmth.mean() if known else np.zeros(len(column))
     A = np.column_stack([np.ones(len(column)), column, warmer]) * root[:, None]
     size = max(float(np.abs(series.values).mean()), least)
-    prior = np.array([0.0, 0.0, 1.0 / (PER_KELVIN * size)])
-    rows = np.vstack([A, np.diag(prior)[2:]])
+    rows = np.vstack([A, [0.0, 0.0, 1.0 / (PER_KELVIN * size)]])
     y = np.append(series.values * root, 0.0)
     covariance = np.linalg.pinv(rows.T @ rows, hermitian=True, rcond=1e-14)
     theta = covariance @ (rows.T @ y)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -71,13 +72,9 @@ def _sizes(series: Sequence[Series]) -> Mapping[tuple[str, str, str], float]:
 
 def _entry(change: Change, relative: float) -> ChangeEntry:
     own = change.series
-    q = own.quantity
     return ChangeEntry(
         robot=own.robot,
-        stage=q.stage,
-        joint=q.joint,
-        name=q.name,
-        unit=q.unit,
+        **asdict(own.quantity),
         kind=change.kind,
         since=own.files[change.at].date,
         before=change.before,
@@ -91,12 +88,8 @@ def _entry(change: Change, relative: float) -> ChangeEntry:
 
 def _effects(robot: str, files: Sequence[Dated]) -> Iterator[ChangeEntry]:
     """Effects that a robot's first file does not hold and the last one does, or the other way."""
-    held = [
-        {(e.effect, e.joint or "") for e in dated.file.stages.effects}
-        for dated in files
-        if dated.file.stages.effects is not None
-    ]
-    dates = [dated.date for dated in files if dated.file.stages.effects is not None]
+    refined = [dated for dated in files if dated.file.stages.effects is not None]
+    held = [{(e.effect, e.joint or "") for e in d.file.stages.effects or []} for d in refined]
     if len(held) < 2:
         return
     for kind, some, others in (("appeared", held[-1], held[0]), ("gone", held[0], held[-1])):
@@ -110,18 +103,15 @@ def _effects(robot: str, files: Sequence[Dated]) -> Iterator[ChangeEntry]:
                 name=effect,
                 unit="",
                 kind=kind,
-                since=dates[last + 1],
+                since=refined[last + 1].date,
             )
 
 
 def _listed(series: Series) -> SeriesEntry:
-    q, warmth = series.quantity, series.temperatures
+    warmth = series.temperatures
     return SeriesEntry(
         robot=series.robot,
-        stage=q.stage,
-        joint=q.joint,
-        name=q.name,
-        unit=q.unit,
+        **asdict(series.quantity),
         dates=[dated.date for dated in series.files],
         values=series.values.tolist(),
         std_errors=series.errors.tolist(),

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
@@ -25,6 +25,7 @@ from seqid_cli.params.schema import SCHEMA, ParameterFile
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
+T = TypeVar("T")
 Json = dict[str, object]
 Migration = Callable[[Json], Json]
 Result = PredictionFile | DiagnosisFile | PayloadFile | PlanFile
@@ -249,23 +250,39 @@ def read_trend(path: Path) -> TrendFile | None:
     ConfigError
         It is missing, is no JSON, or does not follow its schema.
     """
-    data = read_bytes(path)
-    if parse_document(data, str(path)).get("schema") != TREND_SCHEMA:
+    data, document = _opened(path)
+    if document.get("schema") != TREND_SCHEMA:
         return None
+    return _decoded(data, TrendFile, "trend", str(path))
+
+
+def _opened(path: Path) -> tuple[bytes, Json]:
+    where = str(path)
     try:
-        return msgspec.json.decode(data, type=TrendFile)
+        data = read_bytes(path)
+        return data, parse_document(data, where)
+    except ConfigError as error:
+        raise ConfigError(error.message, where=where, hint=_RESULT_HINT) from error
+
+
+def _decoded(data: bytes, form: type[T], kind: str, where: str) -> T:
+    """Decode a result that is of a known kind.
+
+    Raises
+    ------
+    ConfigError
+        It does not follow its schema.
+    """
+    try:
+        return msgspec.json.decode(data, type=form)
     except (msgspec.ValidationError, RecursionError) as error:
-        hint = "The file was edited or damaged: run seqid trend again."
-        raise ConfigError(str(error), where=str(path), hint=hint) from error
+        hint = f"The file was edited or damaged: run the command that wrote the {kind} again."
+        raise ConfigError(str(error), where=where, hint=hint) from error
 
 
 def _read(path: Path) -> Source:
     where = str(path)
-    try:
-        data = read_bytes(path)
-        document = parse_document(data, where)
-    except ConfigError as error:
-        raise ConfigError(error.message, where=where, hint=_RESULT_HINT) from error
+    data, document = _opened(path)
     sha256 = hashlib.sha256(data).hexdigest()
     name = document.get("schema")
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
@@ -281,11 +298,7 @@ def _read(path: Path) -> Source:
 def _result(data: bytes, match: re.Match[str], where: str) -> Result:
     name, kind = match.group(), match["kind"]
     if name in _RESULTS:
-        try:
-            return msgspec.json.decode(data, type=_RESULTS[name])
-        except (msgspec.ValidationError, RecursionError) as error:
-            hint = f"The file was edited or damaged: run the command that wrote the {kind} again."
-            raise ConfigError(str(error), where=where, hint=hint) from error
+        return _decoded(data, _RESULTS[name], kind, where)
     known = [known for known in _RESULTS if known.startswith(f"seqid/{kind}@")]
     if not known:
         kinds = ", ".join(schema.split("@")[0] for schema in (SCHEMA, *_RESULTS))

@@ -82,16 +82,7 @@ def run(
 
 def _show(screen: Screen, file: PayloadFile) -> None:
     body = file.payload
-    rows = [_row("mass", body.mass)]
-    rows += [
-        _row(f"centre of mass {axis}", x)
-        for axis, x in zip("xyz", body.center_of_mass, strict=True)
-    ]
-    for i in range(3 if body.inertia else 0):
-        for k in range(i, 3):
-            error = body.inertia_std_errors[i][k]
-            own = Measured(value=body.inertia[i][k], std_error=error, unit="kg m^2")
-            rows.append(_row(f"inertia {'xyz'[i]}{'xyz'[k]}", own))
+    rows = [_row(name, own) for name, own in body.numbers()]
     screen.table((f"payload, frame {body.frame}", "value", "std error", "unit"), rows)
     joints = [
         (

@@ -7,7 +7,7 @@ the payload as they scale the model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +17,10 @@ from seqid_cli.errors import QualityError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.least_squares import Prior, Solution, solve
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.bodies.demand import identified
+from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.payload.rows import FRICTION_TERMS, LoadedModel, PayloadRows
 from seqid_cli.robot.regressor import PER_LINK
@@ -34,9 +36,9 @@ class PayloadFit:
     """Standard parameters `phi` (10,) of the body in the frame of the last joint.
 
     `covariance` (10, 10) is with all errors; `determined` (10,) says which the logs give by
-    themselves, `open_directions` (10, k) along which combinations nothing is known. `before`,
-    `after` (n,) N m are the RMS errors of the sliding samples without and with the body, `measured`
-    that of the torque, `friction_change` (n,) by how much friction was found to differ [1].
+    themselves. `before`, `after` (n,) N m are the RMS errors of the sliding samples without and
+    with the body, `measured` that of the torque, `friction_change` (n,) by how much friction was
+    found to differ [1].
     """
 
     phi: Array
@@ -50,7 +52,7 @@ class PayloadFit:
 
 
 def fit_payload(
-    recordings: Callable[[], Iterable[Recording]],
+    recordings: Iterable[Recording],
     robot: Robot,
     stages: Stages,
     *,
@@ -61,8 +63,8 @@ def fit_payload(
 
     Parameters
     ----------
-    recordings : callable
-        Returns the logs, read anew where the model's effects depend on the load.
+    recordings : iterable of Recording
+        The logs; they are held with their motion, which the rounds share.
     robot : Robot
     stages : Stages
         The model without the payload.
@@ -73,14 +75,17 @@ def fit_payload(
 
     Raises
     ------
+    InputError
+        If a log carries neither torque nor current.
     QualityError
         If no joint slides in these logs.
     """
     plain = LoadedModel.of(stages, robot, options)
-    first, solution = _solved(recordings(), plain, stages, friction_change)
+    logs = [(log, _motion(log, robot, stages, options)) for log in recordings]
+    first, solution = _solved(logs, plain, friction_change)
     rows, phi = first, solution.theta[:PER_LINK]
     for _ in range(ROUNDS - 1 if plain.effects else 0):
-        rows, solution = _solved(recordings(), plain.with_body(phi), stages, friction_change)
+        rows, solution = _solved(logs, plain.with_body(phi), friction_change)
         phi = phi + solution.theta[:PER_LINK]
     after = np.array(
         [joint.residual_rms(solution.theta) if joint.samples else 0.0 for joint in rows.joints]
@@ -98,13 +103,19 @@ def fit_payload(
     )
 
 
+def _motion(log: Recording, robot: Robot, stages: Stages, options: InertiaOptions) -> Motion:
+    torque_of(log)
+    encoder = estimate_motion(log, robot, options.motion)
+    return best_motion(log, robot, stages.imu, encoder, source=options.source)
+
+
 def _solved(
-    recordings: Iterable[Recording], loaded: LoadedModel, stages: Stages, friction_change: float
+    logs: Iterable[tuple[Recording, Motion]], loaded: LoadedModel, friction_change: float
 ) -> tuple[PayloadRows, Solution]:
     """Rows of the logs and what they say beyond a model."""
     rows = PayloadRows(loaded)
-    for recording in recordings:
-        rows.add(recording, stages)
+    for log, motion in logs:
+        rows.add(log, motion)
     if not rows.samples.any():
         raise QualityError(
             "no joint slides in these logs", hint="Record moves of every joint with the load."

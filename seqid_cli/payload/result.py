@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from seqid_cli.identify.common_cutoff import inherited
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.results.payload import (
     PAYLOAD_SCHEMA,
@@ -40,9 +39,8 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
     """Read the logs, fit, and describe the result."""
     rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
     given = LogSet.of(inputs)
-    read = _Once(given, imus=inputs.stages.imu is not None)
     fit = fit_payload(
-        read,
+        given,
         inputs.robot,
         inputs.stages,
         options=rigid,
@@ -66,17 +64,6 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
         verdicts=[*given.verdicts(), *_verdicts(fit, entry, names, options.good_error)],
         notes=[*given.notes(), *_notes(fit, entry, names)],
     )
-
-
-class _Once:
-    """Logs that are accounted for when they are read first, and read again without account."""
-
-    def __init__(self, logs: LogSet, *, imus: bool) -> None:
-        self.logs, self.imus, self.first = logs, imus, True
-
-    def __call__(self) -> Iterable[Recording]:
-        first, self.first = self.first, False
-        return iter(self.logs) if first else self.logs.again(imus=self.imus)
 
 
 def _parameters(fit: PayloadFit, joint: str) -> list[Parameter]:

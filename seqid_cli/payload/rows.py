@@ -21,16 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import slides_from
+from seqid_cli.identify.prediction.log_prediction import LogPrediction, slides_from
+from seqid_cli.identify.prediction.predict import predicted
 from seqid_cli.identify.regression.equations import blocks, filtered_regressor
 from seqid_cli.identify.regression.least_squares import Accumulator
-from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.model.effects.apply import added_torque, scene_of_log
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import TorqueModel, sliding
-from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import Basis, free_basis
 from seqid_cli.robot.regressor import PER_LINK
@@ -43,7 +42,7 @@ FRICTION_TERMS = 2  # changes of each joint's friction: as it is, and in proport
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """The model of a parameter file, with a body `phi` (10,) added to the last link."""
+    """The model of a parameter file, with a body added to the last link."""
 
     model: TorqueModel
     effects: tuple[Fitted, ...]
@@ -52,10 +51,8 @@ class LoadedModel:
 
     @classmethod
     def of(cls, stages: Stages, robot: Robot, options: InertiaOptions) -> LoadedModel:
-        """Take a file's stages; without a rigid body all mass of the last link is payload."""
+        """Take a file's stages, a rigid body among them."""
         model = TorqueModel.from_stages(stages, robot)
-        if model.phi is None:
-            model = replace(model, phi=np.zeros((robot.n, PER_LINK)), rotor=np.zeros(robot.n))
         return cls(model, tuple(fitted_effects(stages, robot)), options, free_basis(robot))
 
     @cached_property
@@ -72,14 +69,10 @@ class LoadedModel:
         links[-1] += phi
         return replace(self, model=replace(self.model, phi=links))
 
-    def torque(self, recording: Recording, motion: Motion) -> Array:
-        """Predicted torque (N, n) N m, filtered like `motion.tau`."""
-        torque = self.model.predict(motion)
-        if self.effects:
-            scene = scene_of_log(recording, self.model.robot, self.model, motion)
-            slowest = slides_from(self.model, self.options)
-            torque = torque + added_torque(scene, recording, self.effects, slowest).torque
-        return torque
+    def predicted(self, recording: Recording, motion: Motion) -> LogPrediction:
+        """Predict a log."""
+        slowest = slides_from(self.model, self.options)
+        return predicted(self.model, self.effects, slowest, motion, recording, slice(None))
 
 
 @dataclass
@@ -108,33 +101,22 @@ class PayloadRows:
         self.scaled = [np.zeros(self.size) for _ in range(n)]
         self.before, self.measured, self.samples = np.zeros(n), np.zeros(n), np.zeros(n)
 
-    def add(self, recording: Recording, stages: Stages) -> None:
-        """Add one log.
-
-        Raises
-        ------
-        InputError
-            If the log carries neither torque nor current.
-        """
-        robot, options = self.loaded.model.robot, self.loaded.options
-        torque_of(recording)
-        encoder = estimate_motion(recording, robot, options.motion)
-        motion = best_motion(recording, robot, stages.imu, encoder, source=options.source)
-        assert motion.tau is not None
-        left = motion.tau - self.loaded.torque(recording, motion)
-        slides = sliding(motion, slides_from(self.loaded.model, options))
+    def add(self, recording: Recording, motion: Motion) -> None:
+        """Add one log with its motion."""
+        options = self.loaded.options
+        log = self.loaded.predicted(recording, motion)
         friction = motion.filtered(sampled_friction(self.loaded.model.surfaces, motion), times=2)
         every = max(1, int(motion.rate_hz / (options.motion.samples_per_cutoff * motion.cutoff.hz)))
         for part, H in self._regressors(motion, every):
             speed = np.abs(motion.dq[part]) / np.maximum(np.abs(motion.dq).max(axis=0), 1e-12)
-            for j in range(robot.n):
-                own = slides[part][:, j]
+            for j in range(self.loaded.model.robot.n):
+                own = log.sliding[part][:, j]
                 self._add_joint(
                     j,
                     H[own, j],
                     np.column_stack([friction[part][own, j], (friction[part] * speed)[own, j]]),
-                    left[part][own, j],
-                    motion.tau[part][own, j],
+                    log.residual[part][own, j],
+                    log.tau[part][own, j],
                 )
 
     def _regressors(self, motion: Motion, every: int) -> Iterator[tuple[slice, Array]]:

@@ -114,7 +114,7 @@ class _PredictionOf:
         source = self.options.source
         motion = best_motion(log, self.model.robot, self.stages.imu, encoder, source=source)
         slowest = slides_from(self.model, self.options)
-        part = _predicted(self.model, self.effects, slowest, motion, log, slice(None))
+        part = predicted(self.model, self.effects, slowest, motion, log, slice(None))
         counts = _Counts.none(self.model.robot.n).plus(part, motion)
         return [_described(part, self.model, self.stages, motion, counts)]
 
@@ -202,11 +202,11 @@ class LongPrediction:
             start=self.log.start_ns * 1e-9,
         )
         slowest = np.array(self.slides_from)
-        part = _predicted(self.model, self.effects, slowest, motion, log, inner)
+        part = predicted(self.model, self.effects, slowest, motion, log, inner)
         return replace(part, samples=self.log.samples)
 
 
-def _predicted(
+def predicted(
     model: TorqueModel,
     effects: Sequence[Fitted],
     slowest: Array,
@@ -214,7 +214,20 @@ def _predicted(
     log: Recording,
     inner: slice,
 ) -> LogPrediction:
-    """Predict the inner samples of a motion; `log` holds what effects need of all of them."""
+    """Predict the inner samples of a motion.
+
+    Parameters
+    ----------
+    model : TorqueModel
+    effects : sequence of Fitted
+    slowest : (n,) array
+        Speeds [rad/s; m/s where prismatic] from which joints certainly slide.
+    motion : Motion
+        With torque.
+    log : Recording
+        What effects need of all samples.
+    inner : slice
+    """
     slides, added = sliding(motion, slowest), None
     if effects:
         added = added_torque(scene_of_log(log, model.robot, model, motion), log, effects, slowest)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import InputLog, Matrix, Parameter, RobotId, Tool, Verdict
@@ -31,6 +33,17 @@ class CarriedBodyEntry(Struct, kw_only=True):
     inertia: Matrix = []
     inertia_std_errors: Matrix = []
     distance: float = 0.0
+
+    def numbers(self) -> Iterator[tuple[str, Measured]]:
+        """Yield all numbers by name, the inertia's upper triangle row by row where it is known."""
+        yield "mass", self.mass
+        for axis, own in zip("xyz", self.center_of_mass, strict=True):
+            yield f"centre of mass {axis}", own
+        for i, row in enumerate(self.inertia):
+            for k in range(i, 3):
+                error = self.inertia_std_errors[i][k]
+                own = Measured(value=row[k], std_error=error, unit="kg m^2")
+                yield f"inertia {'xyz'[i]}{'xyz'[k]}", own
 
 
 class JointWithPayload(Struct, kw_only=True):

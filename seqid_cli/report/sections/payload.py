@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from seqid_cli.params.results.payload import CarriedBodyEntry, Measured, PayloadFile
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import VALUE_COLUMNS, Column, Group, Section, Table
@@ -37,22 +35,7 @@ def _group(place: int, file: PayloadFile) -> Group:
 
 
 def _body(body: CarriedBodyEntry) -> Table:
-    rows = [_row("mass", body.mass)]
-    rows += [
-        _row(f"centre of mass {axis}", x)
-        for axis, x in zip("xyz", body.center_of_mass, strict=True)
-    ]
-    rows += [_row(name, own) for name, own in _inertia(body)]
-    return Table("The body", VALUE_COLUMNS, rows)
-
-
-def _inertia(body: CarriedBodyEntry) -> Iterator[tuple[str, Measured]]:
-    """The upper triangle of the inertia, row by row; nothing where it is not known."""
-    for i in range(3 if body.inertia else 0):
-        for k in range(i, 3):
-            error = body.inertia_std_errors[i][k]
-            own = Measured(value=body.inertia[i][k], std_error=error, unit="kg m^2")
-            yield f"inertia {'xyz'[i]}{'xyz'[k]}", own
+    return Table("The body", VALUE_COLUMNS, [_row(name, own) for name, own in body.numbers()])
 
 
 def _row(name: str, own: Measured) -> tuple[str, ...]:

@@ -68,9 +68,6 @@ def score_of(
 
     Parameters
     ----------
-    log : Recording or SurveyedLog
-        Held, or passed over once.
-    robot : Robot
     imu : ImuStage, optional
         Calibrations, to score the motion that they give.
     source : str
@@ -140,12 +137,8 @@ def identification_options(
 
     Parameters
     ----------
-    logs : sequence of Path or Recording
-    robot : Robot
     cutoff_hz : float or None
         As given by the user.
-    imu : ImuStage, optional
-        Calibrations that the motion is made with.
     source : str
         Where the motion comes from, as of `best_motion`.
     time_source : {"header", "log"}

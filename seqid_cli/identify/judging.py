@@ -76,14 +76,8 @@ def judged(
 
     Parameters
     ----------
-    found : Stages
-        The new stages alone.
-    previous : ParameterFile or None
-        The stages before.
-    robot : Robot
     findings : sequence of InspectionFinding
         Of the inspection of the logs that were read.
-    limits : Limits
 
     Returns
     -------
@@ -112,10 +106,8 @@ def physics_verdicts(stages: Stages, robot: Robot, *, limits: Limits = Limits())
 
     Parameters
     ----------
-    stages : Stages
     robot : Robot
         As it is now: its gear ratios or gravity may not be those of the identification.
-    limits : Limits
 
     Returns
     -------

@@ -56,7 +56,6 @@ class LogSet:
     ----------
     logs : sequence of Path or Recording
         A recording is taken as it is, without checks.
-    robot : Robot
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
     imus : bool
@@ -65,7 +64,6 @@ class LogSet:
         Whether logs that cannot be used are left out.
     executor : Executor, optional
         Who reads and reduces the logs; None does it here.
-    on_progress : callable, optional
     left_out : list of str
         What was left out before.
     before : callable, optional
@@ -244,7 +242,6 @@ def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
 
     Parameters
     ----------
-    logs : LogSet, or iterable of Recording and of logs to be passed over
     part : callable
         From a log and its number to a part. To be sent elsewhere it must be an object of a class,
         or a function, of a module.

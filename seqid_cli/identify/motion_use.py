@@ -19,16 +19,7 @@ from seqid_cli.typing import Array
 
 
 def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
-    """Describe the motion of one log.
-
-    Parameters
-    ----------
-    path : Path
-        The log.
-    robot : Robot
-    motion : Motion
-        As it was used.
-    """
+    """Describe the motion of one log."""
     own = motion.acceleration_error
     before = own if motion.encoder_error is None else motion.encoder_error
     moving = np.flatnonzero(motion.moving.any(axis=0))

@@ -36,13 +36,6 @@ WIDE = 3.0  # widths of the sign within which friction is not smooth
 def sampled_friction(surfaces: list[FrictionSurface | None], motion: Motion) -> Array:
     """Friction torque of a motion, its step at reversals kept below half of the rate.
 
-    Parameters
-    ----------
-    surfaces : list of FrictionSurface or None
-        One per joint.
-    motion : Motion
-        Thinned or not.
-
     Returns
     -------
     (N, n) array [N m; N where prismatic]

@@ -63,9 +63,6 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
 
     Parameters
     ----------
-    rate_hz : float
-        Samples per second of the log.
-    cutoff : Cutoff
     step : (n,) array
         Position changes [rad] that are more than noise.
     samples_per_cutoff : float
@@ -89,7 +86,6 @@ def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     ----------
     blocks : iterable of Block
         The log's samples in order.
-    plan : Plan
 
     Yields
     ------

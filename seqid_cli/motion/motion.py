@@ -91,12 +91,8 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
 
     Parameters
     ----------
-    recording : Recording
-        One log.
     robot : Robot
         The robot it is of; encoder resolutions are used where the file gives them.
-    options : MotionOptions
-        The cut-off, where the user sets it.
 
     Returns
     -------
@@ -192,7 +188,6 @@ def highest_bridged(
 
     Parameters
     ----------
-    recording : Recording
     min_share : float
         Share of the samples, from which on bridged ones limit the cut-off.
     max_periods : float

@@ -72,8 +72,6 @@ def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) 
     ----------
     q : (N, n) array
         Encoder positions [rad].
-    rate_hz : float
-        Samples per second.
     step : (n,) array
         Encoder noise [rad], see `noise_step`.
     at : (K,) array of int, optional
@@ -128,8 +126,6 @@ def constant_velocity(q: Array, rate_hz: float, *, step: Array, valid: Mask) -> 
     ----------
     q : (N, n) array
         Encoder positions [rad].
-    rate_hz : float
-        Samples per second.
     step : (n,) array
         Encoder noise [rad].
     valid : (N,) bool array

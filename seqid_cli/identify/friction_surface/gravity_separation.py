@@ -26,10 +26,6 @@ def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) ->
 
     Parameters
     ----------
-    robot : Robot
-        Chain and gravity vector.
-    joint : int
-        The moving joint.
     configuration : (n,) array
         Positions of the joints before it [rad].
     q : (K,) array
@@ -122,15 +118,6 @@ class GravityFit:
 
 def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     """Fit p_xi per configuration to the half-sums, with or without direction dependence.
-
-    Parameters
-    ----------
-    robot : Robot
-        Chain and gravity vector.
-    joint : int
-        The moving joint.
-    trials : list of Trial
-        Its constant-velocity trials.
 
     Returns
     -------

@@ -42,11 +42,8 @@ def pieces(
 
     Parameters
     ----------
-    log : Recording or LongLog
     step : (n,) array
         Encoder noise [rad], see `noise_step`.
-    rows : int
-        Samples of a piece of a long log, at least.
 
     Yields
     ------

@@ -49,10 +49,6 @@ def without_acceleration(
 
     Parameters
     ----------
-    robot : Robot
-        Chain and gravity vector.
-    trials : sequence of Trial
-        Of one joint, in any configurations.
     surface : FrictionSurface
         Friction of the joint, if only a first estimate.
 

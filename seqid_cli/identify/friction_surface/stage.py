@@ -59,8 +59,6 @@ def identify_friction(
         Logs with torque; one joint moves at a time, forward and backward, at several speeds.
     robot : Robot
         Chain and gravity, to remove the gravity torque by Eq. 12-15.
-    options : FrictionOptions
-        Orders m, l and threshold beta.
 
     Returns
     -------

@@ -40,8 +40,6 @@ def weighted(
 
     Parameters
     ----------
-    data : sequence of SpeedData
-        Trials; their weights are samples.
     distances : sequence of (K,) arrays
         Of every slice from the surface, N m.
     min_scatter : float

@@ -63,10 +63,6 @@ def calibrate_imus(
     recordings : iterable of Recording
         Logs in which joints before the IMUs move, best one at a time and fast, the others locked
         in several configurations.
-    robot : Robot
-        With its IMUs.
-    options : MotionOptions
-        Cut-off.
 
     Returns
     -------

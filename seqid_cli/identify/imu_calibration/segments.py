@@ -109,10 +109,6 @@ def segments_of(
 
     Parameters
     ----------
-    recording : Recording
-        With the IMU's channels.
-    robot : Robot
-    imu : Imu
     motion : Motion
         Of the same recording, for what moves and how fast.
     log : int

@@ -140,17 +140,6 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
     Where the residual shows that a joint deflects, all is fitted once more with the accelerations
     by which it does as noise.
 
-    Parameters
-    ----------
-    segments : list of Segment
-    robot : Robot
-    imu : Imu
-    start : Constants
-
-    Returns
-    -------
-    Fit
-
     Raises
     ------
     QualityError

@@ -104,7 +104,6 @@ def prediction_file(
 
     Parameters
     ----------
-    inputs : Inputs
     logs : LogSet
         The logs that the predictions are of, which it reads while these are taken.
     predictions : iterable of LogPrediction

@@ -94,9 +94,6 @@ def notes_on(model: TorqueModel, stages: Stages, share: Array) -> Iterator[str]:
 
     Parameters
     ----------
-    model : TorqueModel
-    stages : Stages
-        That the model is of.
     share : (n,) array
         Of the samples at which a joint slides, those outside its identified friction.
     """

@@ -52,13 +52,8 @@ def predict(
 
     Parameters
     ----------
-    recordings : iterable of Recording
-        Logs with torque or current.
-    robot : Robot
     stages : Stages
         Whatever has been identified; what is missing is taken as zero and noted.
-    options : InertiaOptions
-        Cut-off and source of the motion.
     unexplained : bool
         Whether smooth terms of no known cause count as well.
 
@@ -218,15 +213,8 @@ def predicted(
 
     Parameters
     ----------
-    model : TorqueModel
-    effects : sequence of Fitted
     slowest : (n,) array
         Speeds [rad/s; m/s where prismatic] from which joints certainly slide.
-    motion : Motion
-        With torque.
-    log : Recording
-        What effects need of all samples.
-    inner : slice
     """
     slides, added = sliding(motion, slowest), None
     if effects:

@@ -70,8 +70,6 @@ class FilteredColumns:
 
     Parameters
     ----------
-    robot : Robot
-    basis : Basis
     longest : int
         Samples of a part, at most.
     reach : int

@@ -183,8 +183,6 @@ def solve(
     ----------
     joints : sequence of Accumulator
         One per joint, all of the same parameters.
-    prior : Prior, optional
-        Knowledge from earlier stages.
     iterations : int
         Rounds of reweighting by residual RMS.
     independent : float

@@ -71,10 +71,6 @@ def whitener_of(rows: Rows) -> Whitener:
     ----------
     rows : Rows
         The parameters' columns are taken out of the errors; more rows than columns.
-
-    Returns
-    -------
-    Whitener
     """
     shapes = [_shapes(rows, at) for at in _by_log(rows)]
     # Independent of any strength: the scale of what is left.

@@ -21,14 +21,6 @@ from seqid_cli.robot.types import Robot
 def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidStage:
     """Put the parameters of an inertia stage among those that bodies can have.
 
-    Parameters
-    ----------
-    stage : RigidStage
-        As it was identified.
-    stages : Stages
-        With the gravity stage, which it continues.
-    robot : Robot
-
     Returns
     -------
     RigidStage

@@ -61,8 +61,6 @@ def cutoff_check(
         As it is used.
     near : mapping of float to the same
         By multiple of the cut-off.
-    surfaces : sequence of FrictionSurface or None
-        Friction with its covariance.
     clear_sigma : float
         Standard errors of a difference, from which it is reported.
     """

@@ -17,8 +17,6 @@ def missing_pairs(robot: Robot, basis: Basis, left_open: Array) -> list[list[str
 
     Parameters
     ----------
-    robot : Robot
-    basis : Basis
     left_open : (b, k) array
         Directions of the base parameters that are not determined yet.
 

@@ -42,10 +42,6 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
     recordings : iterable of Recording
         Logs in which one joint at a time moves at constant velocity, the others locked in several
         configurations; those of the friction stage can be used again.
-    robot : Robot
-        Chain and gravity vector.
-    stages : Stages
-        With the friction stage.
 
     Returns
     -------

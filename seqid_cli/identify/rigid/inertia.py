@@ -57,8 +57,6 @@ def identify_inertia(
         Chain, gravity, gear ratios, known rotor inertias.
     stages : Stages
         With friction; with gravity where gravity loads the arm; with imu to use accelerometers.
-    options : InertiaOptions
-        Cut-off and source of the motion.
     compare : bool
         Whether to do it a second time with the encoders alone, for their standard errors.
 

@@ -100,8 +100,6 @@ def imu_moves(
 
     Parameters
     ----------
-    robot : Robot
-    basis : Basis
     inertia : (b,) array
         Base parameters, zero where accelerations do not show them.
     reflected : (n,) array

@@ -130,8 +130,6 @@ class Posterior:
         ----------
         solution : Solution
             Its covariance counts the prior's rows as independent of friction.
-        surfaces : sequence of FrictionSurface or None
-            With their covariances.
         direct : Sensitivity
             Of the solution to friction, the prior held.
         gain : (p, k) array

@@ -63,16 +63,8 @@ def identify_simultaneous(
 
     Parameters
     ----------
-    recordings : iterable of Recording
-        Any logs with torque.
-    robot : Robot
-        Chain, gravity, known rotor inertias.
-    options : MotionOptions
-        Cut-off.
     offset : bool
         Whether each joint has a constant torque F_o besides.
-    imu : ImuStage, optional
-        Calibrations, to use accelerometers.
     source : {"auto", "encoder", "imu", "fused"}
         Where motion comes from.
 

@@ -80,11 +80,6 @@ def consistent_links(J: Array, rotors: Array, demand: Demand) -> Consistent:
         Expected pseudo-inertias, positive definite.
     rotors : (k,) array
         Typical sizes of the rotor inertias [kg m^2], positive; they scale the problem.
-    demand : Demand
-
-    Returns
-    -------
-    Consistent
 
     Raises
     ------

@@ -103,7 +103,6 @@ def identified(
     ----------
     stages : Stages
         With gravity, with inertia, with both, or with neither.
-    robot : Robot
     more : (11 n,) array, optional
         Standard parameters, rotors last, that effects add to the identified ones.
 

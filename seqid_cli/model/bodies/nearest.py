@@ -31,9 +31,6 @@ def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -
 
     Parameters
     ----------
-    robot : Robot
-    found : Identified
-        What the stages say, with its covariance.
     kept : (n, 10) array, optional
         Parts of the links that stay as they are; the rest must be able to exist by itself.
 

@@ -177,8 +177,6 @@ def choose_smoothed_cutoff(
         Smoothed motion [rad/s, rad/s^2].
     variance : (n, 3) array
         As of `smoothed_error`.
-    rate_hz : float
-        Samples per second.
     moving : (n,) bool array
         Joints that move.
 
@@ -275,7 +273,6 @@ def acceleration_powers(
     frequency, density : (F,) arrays
         Spectrum [Hz, (rad/s^2)^2/Hz] of the second difference of the position: it whitens the
         steep spectrum of the position before the window smears it.
-    rate_hz : float
     step : float
         Of the encoder [rad].
     cutoffs : (C,) array [Hz]

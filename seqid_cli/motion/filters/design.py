@@ -62,8 +62,6 @@ def one_pass(cutoff_hz: float, rate_hz: float, every: int = 1) -> StateSpace:
     ----------
     cutoff_hz : float
         Of one pass.
-    rate_hz : float
-        Samples per second.
     every : int
         Which sample of a log is filtered; the log has `every` times the rate.
     """

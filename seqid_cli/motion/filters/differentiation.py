@@ -35,8 +35,6 @@ def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> t
     ----------
     values : (N, ...) array
         Low-passed well below a fifth of the sampling rate.
-    rate_hz : float
-        Samples per second.
     valid : (N,) bool array, optional
         Derivatives do not reach across samples that are not valid.
 

@@ -107,8 +107,6 @@ class Survey:
     ----------
     n : int
         Joints.
-    rate_hz : float
-        Samples per second, as far as it is known.
     samples : int
         How many will come, if that is known.
     """

@@ -115,10 +115,6 @@ POOR_CONDITION = 1e3
 def layout_report(imu: Imu) -> LayoutReport:
     """Say what a layout of accelerometers, and its gyro, can see.
 
-    Parameters
-    ----------
-    imu : Imu
-
     Returns
     -------
     LayoutReport
@@ -186,8 +182,6 @@ def calibrated(
 
     Parameters
     ----------
-    imu : Imu
-        As in the robot file.
     calibration : ImuCalibration
         What it does not determine is left as the robot file has it.
     accelerations : (N, K) array [m/s^2]
@@ -230,22 +224,14 @@ def read_angular(
 
     Parameters
     ----------
-    imu : Imu
-        Layout in the IMU's own frame.
     accelerations : (N, K) array
         Readings [m/s^2].
     gyro : (N, 3) array, optional
         Angular velocity [rad/s]; used instead of the array where it is there.
-    lowpass : Lowpass
-        Filter of the motion; applied once.
     valid : (N,) bool array
         False in gaps.
     noise : (K,) array, optional
         Standard deviation of each accelerometer [m/s^2]; they weigh alike without it.
-
-    Returns
-    -------
-    AngularReading
     """
     filtered = lowpass(accelerations, valid)
     if gyro is not None:
@@ -266,7 +252,6 @@ def array_inverse(imu: Imu, noise: Array | None = None) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    imu : Imu
     noise : (K,) array, optional
         Standard deviations of the readings [m/s^2], one each without it.
 

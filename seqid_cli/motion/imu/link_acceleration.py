@@ -50,13 +50,6 @@ def best_motion(
 
     Parameters
     ----------
-    recording : Recording
-        The log, with IMU channels where it has them.
-    robot : Robot
-    stage : ImuStage, optional
-        Calibrations.
-    motion : Motion
-        From the encoders, at the log's own rate.
     source : {"auto", "needed", "encoder", "imu", "fused"}
         "imu" and "fused" insist: a log without a usable IMU is an error. "auto" is "fused" where
         that can be had and contradicts no encoder, and "encoder" elsewhere; "needed" takes the

@@ -50,11 +50,6 @@ def fused_motion(
 
     Parameters
     ----------
-    recording : Recording
-        One log.
-    robot : Robot
-    stage : ImuStage, optional
-        Calibrations.
     encoder : Motion
         From the encoders alone, at the log's own rate; its cut-off is kept where a user gave it.
     insist : bool
@@ -120,8 +115,6 @@ def disagreement(
 
     Parameters
     ----------
-    encoder : Motion
-        From the encoders alone.
     ddq : (N, n) array
         Accelerations [rad/s^2], low-passed at the encoders' cut-off.
     max_noise_ratio : float

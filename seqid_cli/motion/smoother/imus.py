@@ -189,7 +189,6 @@ def handed_on(x: Mounted, covariance: Array) -> Mounted:
 
     Parameters
     ----------
-    x : Mounted
     covariance : (g, g) array
         Of its constants, by this stretch.
     """

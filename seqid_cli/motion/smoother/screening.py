@@ -69,7 +69,6 @@ def fits(chunk: Chunk, alone: Array, together: Array) -> list[Fit]:
 
     Parameters
     ----------
-    chunk : Chunk
     alone, together : (K, n) arrays
         Coefficients by the encoders, and by everything.
     """

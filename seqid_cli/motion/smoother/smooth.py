@@ -80,11 +80,6 @@ def smoothed_motion(
 
     Parameters
     ----------
-    recording : Recording
-        One log; IMU channels where it has them.
-    robot : Robot
-    stage : ImuStage, optional
-        Calibrations; IMUs without one take no part.
     every : int
         Samples per knot of the splines. Slow logs get several knots per sample by themselves.
 

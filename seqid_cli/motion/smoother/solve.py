@@ -290,8 +290,6 @@ def probed_covariance(solution: Solution, shared: Solution) -> tuple[Index, Arra
 
     Parameters
     ----------
-    solution : Solution
-        Whose motion it is.
     shared : Solution
         Of the same stretch, perhaps on other knots: says how well the constants are known.
     """

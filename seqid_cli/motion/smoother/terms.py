@@ -242,10 +242,7 @@ def imu_rows(chain: Chain, state: ChainState, dq: Array, x: Mounting) -> Rows:
 
     Parameters
     ----------
-    chain : Chain
-    state : ChainState
     dq : (m, N) array [rad/s], of the joints that move the IMU
-    x : Mounting
     """
     link = x.link
     own = felt(state, x).transpose(2, 0, 1)

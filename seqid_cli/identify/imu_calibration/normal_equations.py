@@ -9,8 +9,9 @@ a change of each bias and the offsets of the locked joints.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -25,6 +26,7 @@ from seqid_cli.identify.imu_calibration.sensor_model import (
     mounted,
     predicted,
 )
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import FIRST, SECOND
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Index, Mask
@@ -58,18 +60,19 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Rows:
     """Sums of rows r (N, C) over accelerations, by kind of sensor (G).
 
-    `B` (N, G, n, n) = A'A and `u` (N, G, n) = A'r; `A` (N, C, n) are the slopes in the
-    accelerations of all joints before the IMU, both over the noise that raw readings show;
-    `squares` (N, G) is r'r, `count` (N, G) of readings.
+    `B` (N, G, n, n) = A'A and `u` (N, G, n) = A'r; A (N, C, n) are the slopes in the accelerations
+    of all joints before the IMU, both over the noise that raw readings show; `squares` (N, G) is
+    r'r, `count` (N, G) of readings, `share` (N,) of a node that each counts.
     """
 
     B: Array
     u: Array
     squares: Array
     count: Array
+    share: Array
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,9 @@ class Linearised:
     """A segment about one point: residual `r` (N, C), `J` and border `G`, all whitened.
 
     `J` (N, C, 3, m) is in q, dq, ddq of the moving joints. The border (N, C, b) is in the
-    constants, then bias changes, then offsets. `used` says which readings count.
+    constants, then bias changes, then offsets. `used` says which readings count, `weights` (N, C)
+    are robust. `deflection` has rows of the residual, `jolts` of the raw readings' roughness over
+    the root of their number at a node; `jerk_residual` is (N + 2 REACH - 3, m).
     """
 
     segment: Segment
@@ -86,58 +91,60 @@ class Linearised:
     J: Array
     G: Array
     encoder_residuals: tuple[Array, ...]
-    jerk_residual: Array  # (N + 2 REACH - 3, m)
+    jerk_residual: Array
     outliers: Mask
-    weights: Array  # (N, C) robust
-    deflection: Seen  # of the residual
-    jolts: Seen  # of the raw readings' roughness, over the root of their number at a node
+    weights: Array
+    deflection: Rows
+    jolts: Rows
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations `S` (b, b), `g` (b,) after elimination, and the way back."""
+    """Normal equations `S` (b, b), `g` (b,) after elimination, and the way back.
+
+    The trajectory moves by `back` (cells, b) with the border, by `free` (cells,) with it at rest.
+    """
 
     linear: Linearised
     S: Array
     g: Array
-    back: Array  # (cells, b): trajectory per border
-    free: Array  # (cells,): trajectory with the border at rest
+    back: Array
+    free: Array
 
 
 def stencils(spacing: float) -> Array:
     """Weights (3, 9) of nine nodes in q, dq and ddq at the middle one."""
-    middle = np.zeros(WIDTH)
-    middle[REACH] = 1.0
-    return np.stack([middle, FIRST / spacing, SECOND / spacing**2])
+    return np.stack([np.eye(WIDTH)[REACH], FIRST / spacing, SECOND / spacing**2])
+
+
+def _taps(segment: Segment) -> Iterator[tuple[slice, int, float]]:
+    """Nodes, derivative and weight of all terms of `stencils`."""
+    weights = stencils(segment.spacing)
+    for o, kind in zip(*np.nonzero(weights.T), strict=True):
+        yield slice(o, o + segment.samples), int(kind), float(weights[kind, o])
 
 
 def at_samples(segment: Segment, nodes: Array) -> Array:
     """q, dq, ddq (N, 3, ...) at the samples from values at the nodes (N + 2 REACH, ...)."""
-    weights = stencils(segment.spacing)
     out = np.zeros((segment.samples, 3, *nodes.shape[1:]))
-    for o in range(WIDTH):
-        for kind in range(3):
-            if weights[kind, o]:
-                out[:, kind] += weights[kind, o] * nodes[o : o + segment.samples]
+    for where, kind, weight in _taps(segment):
+        out[:, kind] += weight * nodes[where]
     return out
 
 
 def _onto_nodes(segment: Segment, values: Array) -> Array:
     """Transpose of `at_samples`: (N, 3, ...) to (N + 2 REACH, ...)."""
-    weights = stencils(segment.spacing)
     out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
-    for o in range(WIDTH):
-        for kind in range(3):
-            if weights[kind, o]:
-                out[o : o + segment.samples] += weights[kind, o] * values[:, kind]
+    for where, kind, weight in _taps(segment):
+        out[where] += weight * values[:, kind]
     return out
 
 
 def joints_of(segment: Segment, local: Local) -> tuple[Array, Array, Array]:
     """Motion (N, n) of all joints: the trajectory, and locked joints with their offsets."""
     q, dq, ddq = segment.q.copy(), segment.dq.copy(), segment.ddq.copy()
-    x = at_samples(segment, local.trajectory)
     moving = list(segment.moving)
+    x = at_samples(segment, local.trajectory)
     q[:, moving], dq[:, moving], ddq[:, moving] = x[:, 0], x[:, 1], x[:, 2]
     q[:, list(segment.locked)] += local.offset
     return q, dq, ddq
@@ -147,8 +154,7 @@ def residual(
     segment: Segment, robot: Robot, imu: Imu, constants: Constants, local: Local
 ) -> tuple[Array, Mask, Array]:
     """Readings minus prediction (N, C), which of them count, and the link's motion (N, 15)."""
-    motion = joints_of(segment, local)
-    x = link_state(robot, imu.after_joint, *motion)
+    x = link_state(robot, imu.after_joint, *joints_of(segment, local))
     y, good = segment.readings.at(segment.t + constants.delay)
     r = y - predicted(mounted(imu, constants), x) - local.bias
     return r, good, x
@@ -170,27 +176,25 @@ def linearise(
     of raw readings, and joints are moved by jolts alone.
     """
     r, good, x = residual(segment, robot, imu, constants, local)
-    motion = joints_of(segment, local)
-    channels = mounted(imu, constants)
-    A, link = channels.matrix, imu.after_joint
-    J = np.stack(
-        [A @ link_state_slopes(robot, link, motion, segment.moving, kind) for kind in range(3)],
-        axis=2,
-    )
-    offsets = A @ link_state_slopes(robot, link, motion, segment.locked, 0)
-    c = r.shape[1]
+    motion, channels = joints_of(segment, local), mounted(imu, constants)
+    A, c = channels.matrix, r.shape[1]
+
+    def slopes(joints: tuple[int, ...], kind: int) -> Array:
+        return A @ link_state_slopes(robot, imu.after_joint, motion, joints, kind)
+
+    J = np.stack([slopes(segment.moving, kind) for kind in range(3)], axis=2)
     dy = np.gradient(predicted(channels, x), segment.spacing, axis=0)
     own = np.broadcast_to(np.eye(c), (len(r), c, c))
-    G = np.concatenate([design(channels, x, dy), own, offsets], axis=2)
+    G = np.concatenate([design(channels, x, dy), own, slopes(segment.locked, 0)], axis=2)
     u = r / (ROBUST * sigma)
     outliers = good & (np.abs(u) >= 1.0)
     if weights is None:
         weights = np.maximum(1.0 - u**2, 0.0) ** 2
     weights = np.where(good, weights, 0.0)
+    # As much as all the raw samples that a node stands for.
+    plain = np.sqrt(weights * segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2)
+    by_ddq = plain[:, :, None] * slopes(tuple(range(imu.after_joint + 1)), 2)
     kinds = kinds_of(imu)
-    plain = np.sqrt(weights * _density(segment))
-    every = tuple(range(link + 1))
-    by_ddq = plain[:, :, None] * (A @ link_state_slopes(robot, link, motion, every, 2))
     if sizes is None:
         root, scaled = plain, plain[:, :, None] * J[:, :, 2] * _jolt(segment, J[:, :, 2])
     else:
@@ -199,6 +203,9 @@ def linearise(
     whiten = _whitener(root, scaled)
     rough = segment.readings.rough_at(segment.t + constants.delay) / np.sqrt(segment.share)
     known = np.isfinite(rough)
+    counts = np.where(plain > 0.0, WEIGHED, 0.0), np.where(known, weights, 0.0)
+    raw = by_ddq * known[:, :, None], np.where(known, plain * rough, 0.0)
+    band = band_share(segment.cutoff_hz, segment.share, segment.spacing)
     return Linearised(
         segment=segment,
         r=whiten(r[:, :, None])[:, :, 0],
@@ -212,13 +219,8 @@ def linearise(
         jerk_residual=-np.diff(local.trajectory, 3, axis=0) / segment.spacing**3,
         outliers=outliers,
         weights=weights,
-        deflection=_seen(by_ddq, plain * r, np.where(plain > 0.0, WEIGHED, 0.0), kinds),
-        jolts=_seen(
-            by_ddq * known[:, :, None],
-            np.where(known, plain * rough, 0.0),
-            np.where(known, weights, 0.0),
-            kinds,
-        ),
+        deflection=_rows(by_ddq, plain * r, counts[0], kinds, band),
+        jolts=_rows(*raw, counts[1], kinds, 1.0),
     )
 
 
@@ -228,17 +230,24 @@ def kinds_of(imu: Imu) -> Index:
     return np.asarray(np.arange(len(axes)) >= accelerometers, dtype=np.intp)
 
 
-def _seen(A: Array, rows: Array, counts: Array, kinds: Index) -> Seen:
-    each = [kinds == kind for kind in range(int(kinds.max()) + 1)]
-    across = [A[:, own].transpose(0, 2, 1) for own in each]
-    return Seen(
-        np.stack([x @ A[:, own] for x, own in zip(across, each, strict=True)], axis=1),
-        np.stack(
-            [(x @ rows[:, own, None])[:, :, 0] for x, own in zip(across, each, strict=True)], axis=1
-        ),
-        np.stack([np.sum(rows[:, own] ** 2, axis=1) for own in each], axis=1),
-        np.stack([np.sum(counts[:, own], axis=1) for own in each], axis=1),
-    )
+@lru_cache(maxsize=64)
+def band_share(cutoff_hz: float, share: float, spacing: float) -> float:
+    """Variance that the low-pass leaves of white noise of unit variance per node."""
+    lowpass = Lowpass(cutoff_hz, share / spacing)
+    impulse = np.eye(4 * lowpass.settling + 1)[:, [2 * lowpass.settling]]
+    return float(share * np.sum(lowpass(impulse, np.ones(len(impulse), dtype=bool)) ** 2))
+
+
+def _rows(A: Array, rows: Array, counts: Array, kinds: Index, share: float) -> Rows:
+    parts = []
+    for kind in range(int(kinds.max()) + 1):
+        own = kinds == kind
+        across, r = A[:, own].transpose(0, 2, 1), rows[:, own]
+        u = (across @ r[:, :, None])[:, :, 0]
+        squares, count = np.sum(r**2, axis=1), np.sum(counts[:, own], axis=1)
+        parts.append((across @ A[:, own], u, squares, count))
+    B, u, squares, count = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
+    return Rows(B, u, squares, count, np.full(len(A), share))
 
 
 def _jolt(segment: Segment, by_ddq: Array) -> float:
@@ -268,12 +277,6 @@ def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
     return whiten
 
 
-def _density(segment: Segment) -> Array:
-    """Weights (C,) 1/(m/s^2)^2 of a node: as much as all the raw samples that it stands for."""
-    weights: Array = segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2
-    return weights
-
-
 def _gathered(rows: EncoderRows, nodes: Array) -> Array:
     return np.asarray(nodes[rows.at[:, None] + np.arange(4)])
 
@@ -286,18 +289,14 @@ def reduced(linear: Linearised) -> Reduced:
     S, g = rows.T @ rows, rows.T @ linear.r.ravel()
     if not m:
         return Reduced(linear, S, g, np.zeros((0, b)), np.zeros(0))
-    cells = (segment.samples + 2 * REACH) * m
-    band = _band(linear)
     J3 = np.moveaxis(J.reshape(*J.shape[:2], -1), 1, 2)  # (N, 3 m, C)
     cross = J3 @ np.concatenate([G, linear.r[:, :, None]], axis=2)
-    right = _onto_nodes(segment, cross.reshape(len(G), 3, m, b + 1))
-    right = right.reshape(cells, b + 1)
+    right = _onto_nodes(segment, cross.reshape(len(G), 3, m, b + 1)).reshape(-1, b + 1)
     right[:, b] += _own_gradient(linear).ravel()
-    factor = cholesky_banded(band, lower=True, check_finite=False)
+    factor = cholesky_banded(_band(linear), lower=True, check_finite=False)
     solved = cho_solve_banded((factor, True), right, check_finite=False)
-    S = S - right[:, :b].T @ solved[:, :b]
-    g = g - right[:, :b].T @ solved[:, b]
-    return Reduced(linear, S, g, solved[:, :b], solved[:, b])
+    both = right[:, :b].T @ solved
+    return Reduced(linear, S - both[:, :b], g - both[:, b], solved[:, :b], solved[:, b])
 
 
 def _band(linear: Linearised) -> Array:
@@ -316,32 +315,26 @@ def _band(linear: Linearised) -> Array:
                     row = (o - p) * m + i - j
                     if row >= 0:
                         band[row, p * m + j : (p + n) * m + j : m] += block[:, i, j]
-    for j in range(m):
-        _add_rows(band, j, m, segment.encoders[j])
+    for j, rows in enumerate(segment.encoders):
         third = THIRD / segment.spacing**3 / segment.jerk[j]
         for a in range(4):
             for c in range(a + 1):
+                value = rows.information * rows.weights[:, a] * rows.weights[:, c]
+                np.add.at(band[(a - c) * m], (rows.at + c) * m + j, value)
                 span = slice(c * m + j, (c + nodes - 3) * m + j, m)
                 band[(a - c) * m, span] += third[a] * third[c]
     return band
-
-
-def _add_rows(band: Array, j: int, m: int, rows: EncoderRows) -> None:
-    for a in range(4):
-        for c in range(a + 1):
-            value = rows.information * rows.weights[:, a] * rows.weights[:, c]
-            np.add.at(band[(a - c) * m], (rows.at + c) * m + j, value)
 
 
 def _own_gradient(linear: Linearised) -> Array:
     """What encoders and jerk pull on the trajectory, (N + 2 REACH, m)."""
     segment = linear.segment
     out = np.zeros((segment.samples + 2 * REACH, len(segment.moving)))
-    for j, (rows, off) in enumerate(zip(segment.encoders, linear.encoder_residuals, strict=True)):
-        for a in range(4):
-            np.add.at(out[:, j], rows.at + a, rows.information * rows.weights[:, a] * off)
     pull = linear.jerk_residual / segment.jerk**2
     for a in range(4):
+        for j, rows in enumerate(segment.encoders):
+            off = rows.information * rows.weights[:, a] * linear.encoder_residuals[j]
+            np.add.at(out[:, j], rows.at + a, off)
         out[a : a + len(pull)] += THIRD[a] / segment.spacing**3 * pull
     return out
 
@@ -358,8 +351,7 @@ def effective(reduction: Reduced) -> tuple[Array, tuple[Array, ...], Array]:
     moved = at_samples(segment, back).reshape(segment.samples, 3 * m, b)
     readings = linear.G - linear.J.reshape(*linear.r.shape, -1) @ moved
     encoders = tuple(
-        -np.einsum("ra,rab->rb", rows.weights, back[rows.at[:, None] + np.arange(4), j])
+        -np.einsum("ra,rab->rb", rows.weights, _gathered(rows, back[:, j]))
         for j, rows in enumerate(segment.encoders)
     )
-    jerk = -np.diff(back, 3, axis=0) / segment.spacing**3
-    return readings, encoders, jerk
+    return readings, encoders, -np.diff(back, 3, axis=0) / segment.spacing**3

@@ -11,12 +11,10 @@ from scipy.ndimage import binary_dilation, median_filter
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.motion.smoother.encoder import bridged
 from seqid_cli.robot.types import Imu
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
 from seqid_cli.typing import Array, Index, Mask
-
-SPIKE = 8.0  # of the noise
-STUCK = 4  # equal readings at a channel's end of range that count as saturated
 
 
 @dataclass(frozen=True)
@@ -62,22 +60,19 @@ class Readings:
 
 
 def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
-    """Clean and low-pass one log's channels of an IMU."""
-    raw = _channels(recording, imu)
+    """Clean and low-pass one log's channels of an IMU, accelerometers first."""
+    raw = recording.accelerometers.get(imu.name, np.zeros((len(recording.t), 0)))
+    if imu.gyro and imu.name in recording.gyros:
+        raw = np.hstack([raw, recording.gyros[imu.name]])
     values, bad = cleaned(raw, recording.valid)
     reach = max(1, round(0.4 * recording.rate_hz / lowpass.cutoff_hz))
     spread = binary_dilation(bad, np.ones((2 * reach + 1, 1), dtype=bool))
     smooth = lowpass(values, recording.valid)
     curve = make_interp_spline(recording.t, smooth, k=3)
-    own = roughness(_channels_of_jolts(raw, values, bad), recording.valid)
+    # Jolts are in most channels at once; what jumps in one by itself is bridged.
+    together = (bad.mean(axis=1) > 0.5)[:, None] & np.isfinite(raw)
+    own = roughness(np.where(together, raw, values), recording.valid)
     return Readings(recording.t, smooth, ~spread, white_noise(values), own, curve)
-
-
-def _channels(recording: Recording, imu: Imu) -> Array:
-    """Accelerometers, then the gyro where the IMU has one, (N, C)."""
-    values = recording.accelerometers.get(imu.name, np.zeros((len(recording.t), 0)))
-    gyro = recording.gyros.get(imu.name) if imu.gyro else None
-    return values if gyro is None else np.hstack([values, gyro])
 
 
 def roughness(values: Array, valid: Mask) -> Array:
@@ -90,17 +85,10 @@ def roughness(values: Array, valid: Mask) -> Array:
     return out
 
 
-def _channels_of_jolts(raw: Array, values: Array, bad: Mask) -> Array:
-    """Raw readings where most channels jump together, bridged ones where one does by itself."""
-    together = (bad.mean(axis=1) > 0.5)[:, None] & np.isfinite(raw)
-    return np.where(together, raw, values)
-
-
-def cleaned(values: Array, valid: Mask) -> tuple[Array, Mask]:
+def cleaned(values: Array, valid: Mask, *, min_spike: float = 8.0) -> tuple[Array, Mask]:
     """Readings (N, C) with spikes, saturation and missing values bridged, and where they were.
 
-    A spike stands out of the median of its neighbours; a saturated channel repeats the largest or
-    smallest value that it ever has.
+    A spike stands out of the median of its neighbours by `min_spike` times the noise.
     """
     finite = np.isfinite(values)
     values = np.where(finite, values, 0.0)
@@ -109,27 +97,21 @@ def cleaned(values: Array, valid: Mask) -> tuple[Array, Mask]:
     off = np.abs(values - middle)
     motion = np.abs(np.gradient(middle, axis=0)) if len(values) > 1 else off
     noise = np.maximum(white_noise(values), 1e-9)
-    bad |= off > SPIKE * noise + 4.0 * motion
+    bad |= off > min_spike * noise + 4.0 * motion
     bad |= _saturated(values, noise)
-    result = values.copy()
-    index = np.arange(len(values))
-    for c in range(values.shape[1]):
-        keep = ~bad[:, c]
-        if keep.any() and not keep.all():
-            result[:, c] = np.interp(index, index[keep], values[keep, c])
-    return result, bad
+    whole = bad.all(axis=0)  # nothing to bridge it with
+    mended = [bridged(v, ~b) for v, b in zip(values.T, (bad & ~whole).T, strict=True)]
+    return np.column_stack(mended), bad
 
 
-def _saturated(values: Array, noise: Array) -> Mask:
-    """Runs of one and the same extreme reading, in a channel that otherwise is noisy."""
+def _saturated(values: Array, noise: Array, *, min_run: int = 4) -> Mask:
+    """Runs of at least `min_run` equal extreme readings, in a channel that otherwise is noisy."""
     result = np.zeros(values.shape, dtype=bool)
-    for c in range(values.shape[1]):
-        channel = values[:, c]
+    for c, channel in enumerate(values.T):
+        # A coarse but honest channel also repeats itself, by chance: not for long.
+        shortest = min_run if noise[c] > 1e-9 else 10 * min_run
         for extreme in (channel.max(), channel.min()):
             for start, stop in runs(channel == extreme, len(channel)):
-                # A coarse but honest channel also repeats itself, by chance: not for long.
-                lasting = stop - start
-                expected = STUCK if noise[c] > 1e-9 else 10 * STUCK
-                if lasting >= expected and np.ptp(channel) > 100 * noise[c]:
+                if stop - start >= shortest and np.ptp(channel) > 100 * noise[c]:
                     result[start:stop, c] = True
     return result

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.identify.imu_calibration.axis_pairs import Pair, best_references, condition_of
+from seqid_cli.identify.imu_calibration.axis_pairs import Pair
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
 from seqid_cli.identify.imu_calibration.priors import FEW
 from seqid_cli.identify.imu_calibration.segments import Segment
@@ -20,7 +20,7 @@ from seqid_cli.identify.imu_calibration.sensor_model import (
 from seqid_cli.identify.imu_calibration.solve import Fit
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
-from seqid_cli.params.schema import ImuCalibration, JointDeflection, Verdict
+from seqid_cli.params.schema import AxisReference, ImuCalibration, JointDeflection, Verdict
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Mask
 
@@ -53,8 +53,8 @@ def calibration_of(
         std_error_deg=worst,
         std_errors_deg=np.degrees(np.minimum(sigma[:3], np.pi)).tolist(),
         configurations=len(pairs) or len({s.log for s in segments if s.moving}),
-        condition=condition_of(pairs) if pairs else 0.0,
-        references=best_references(pairs, robot.joint_names),
+        condition=_condition(pairs) if pairs else 0.0,
+        references=_references(pairs, robot.joint_names),
         not_determined=_missing(about, lever, known, delay_known=delay_known),
         axis_rmse_deg=float(np.degrees(np.sqrt(np.mean(off**2)))) if pairs else None,
         noise_density=density,
@@ -77,6 +77,19 @@ def calibration_of(
     )
     _add_sensors(calibration, imu, fit, known, _densities(segments))
     return calibration
+
+
+def _condition(pairs: list[Pair]) -> float:
+    """Condition of the directions B of Eq. 37; 0 where they do not span space."""
+    s = np.linalg.svd(np.array([p.imu for p in pairs]), compute_uv=False)
+    return float(s[0] / s[-1]) if len(s) == 3 and s[-1] > 1e-3 * s[0] else 0.0
+
+
+def _references(pairs: list[Pair], names: tuple[str, ...]) -> dict[str, AxisReference]:
+    """The most certain reference of Eq. 30 and 31 for each joint."""
+    known = [(p.joint, p.reference) for p in pairs if p.reference]
+    found = {name: [reference for joint, reference in known if joint == name] for name in names}
+    return {name: min(own, key=lambda r: r.gain_std_error) for name, own in found.items() if own}
 
 
 def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
@@ -102,15 +115,11 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class _Known:
-    """Standard errors of each channel's bias, gain and tilt (degrees), and which are known."""
+    """Standard errors (C,) of biases, gains and tilts (degrees), and which are `known`, by kind."""
 
-    bias: Array
-    gain: Array
-    tilt: Array
-    bias_known: Mask
-    gain_known: Mask
-    tilt_known: Mask
-    accelerometers: int
+    errors: dict[str, Array]
+    known: dict[str, Mask]
+    sensors: dict[str, slice]
 
 
 def _known(
@@ -128,16 +137,13 @@ def _known(
     bias, gain = sigma[7 : 7 + c], sigma[7 + c : 7 + 2 * c]
     tilt = np.degrees(np.sqrt(np.mean(sigma[7 + 2 * c :].reshape(c, 2) ** 2, axis=1)))
     tilt_prior = np.degrees(fit.prior[7 + 2 * c :: 2])
-    limit = np.where(np.arange(c) < k, max_bias, max_rate)
-    return _Known(
-        bias=bias,
-        gain=gain,
-        tilt=tilt,
-        bias_known=bias < limit,
-        gain_known=(gain < max_gain) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
-        tilt_known=(tilt < max_tilt_deg) & _beyond_prior(tilt, tilt_prior, k),
-        accelerometers=k,
-    )
+    known = {
+        "bias": bias < np.where(np.arange(c) < k, max_bias, max_rate),
+        "scale": (gain < max_gain) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
+        "axis": (tilt < max_tilt_deg) & _beyond_prior(tilt, tilt_prior, k),
+    }
+    sensors = {"accelerometer": slice(0, k), "gyro": slice(k, None)}
+    return _Known({"bias": bias, "scale": gain, "axis": tilt}, known, sensors)
 
 
 def _add_sensors(
@@ -145,19 +151,17 @@ def _add_sensors(
 ) -> None:
     """Write the channels' own constants into a calibration."""
     axes, constants = channels_of(imu)[0], fit.constants
-    turned = np.where(known.tilt_known[:, None], tilted(axes, constants.tilt), axes)
-    gains, k = np.exp(constants.log_gain), known.accelerometers
-    for sensor, own in (("accelerometer", slice(0, k)), ("gyro", slice(k, None))):
-        bias, gain, tilt = known.bias_known[own], known.gain_known[own], known.tilt_known[own]
-        for key, value in (
-            ("bias", _listed(constants.bias[own], bias)),
-            ("bias_std_errors", _listed(known.bias[own], bias)),
-            ("scale", _listed(gains[own], gain)),
-            ("scale_std_errors", _listed(known.gain[own], gain)),
-            ("axes", turned[own].tolist()),
-            ("tilt_std_errors_deg", _listed(known.tilt[own], tilt)),
-            ("noise", noise[own].tolist()),
-        ):
+    turned = np.where(known.known["axis"][:, None], tilted(axes, constants.tilt), axes)
+    values = {"bias": constants.bias, "scale": np.exp(constants.log_gain)}
+    for sensor, own in known.sensors.items():
+        found: dict[str, object] = {"axes": turned[own].tolist(), "noise": noise[own].tolist()}
+        for kind, error in known.errors.items():
+            there = known.known[kind][own]
+            errors = "tilt_std_errors_deg" if kind == "axis" else f"{kind}_std_errors"
+            found[errors] = _listed(error[own], there)
+            if kind in values:
+                found[kind] = _listed(values[kind][own], there)
+        for key, value in found.items():
             setattr(calibration, f"{sensor}_{key}", value)
 
 
@@ -212,13 +216,11 @@ def _missing(about: Array | None, lever: Mask, known: _Known, *, delay_known: bo
     if not lever.all():
         names = " and ".join(n for n, there in zip("xyz", lever, strict=True) if not there)
         missing.append(f"the lever along the link's {names} is not determined")
-    k = known.accelerometers
-    kinds = ((known.bias_known, "bias"), (known.gain_known, "scale"), (known.tilt_known, "axis"))
-    for own, sensor in ((slice(0, k), "accelerometer"), (slice(k, None), "gyro")):
-        for determined, name in kinds:
-            count = int((~determined[own]).sum())
+    for sensor, own in known.sensors.items():
+        for kind, there in known.known.items():
+            count = int((~there[own]).sum())
             if count:
-                missing.append(f"the {name} of {count} {sensor} channel(s) is not determined")
+                missing.append(f"the {kind} of {count} {sensor} channel(s) is not determined")
     if not delay_known:
         missing.append("the clock offset to the encoders is not determined")
     return missing

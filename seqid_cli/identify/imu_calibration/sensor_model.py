@@ -18,7 +18,7 @@ from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
 
-MOTION = 15
+MOTION = 15  # f, H, w
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,7 @@ def tangents(axes: Array) -> Array:
 def tilted(axes: Array, tilt: Array) -> Array:
     """Unit axes (C, 3) after small tilts (C, 2)."""
     moved = axes + np.einsum("ca,cai->ci", tilt, tangents(axes))
-    result: Array = moved / np.linalg.norm(moved, axis=1, keepdims=True)
-    return result
+    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
 def link_state(robot: Robot, link: int, q: Array, dq: Array, ddq: Array) -> Array:
@@ -121,13 +120,17 @@ class Channels:
     @property
     def matrix(self) -> Array:
         """Readings without bias as a linear map (C, 15) of a link's motion."""
-        k = self.accelerometers
-        place = self.lever + self.reach[:k]
-        A = np.zeros((len(self.axes), MOTION))
-        A[:k, :3] = self.axes[:k]
-        A[:k, 3:12] = (self.axes[:k, :, None] * place[:, None, :]).reshape(k, 9)
-        A[k:, 12:] = self.axes[k:]
-        return self.gain[:, None] * A
+        places = self.lever + self.reach[: self.accelerometers]
+        return self.gain[:, None] * matrix_of(self.axes, places)
+
+
+def matrix_of(axes: Array, places: Array) -> Array:
+    """Readings (C, 15) of a link's motion along axes (C, 3), accelerometers at places (k, 3)."""
+    k = len(places)
+    A = np.zeros((len(axes), MOTION))
+    A[:k, :3], A[k:, 12:] = axes[:k], axes[k:]
+    A[:k, 3:12] = (axes[:k, :, None] * places[:, None, :]).reshape(k, 9)
+    return A
 
 
 def mounted(imu: Imu, constants: Constants) -> Channels:
@@ -147,8 +150,7 @@ def mounted(imu: Imu, constants: Constants) -> Channels:
 
 def predicted(channels: Channels, x: Array) -> Array:
     """Readings (N, C)."""
-    y: Array = x @ channels.matrix.T + channels.bias
-    return y
+    return np.asarray(x @ channels.matrix.T + channels.bias)
 
 
 def design(channels: Channels, x: Array, dy: Array) -> Array:

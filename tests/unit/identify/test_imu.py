@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.errors import UsageError
-from seqid_cli.identify.imu_calibration.axis_pairs import (
-    Pair,
-    fit_rotation,
-    shortest_rotation,
-)
+from seqid_cli.identify.imu_calibration.axis_pairs import Pair, fit_rotation
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.motion.options import MotionOptions
 from tests.plants.experiments import Trial, swing
@@ -118,20 +114,6 @@ def test_two_axes_in_a_plane_are_enough() -> None:
     link = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     got = fit_rotation(pairs_of(R, link, rng, np.full(2, 1e-4)))
     assert degrees_between(got, R) < 0.05
-
-
-def test_the_shortest_rotation_turns_one_into_the_other() -> None:
-    rng = np.random.default_rng(4)
-    for b, m in zip(unit(rng, 20), unit(rng, 20), strict=True):
-        R = shortest_rotation(b, m)
-        np.testing.assert_allclose(R @ b, m, atol=1e-12)
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
-        angle = np.arccos(np.clip(b @ m, -1, 1))
-        assert np.linalg.norm(Rotation.from_matrix(R).as_rotvec()) == pytest.approx(angle)
-    for b in np.vstack([np.eye(3), unit(rng, 3)]):
-        R = shortest_rotation(b, -b)
-        np.testing.assert_allclose(R @ b, -b, atol=1e-9)
-        assert np.linalg.det(R) == pytest.approx(1.0)
 
 
 def rested(plant: Plant) -> Trial:

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.notes import deflection_notes
-from seqid_cli.identify.imu_calibration.deflection import Rows, likeliest, log_likelihood
-from seqid_cli.identify.imu_calibration.normal_equations import Sizes
+from seqid_cli.identify.imu_calibration.deflection import likeliest, log_likelihood
+from seqid_cli.identify.imu_calibration.normal_equations import Rows, Sizes
 from seqid_cli.identify.imu_calibration.result import deflecting, verdict_of
 from seqid_cli.params.schema import EffectOfJoint, ImuCalibration, ImuStage, Stages
 from tests.studies.imu_mounting import DEFLECTING, Case, calibrated, instruments, scene_of, scored
@@ -37,7 +37,7 @@ def drawn(sizes: Array, noise: Array, *, nodes: int = 3000, channels: int = 6) -
         B=np.einsum("ngci,ngcj->ngij", A, A),
         u=np.einsum("ngck,ngc->ngk", A, r),
         share=np.ones(nodes),
-        squares=np.sum(r**2, axis=(0, 2)),
+        squares=np.sum(r**2, axis=2),
         count=np.full((nodes, 2), float(channels)),
     )
 

@@ -66,17 +66,8 @@ def score_of(
 ) -> LogScore | None:
     """Score the cut-offs of one log; None where no joint moves.
 
-    Parameters
-    ----------
-    imu : ImuStage, optional
-        Calibrations, to score the motion that they give.
-    source : str
-        As of `best_motion`.
-
-    Raises
-    ------
-    SeqidError
-        If the motion cannot be had from this source.
+    `imu`: calibrations, to score the motion that they give. `source`: as of `best_motion`. Raises
+    SeqidError if the motion cannot be had from this source.
     """
     resolution, rate = encoder_resolution(robot), log.rate_hz
     found = survey_of(log).score(resolution, GRID)
@@ -135,14 +126,8 @@ def identification_options(
 
     A single log chooses for itself as it is read. Several are looked at first, and read again.
 
-    Parameters
-    ----------
-    cutoff_hz : float or None
-        As given by the user.
-    source : str
-        Where the motion comes from, as of `best_motion`.
-    time_source : {"header", "log"}
-        As for `read_recording`.
+    `cutoff_hz`: as given by the user. `source`: where the motion comes from, as of `best_motion`.
+    `time_source` {"header", "log"}: as for `read_recording`.
     """
     if cutoff_hz is not None:
         return MotionOptions(cutoff_hz, origin="as given")

@@ -93,10 +93,7 @@ def prepare(
     `needs` names the stages that `parameters` must hold; `stored` says whether logs on object
     storage are welcome.
 
-    Raises
-    ------
-    SeqidError
-        A path, the robot file or a parameter file is wrong.
+    Raises SeqidError: a path, the robot file or a parameter file is wrong.
     """
     options = options or LogOptions()
     found, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)

@@ -74,15 +74,8 @@ def judged(
 ) -> Stages:
     """Add to the verdicts of new stages those by the logs and by physics.
 
-    Parameters
-    ----------
-    findings : sequence of InspectionFinding
-        Of the inspection of the logs that were read.
-
-    Returns
-    -------
-    Stages
-        A stage with a poor verdict of any joint has one as a whole (joint empty).
+    `findings`: of the inspection of the logs that were read. Returns: a stage with a poor verdict
+    of any joint has one as a whole (joint empty).
     """
     before = previous.stages if previous else Stages()
     known = Stages(
@@ -104,15 +97,8 @@ def judged(
 def physics_verdicts(stages: Stages, robot: Robot, *, limits: Limits = Limits()) -> list[Verdict]:
     """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
 
-    Parameters
-    ----------
-    robot : Robot
-        As it is now: its gear ratios or gravity may not be those of the identification.
-
-    Returns
-    -------
-    list of Verdict
-        What no arm can be, each reason once per joint.
+    `robot`: as it is now: its gear ratios or gravity may not be those of the identification.
+    Returns: what no arm can be, each reason once per joint.
     """
     there = (stages.friction, stages.gravity, stages.inertia)
     found = [

@@ -160,10 +160,7 @@ class LogSet:
     def _parts(self, part: PartOf[Any, P]) -> Iterator[_Done[P] | None]:
         """The part of every log in their order, None where it failed and that is no reason to stop.
 
-        Raises
-        ------
-        SeqidError
-            A log cannot be used, the first of them in the order given; or none can.
+        Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
         """
         self._next()
         errors: list[Exception] = []
@@ -240,18 +237,9 @@ class LogSet:
 def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
     """Merge the parts of all logs.
 
-    Parameters
-    ----------
-    part : callable
-        From a log and its number to a part. To be sent elsewhere it must be an object of a class,
-        or a function, of a module.
-    merge : callable
-        From two neighbouring parts to one.
-
-    Returns
-    -------
-    part or None
-        None without logs.
+    `part`: from a log and its number to a part. To be sent elsewhere it must be an object of a
+    class, or a function, of a module. `merge`: from two neighbouring parts to one. Returns: none
+    without logs.
     """
     if isinstance(logs, LogSet):
         return logs.reduced(part, merge)
@@ -317,10 +305,7 @@ class _Task(Generic[P]):
     def __call__(self, item: _Item) -> _Done[P]:
         """Work on one log.
 
-        Raises
-        ------
-        SeqidError
-            The log cannot be read or is of no use.
+        Raises SeqidError: the log cannot be read or is of no use.
         """
         return self.work(item, None)
 

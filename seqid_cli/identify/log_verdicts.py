@@ -11,16 +11,8 @@ from seqid_cli.params.schema import Verdict
 def verdicts_of_logs(findings: Iterable[InspectionFinding]) -> list[Verdict]:
     """A poor verdict for every joint (or IMU) that a log's error is about.
 
-    Parameters
-    ----------
-    findings : iterable of InspectionFinding
-        Of all logs. Errors count; warnings do not spoil a result.
-
-    Returns
-    -------
-    list of Verdict
-        One per code, joint and channel, however many logs show it; the joint is empty where the
-        whole log is meant.
+    `findings`: of all logs. Errors count; warnings do not spoil a result. Returns: one per code,
+    joint and channel, however many logs show it; the joint is empty where the whole log is meant.
     """
     verdicts = []
     for alike in _grouped(findings, "error"):

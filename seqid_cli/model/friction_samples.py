@@ -36,10 +36,8 @@ WIDE = 3.0  # widths of the sign within which friction is not smooth
 def sampled_friction(surfaces: list[FrictionSurface | None], motion: Motion) -> Array:
     """Friction torque of a motion, its step at reversals kept below half of the rate.
 
-    Returns
-    -------
-    (N, n) array [N m; N where prismatic]
-        Before the motion's own low-pass; zero for a joint whose friction is not known.
+    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for a joint
+    whose friction is not known.
     """
     torque = friction_torque(surfaces, motion.q, motion.dq)
     if motion.rate_hz >= DENSE * motion.lowpass.cutoff_hz:

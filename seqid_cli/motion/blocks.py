@@ -61,12 +61,8 @@ class Plan:
 def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float) -> Plan:
     """Plan the blocks.
 
-    Parameters
-    ----------
-    step : (n,) array
-        Position changes [rad] that are more than noise.
-    samples_per_cutoff : float
-        Samples that stay per period of the cut-off, at least; infinite keeps all.
+    `step` (n,): position changes [rad] that are more than noise. `samples_per_cutoff`: samples that
+    stay per period of the cut-off, at least; infinite keeps all.
     """
     lowpass = Lowpass(cutoff.hz, rate_hz)
     factor = 1
@@ -82,15 +78,8 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
 def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     """Filter, differentiate and decimate.
 
-    Parameters
-    ----------
-    blocks : iterable of Block
-        The log's samples in order.
-
-    Yields
-    ------
-    Motion
-        Consecutive parts of the decimated motion; `t` counts from the first sample of the log.
+    `blocks`: the log's samples in order. Yields: consecutive parts of the decimated motion; `t`
+    counts from the first sample of the log.
     """
     for window, low, start, stop in windows(blocks, plan.rows, plan.margin):
         yield _motion(window, plan, low, start, stop)
@@ -101,11 +90,8 @@ def windows(
 ) -> Iterator[tuple[Block, int, int, int]]:
     """Cut samples into blocks of `rows` with `margin` more on either side.
 
-    Yields
-    ------
-    tuple of Block, int, int, int
-        The samples, the number of the first of them, and the range [start, stop) of numbers that
-        is the block itself.
+    Yields: the samples, the number of the first of them, and the range [start, stop) of numbers
+    that is the block itself.
     """
     held: list[Block] = []
     begin = end = start = 0

@@ -121,10 +121,7 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
 def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | None, Mask]:
     """Torque (N, n) after two passes, where there is one, and the samples at which it has settled.
 
-    Raises
-    ------
-    InputError
-        If no stretch of the log is long enough to filter.
+    Raises InputError if no stretch of the log is long enough to filter.
     """
     usable = shrink(recording.valid, 2 * lowpass.settling)
     if recording.bridged is not None:
@@ -143,10 +140,7 @@ def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | Non
 def as_asked(chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions) -> Cutoff:
     """The cut-off of a log: the one that it has chosen, or the user's.
 
-    Raises
-    ------
-    InputError
-        As of `require_rate`.
+    Raises InputError as of `require_rate`.
     """
     if options.cutoff_hz is None:
         return chosen
@@ -161,10 +155,8 @@ def require_rate(
 
     `min_samples` is the number of samples that a period of the cut-off must have.
 
-    Raises
-    ------
-    InputError
-        If it has fewer samples per period of the cut-off, and that is not what the user asked for.
+    Raises InputError if it has fewer samples per period of the cut-off, and that is not what the
+    user asked for.
     """
     highest = rate_hz / min_samples
     hz = 0.0 if options.origin in ("", "as given") else options.cutoff_hz or 0.0
@@ -186,12 +178,8 @@ def highest_bridged(
     A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 / 12:
     13 percent at 0.2 / h. A few holes are left out of the equations instead.
 
-    Parameters
-    ----------
-    min_share : float
-        Share of the samples, from which on bridged ones limit the cut-off.
-    max_periods : float
-        Periods of the cut-off that a bridged hole may last.
+    `min_share`: share of the samples, from which on bridged ones limit the cut-off. `max_periods`:
+    periods of the cut-off that a bridged hole may last.
     """
     if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ

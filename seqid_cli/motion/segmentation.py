@@ -68,19 +68,9 @@ def motion_reach(rate_hz: float) -> int:
 def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) -> Mask:
     """Where each joint moves.
 
-    Parameters
-    ----------
-    q : (N, n) array
-        Encoder positions [rad].
-    step : (n,) array
-        Encoder noise [rad], see `noise_step`.
-    at : (K,) array of int, optional
-        Samples that are asked about, evenly spaced; all by default.
-
-    Returns
-    -------
-    (K, n) bool array
-        True where a joint moves on any of the time scales.
+    `q` (N, n): encoder positions [rad]. `step` (n,): encoder noise [rad], see `noise_step`. `at`
+    (K,): samples that are asked about, evenly spaced; all by default. Returns (K, n): true where a
+    joint moves on any of the time scales.
     """
     at = np.arange(len(q)) if at is None else at
     coarse = int(at[1] - at[0]) if len(at) > 1 else 1
@@ -122,19 +112,8 @@ def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
 def constant_velocity(q: Array, rate_hz: float, *, step: Array, valid: Mask) -> list[Stretch]:
     """Every stretch in which exactly one joint moves, at constant velocity.
 
-    Parameters
-    ----------
-    q : (N, n) array
-        Encoder positions [rad].
-    step : (n,) array
-        Encoder noise [rad].
-    valid : (N,) bool array
-        False inside gaps of the log.
-
-    Returns
-    -------
-    list of Stretch
-        In time order.
+    `q` (N, n): encoder positions [rad]. `step` (n,): encoder noise [rad]. `valid` (N,): false
+    inside gaps of the log. Returns: in time order.
     """
     moving = moving_mask(q, rate_hz, step)
     alone = valid & (moving.sum(axis=1) == 1)
@@ -272,20 +251,9 @@ def unmoved(
     Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two counts, it
     shows short rests between moves; a joint that creeps within a count stands.
 
-    Parameters
-    ----------
-    q : (N, n) array
-        Positions, rad (m).
-    resolution : (n,) array or None
-        Smallest steps of the encoders, where the robot file knows them.
-    samples : int
-        Length of a rest at the least.
-    max_swing_steps : float
-        Noise steps, between which an encoder may go to and fro at rest.
-
-    Returns
-    -------
-    (N,) bool array
+    `q` (N, n): positions, rad (m). `resolution` (n,): smallest steps of the encoders, where the
+    robot file knows them. `samples`: length of a rest at the least. `max_swing_steps`: noise steps,
+    between which an encoder may go to and fro at rest. Returns (N,).
     """
     size = max(3, samples)
     swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)

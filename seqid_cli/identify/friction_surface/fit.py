@@ -148,17 +148,9 @@ def fit_surfaces(
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common.
 
-    Parameters
-    ----------
-    sets : sequence of Reduced
-        Trials of both directions, or one set for each direction.
-    position, velocity : int, optional
-        Orders that the user fixes.
-
-    Returns
-    -------
-    list of SurfaceFit and float
-        Twice the logarithm of the marginal likelihood of all slices comes second.
+    `sets`: trials of both directions, or one set for each direction. `position` and `velocity`:
+    orders that the user fixes. Returns: twice the logarithm of the marginal likelihood of all
+    slices comes second.
     """
     highest = highest_orders(sets, position, velocity)
     sizes, evidence = Evidence.of(sets, highest).strongest()
@@ -174,15 +166,9 @@ def choose_orders(
 ) -> Orders:
     """Choose the fewest orders that do as well as the highest ones.
 
-    Parameters
-    ----------
-    fits : sequence of SurfaceFit
-        The surfaces that are to have the same orders.
-    position, velocity : int, optional
-        Orders that the user fixes.
-    accept : callable, optional
-        Whether orders are good enough to stop at; else it is asked whether the surface stays the
-        same to `DEVIATION`.
+    `fits`: the surfaces that are to have the same orders. `position` and `velocity`: orders that
+    the user fixes. `accept`: whether orders are good enough to stop at; else it is asked whether
+    the surface stays the same to `DEVIATION`.
     """
     first = fits[0].reduced
     highest = highest_orders([fit.reduced for fit in fits], position, velocity)

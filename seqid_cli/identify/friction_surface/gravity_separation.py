@@ -24,19 +24,10 @@ from seqid_cli.typing import Array, Index
 def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
     """Vector a of Eq. 13 at positions q of one joint, the others locked.
 
-    Parameters
-    ----------
-    configuration : (n,) array
-        Positions of the joints before it [rad].
-    q : (K,) array
-        Positions of the joint itself [rad].
-
-    Returns
-    -------
-    (K, 2) array
-        m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic joint, whose gravity
-        force is mass times gravity along the axis; no column where gravity has no part across the
-        axis.
+    `configuration` (n,): positions of the joints before it [rad]. `q` (K,): positions of the joint
+    itself [rad]. Returns (K, 2): m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic
+    joint, whose gravity force is mass times gravity along the axis; no column where gravity has no
+    part across the axis.
     """
     zero = configuration.copy()
     zero[joint] = 0.0
@@ -119,10 +110,7 @@ class GravityFit:
 def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     """Fit p_xi per configuration to the half-sums, with or without direction dependence.
 
-    Returns
-    -------
-    GravityFit
-        Groups without a forward/backward pair are left out and counted in `unpaired`.
+    Returns: groups without a forward/backward pair are left out and counted in `unpaired`.
     """
     groups = configurations(trials)
     loaded = gravity_columns(robot, joint, trials[0].configuration, trials[0].q).shape[1] > 0

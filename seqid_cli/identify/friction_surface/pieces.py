@@ -40,15 +40,8 @@ def pieces(
     between such runs into pieces, each with so many samples more on either side as the search for
     motion reaches; what is found is what the whole log gives. A log that is held is one piece.
 
-    Parameters
-    ----------
-    step : (n,) array
-        Encoder noise [rad], see `noise_step`.
-
-    Yields
-    ------
-    tuple of Block, list of Stretch
-        Samples, and the stretches in them, counted from the first of these samples.
+    `step` (n,): encoder noise [rad], see `noise_step`. Yields: samples, and the stretches in them,
+    counted from the first of these samples.
     """
     if isinstance(log, Recording):
         found = constant_velocity(log.q, log.rate_hz, step=step, valid=log.valid)

@@ -47,15 +47,7 @@ def without_acceleration(
     What friction differs by because the speed is not quite constant is taken off as well, so that
     the trial is one at its mean velocity.
 
-    Parameters
-    ----------
-    surface : FrictionSurface
-        Friction of the joint, if only a first estimate.
-
-    Returns
-    -------
-    list of SteadyGroup
-        One per configuration.
+    `surface`: friction of the joint, if only a first estimate. Returns: one per configuration.
     """
     groups = configurations(list(trials))
     found = [_inertia_of(robot, group, surface) for group in groups]

@@ -97,10 +97,7 @@ class Trial:
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
     """Constant-velocity trials of all logs.
 
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
+    Raises InputError if a log carries neither torque nor current.
     """
     return reduced(recordings, TrialsOf(robot), operator.add) or []
 

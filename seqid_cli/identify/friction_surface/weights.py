@@ -38,18 +38,9 @@ def weighted(
 ) -> list[SpeedData]:
     """Weight the slices anew.
 
-    Parameters
-    ----------
-    distances : sequence of (K,) arrays
-        Of every slice from the surface, N m.
-    min_scatter : float
-        Of the usual friction, below which no scatter is believed.
-
-    Returns
-    -------
-    list of SpeedData
-        Weights are samples of usual noise: fewer where a trial has more noise than the usual one,
-        none where a slice does not belong to its trial.
+    `distances` (K,): of every slice from the surface, N m. `min_scatter`: of the usual friction,
+    below which no scatter is believed. Returns: weights are samples of usual noise: fewer where a
+    trial has more noise than the usual one, none where a slice does not belong to its trial.
     """
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
     scales = np.array([max(_scale(own), min_scatter * level, 1e-300) for own in distances])

@@ -97,19 +97,9 @@ def segments_of(
 ) -> list[Segment]:
     """Cut one log into stretches of the calibration.
 
-    Parameters
-    ----------
-    motion : Motion
-        Of the same recording, for what moves and how fast.
-    log : int
-        Number of the log among those of the calibration.
-    cutoff_hz : float
-        Of the low-pass on readings and encoders.
-
-    Returns
-    -------
-    list of Segment
-        Empty where nothing before the IMU moves long enough.
+    `motion`: of the same recording, for what moves and how fast. `log`: number of the log among
+    those of the calibration. `cutoff_hz`: of the low-pass on readings and encoders. Returns: empty
+    where nothing before the IMU moves long enough.
     """
     lowpass = Lowpass(cutoff_hz, recording.rate_hz)
     steps = encoder_resolution(robot)

@@ -116,10 +116,7 @@ class _State:
     ) -> _State:
         """The state after a step of the constants.
 
-        Raises
-        ------
-        QualityError
-            If a gain is off by more than `max_factor`, or no number.
+        Raises QualityError if a gain is off by more than `max_factor`, or no number.
         """
         constants = self.constants.moved(step)
         if not np.abs(constants.log_gain).max() < np.log(max_factor):  # NaN neither
@@ -142,10 +139,7 @@ def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Consta
     Where the residual shows that a joint deflects, all is fitted once more with the accelerations
     by which it does as noise.
 
-    Raises
-    ------
-    QualityError
-        If no constants of any such sensor explain the readings.
+    Raises QualityError if no constants of any such sensor explain the readings.
     """
     found, sizes = _fitted(_State.first(segments, robot, imu, start), None)
     if not any(deflection.significance > SIGNIFICANT for deflection in found.deflections):

@@ -102,18 +102,10 @@ def prediction_file(
 ) -> PredictionFile:
     """Add up the errors of predictions, and write their torques where these are wanted.
 
-    Parameters
-    ----------
-    logs : LogSet
-        The logs that the predictions are of, which it reads while these are taken.
-    predictions : iterable of LogPrediction
-        Of a long log its parts, one after the other.
-    torques : Path or None
-        Where the torques go: as MCAP if it ends so, else Parquet.
-    cutoff_origin : str
-        Where the cut-off is from.
-    unexplained : bool
-        Whether smooth terms of no known cause count.
+    `logs`: the logs that the predictions are of, which it reads while these are taken.
+    `predictions`: of a long log its parts, one after the other. `torques`: where the torques go: as
+    MCAP if it ends so, else Parquet. `cutoff_origin`: where the cut-off is from. `unexplained`:
+    whether smooth terms of no known cause count.
     """
     robot, stages = inputs.robot, inputs.stages
     names = robot.joint_names

@@ -92,10 +92,7 @@ def lacking(stages: Stages, robot: Robot) -> dict[str, list[str]]:
 def notes_on(model: TorqueModel, stages: Stages, share: Array) -> Iterator[str]:
     """Say what a prediction lacks.
 
-    Parameters
-    ----------
-    share : (n,) array
-        Of the samples at which a joint slides, those outside its identified friction.
+    `share` (n,): of the samples at which a joint slides, those outside its identified friction.
     """
     names = model.robot.joint_names
     if stages.inertia is None:

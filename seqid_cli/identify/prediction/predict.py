@@ -154,10 +154,8 @@ class LongPrediction:
     def parts(self) -> Iterator[LogPrediction]:
         """Yield the log's samples in order.
 
-        Raises
-        ------
-        InputError
-            The file can no longer be read, or no stretch of it is long enough to filter.
+        Raises InputError: the file can no longer be read, or no stretch of it is long enough to
+        filter.
         """
         lowpass = self.plan.lowpass
         margin = 2 * (lowpass.memory + lowpass.settling)
@@ -211,10 +209,7 @@ def predicted(
 ) -> LogPrediction:
     """Predict the inner samples of a motion.
 
-    Parameters
-    ----------
-    slowest : (n,) array
-        Speeds [rad/s; m/s where prismatic] from which joints certainly slide.
+    `slowest` (n,): speeds [rad/s; m/s where prismatic] from which joints certainly slide.
     """
     slides, added = sliding(motion, slowest), None
     if effects:

@@ -33,10 +33,8 @@ def torque_motion(
 
     `imu` holds the calibrations and `source` says where motion comes from (see `best_motion`).
 
-    Raises
-    ------
-    InputError
-        If the log carries neither torque nor current, or not the IMU that `source` insists on.
+    Raises InputError if the log carries neither torque nor current, or not the IMU that `source`
+    insists on.
     """
     torque_of(recording)
     encoder = estimate_motion(recording, robot, options)
@@ -116,10 +114,7 @@ class FilteredColumns:
 def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[Rows]:
     """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
 
-    Yields
-    ------
-    Rows
-        Chunks in time order; H is valid until the next.
+    Yields: chunks in time order; H is valid until the next.
     """
     columns = FilteredColumns(robot, basis, min(CHUNK, motion.samples), motion.lowpass.memory)
     for start in range(0, motion.samples, CHUNK):

@@ -179,20 +179,10 @@ def solve(
 ) -> Solution:
     """Solve for all joints together, each weighted by its own residual.
 
-    Parameters
-    ----------
-    joints : sequence of Accumulator
-        One per joint, all of the same parameters.
-    iterations : int
-        Rounds of reweighting by residual RMS.
-    independent : float
-        Share of the samples that count as independent beside the prior: low-passed noise does not
-        count more where there are more samples of it.
-
-    Returns
-    -------
-    Solution
-        Estimate with block-jackknife covariance.
+    `joints`: one per joint, all of the same parameters. `iterations`: rounds of reweighting by
+    residual RMS. `independent`: share of the samples that count as independent beside the prior:
+    low-passed noise does not count more where there are more samples of it. Returns: estimate with
+    block-jackknife covariance.
     """
     size = joints[0].size
     totals = [joint.total for joint in joints]

@@ -67,10 +67,7 @@ class Whitener:
 def whitener_of(rows: Rows) -> Whitener:
     """Fit the strengths of the noise of one joint's rows.
 
-    Parameters
-    ----------
-    rows : Rows
-        The parameters' columns are taken out of the errors; more rows than columns.
+    `rows`: the parameters' columns are taken out of the errors; more rows than columns.
     """
     shapes = [_shapes(rows, at) for at in _by_log(rows)]
     # Independent of any strength: the scale of what is left.

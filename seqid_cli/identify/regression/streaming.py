@@ -84,15 +84,8 @@ def open_if_long(
 ) -> SurveyedLog | None:
     """Open a log of at least so many samples (`LONG`) to be passed over.
 
-    Returns
-    -------
-    SurveyedLog or None
-        None where the log is shorter, or can only be read as a whole.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or lacks a channel.
+    Returns None where the log is shorter, or can only be read as a whole. Raises InputError: the
+    file cannot be read or lacks a channel.
     """
     least = LONG if least is None else least
     if not rows_at_least(path, least):
@@ -106,24 +99,10 @@ def pass_over(
 ) -> Motion:
     """Add the rows of one log.
 
-    Parameters
-    ----------
-    log : Recording or SurveyedLog
-        Held: its motion is one block. Or long, to be passed over: its motion comes in many.
-    equations : Equations
-        Given the rows.
-    forgotten : float
-        Share of the low-pass's memory that is computed beside a part: 0.8 of it leaves 1e-10.
-
-    Returns
-    -------
-    Motion
-        The last samples, `moving` (1, n) being that of all of them.
-
-    Raises
-    ------
-    InputError
-        If no stretch of the log is long enough to filter.
+    `log`: the motion of one that is held is one block, of one to be passed over it comes in many.
+    `equations`: given the rows. `forgotten`: share of the low-pass's memory that is computed beside
+    a part: 0.8 of it leaves 1e-10. Returns: the last samples, `moving` (1, n) being that of all of
+    them. Raises InputError if no stretch of the log is long enough to filter.
     """
     held = isinstance(log, Recording)
     if isinstance(log, Recording):
@@ -214,10 +193,7 @@ def overlapping(
 ) -> Iterator[tuple[Motion, int, int]]:
     """Cut motion into blocks of `rows` samples with `margin` more on either side.
 
-    Yields
-    ------
-    tuple of Motion, int, int
-        The samples and which of them, [start, stop), are the block itself.
+    Yields: the samples and which of them, [start, stop), are the block itself.
     """
     held: list[Motion] = []
     before = have = 0  # samples held in front of the next block, and in all

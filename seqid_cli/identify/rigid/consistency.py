@@ -21,16 +21,9 @@ from seqid_cli.robot.types import Robot
 def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidStage:
     """Put the parameters of an inertia stage among those that bodies can have.
 
-    Returns
-    -------
-    RigidStage
-        With other values, of which bodies (`representative`) exist; standard errors are those of
-        the unconstrained estimate. A note names what moved by half a standard error or more.
-
-    Raises
-    ------
-    QualityError
-        If no physically consistent parameters are found.
+    Returns: with other values, of which bodies (`representative`) exist; standard errors are those
+    of the unconstrained estimate. A note names what moved by half a standard error or more. Raises
+    QualityError if no physically consistent parameters are found.
     """
     found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
     nearest = nearest_bodies(robot, found)

@@ -55,14 +55,8 @@ def cutoff_check(
 ) -> CutoffCheck:
     """Compare an estimate with those of the same logs at neighbouring cut-offs.
 
-    Parameters
-    ----------
-    own : tuple of Solution and Posterior
-        As it is used.
-    near : mapping of float to the same
-        By multiple of the cut-off.
-    clear_sigma : float
-        Standard errors of a difference, from which it is reported.
+    `own`: as it is used. `near`: by multiple of the cut-off. `clear_sigma`: standard errors of a
+    difference, from which it is reported.
     """
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))

@@ -15,15 +15,8 @@ from seqid_cli.typing import Array
 def missing_pairs(robot: Robot, basis: Basis, left_open: Array) -> list[list[str]]:
     """Choose pairs greedily until every base parameter is seen, and none that the others make idle.
 
-    Parameters
-    ----------
-    left_open : (b, k) array
-        Directions of the base parameters that are not determined yet.
-
-    Returns
-    -------
-    list of pairs of joint names
-        Empty where no pair would add anything; each pair once. An arm of one joint has that alone.
+    `left_open` (b, k): directions of the base parameters that are not determined yet. Returns:
+    empty where no pair would add anything; each pair once. An arm of one joint has that alone.
     """
     candidates = list(combinations(range(robot.n), 2)) or [(0, 0)]
     seen = {pair: _pair_regressor(robot, basis, pair) for pair in candidates}

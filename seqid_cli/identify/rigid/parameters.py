@@ -73,12 +73,8 @@ def rigid_stage(
 def residual_share(sigma: float, squares: float, samples: int) -> tuple[float, str]:
     """Share of a joint's torque that is left, and the words for it.
 
-    Parameters
-    ----------
-    sigma : float
-        RMS residual, N m.
-    squares : float
-        Sum of squares of the measured torque, (N m)^2, over so many `samples`.
+    `sigma`: RMS residual, N m. `squares`: sum of squares of the measured torque, (N m)^2, over so
+    many `samples`.
     """
     share = sigma / max(float(np.sqrt(squares / samples)), 1e-300)
     return share, f"leaves {percent(share)} of the torque ({sigma:.3g} N m)"
@@ -98,19 +94,9 @@ def imu_moves(
     much: those of the links between the IMU before and its own. A known rotor's share of it comes
     upon the inertia about the joint that it turns.
 
-    Parameters
-    ----------
-    inertia : (b,) array
-        Base parameters, zero where accelerations do not show them.
-    reflected : (n,) array
-        Known rotor inertias at the joints, kg m^2.
-    errors : mapping
-        Relative standard errors of the accelerations by the IMUs that took part.
-
-    Returns
-    -------
-    (b, d) array
-        One standard deviation per column.
+    `inertia` (b,): base parameters, zero where accelerations do not show them. `reflected` (n,):
+    known rotor inertias at the joints, kg m^2. `errors`: relative standard errors of the
+    accelerations by the IMUs that took part. Returns (b, d): one standard deviation per column.
     """
     links = np.array([basis.joint_index(k) for k in range(basis.size)], dtype=int)
     about = np.array([name.startswith("Izz_") for name in basis.names])

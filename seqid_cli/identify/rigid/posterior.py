@@ -73,17 +73,10 @@ def constant_moves(
 ) -> Moves:
     """What one standard error of each joint's torque constant moves a solution by.
 
-    Parameters
-    ----------
-    solution : Solution
-        With the share of each joint's right side, the weights held.
-    errors : (n,) array
-        Relative standard errors of the torque constants.
-    known : mapping of (p,) arrays
-        By joint: the move by torque on the right side that was computed, not measured, such as that
-        of known rotors. It does not scale.
-    through : mapping of (p,) arrays, optional
-        By joint: the move by way of an earlier stage.
+    `solution`: with the share of each joint's right side, the weights held. `errors` (n,): relative
+    standard errors of the torque constants. `known` (p,): by joint: the move by torque on the right
+    side that was computed, not measured, such as that of known rotors. It does not scale. `through`
+    (p,): by joint: the move by way of an earlier stage.
     """
     inherited = through or {}
     return {
@@ -126,16 +119,9 @@ class Posterior:
     ) -> Posterior:
         """Join a solution's own errors with those that it inherits.
 
-        Parameters
-        ----------
-        solution : Solution
-            Its covariance counts the prior's rows as independent of friction.
-        direct : Sensitivity
-            Of the solution to friction, the prior held.
-        gain : (p, k) array
-            Of the solution on the prior's right side.
-        through : Sensitivity
-            Of the prior's right side (k, K_j) to friction.
+        `solution`: its covariance counts the prior's rows as independent of friction. `direct`: of
+        the solution to friction, the prior held. `gain` (p, k): of the solution on the prior's
+        right side. `through`: of the prior's right side (k, K_j) to friction.
         """
         inherited = friction_covariance(through, surfaces, gain.shape[1])
         total = combined(direct, gain, through)

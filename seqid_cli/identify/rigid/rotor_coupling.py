@@ -85,19 +85,10 @@ def decide(
 ) -> Coupling:
     """Compare the two hypotheses by the logs.
 
-    Parameters
-    ----------
-    equations : sequence of Equations
-        With the rows of all logs; the first as they are used, the others at other cut-offs.
-    max_sigma : float
-        Standard errors within which the free share agrees with 0 or 1.
-    min_log_odds : float
-        Logarithm of the odds that decide: 5 are 150 to 1.
-
-    Returns
-    -------
-    Coupling
-        Not used where the logs do not decide, or not alike at all cut-offs.
+    `equations`: with the rows of all logs; the first as they are used, the others at other
+    cut-offs. `max_sigma`: standard errors within which the free share agrees with 0 or 1.
+    `min_log_odds`: logarithm of the odds that decide: 5 are 150 to 1. Returns: not used where the
+    logs do not decide, or not alike at all cut-offs.
     """
     own = equations[0]
     kappa = own.basis.size

@@ -74,17 +74,9 @@ class Consistent:
 def consistent_links(J: Array, rotors: Array, demand: Demand) -> Consistent:
     """Find physically consistent parameters that meet a demand, or come nearest to it.
 
-    Parameters
-    ----------
-    J : (n, 4, 4) array
-        Expected pseudo-inertias, positive definite.
-    rotors : (k,) array
-        Typical sizes of the rotor inertias [kg m^2], positive; they scale the problem.
-
-    Raises
-    ------
-    QualityError
-        If the solver finds nothing, which numbers of wildly different sizes can bring about.
+    `J` (n, 4, 4): expected pseudo-inertias, positive definite. `rotors` (k,): typical sizes of the
+    rotor inertias [kg m^2], positive; they scale the problem. Raises QualityError if the solver
+    finds nothing, which numbers of wildly different sizes can bring about.
     """
     problem = _Problem.of(J, rotors, demand)
     found = problem.exact()

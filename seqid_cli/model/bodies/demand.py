@@ -99,17 +99,9 @@ def identified(
 ) -> Identified:
     """Collect the base parameters of a file.
 
-    Parameters
-    ----------
-    stages : Stages
-        With gravity, with inertia, with both, or with neither.
-    more : (11 n,) array, optional
-        Standard parameters, rotors last, that effects add to the identified ones.
-
-    Raises
-    ------
-    ConfigError
-        If the parameters are not those of this robot file, or of no arm.
+    `stages`: with gravity, with inertia, with both, or with neither. `more` (11 n,): standard
+    parameters, rotors last, that effects add to the identified ones. Raises ConfigError if the
+    parameters are not those of this robot file, or of no arm.
     """
     basis = free_basis(robot)
     rigid = stages.inertia or stages.gravity

@@ -29,20 +29,9 @@ class NearestBodies:
 def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -> NearestBodies:
     """Find bodies with the identified torque, or the nearest to it.
 
-    Parameters
-    ----------
-    kept : (n, 10) array, optional
-        Parts of the links that stay as they are; the rest must be able to exist by itself.
-
-    Returns
-    -------
-    NearestBodies
-        Its links are without `kept`.
-
-    Raises
-    ------
-    QualityError
-        If no physically consistent parameters are found.
+    `kept` (n, 10): parts of the links that stay as they are; the rest must be able to exist by
+    itself. Returns: its links are without `kept`. Raises QualityError if no physically consistent
+    parameters are found.
     """
     demand = found.demand
     kept = np.zeros((robot.n, 10)) if kept is None else kept

@@ -29,16 +29,9 @@ def expected_links(
 ) -> Expected:
     """Return the expected inertials of each link.
 
-    Parameters
-    ----------
-    robot : Robot
-        With `nominal` where its URDF has inertials.
-    kept : (n, 10) array
-        Parts of the bodies that stay as they are; not part of the links.
-    E : (b, 10 n) array
-        Identified combinations of link parameters; they scale the guess.
-    values : (b,) array
-        Their values.
+    `robot`: with `nominal` where its URDF has inertials. `kept` (n, 10): parts of the bodies that
+    stay as they are; not part of the links. `E` (b, 10 n): identified combinations of link
+    parameters; they scale the guess. `values` (b,): their values.
     """
     lengths, shapes = _shapes(robot.chain)
     cad = np.zeros((robot.n, 10)) if robot.nominal is None else robot.nominal - kept

@@ -88,19 +88,9 @@ def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
     4 s / (3 (2 pi)^2 f_c) and 4 s / (3 (2 pi)^4 f_c^3), from which f_c and s follow. No more than
     the smoother's whole error lies below a cut-off, and no more than the encoder alone would have.
 
-    Parameters
-    ----------
-    variance : (n, 3) array
-        Typical variance of the smoother's q, dq, ddq; infinite where the encoder is used instead.
-    density : (n,) array
-        Noise of the encoders [rad^2/Hz].
-    hz : float
-        Cut-off.
-
-    Returns
-    -------
-    (n,) array
-        [(rad/s^2)^2].
+    `variance` (n, 3): typical variance of the smoother's q, dq, ddq; infinite where the encoder is
+    used instead. `density` (n,): noise of the encoders [rad^2/Hz]. `hz`: cut-off. Returns (n,):
+    [(rad/s^2)^2].
     """
     known = np.asarray(np.isfinite(variance).all(axis=1))
     used = np.where(known[:, None], np.maximum(variance, 1e-300), 1.0)
@@ -169,21 +159,10 @@ def choose_smoothed_cutoff(
 ) -> Cutoff:
     """Choose one low-pass cut-off for all joints of a log whose motion comes from the smoother.
 
-    Parameters
-    ----------
-    encoder : Cutoff
-        The choice for the encoders alone, for what it says of them.
-    dq, ddq : (N, n) arrays
-        Smoothed motion [rad/s, rad/s^2].
-    variance : (n, 3) array
-        As of `smoothed_error`.
-    moving : (n,) bool array
-        Joints that move.
-
-    Returns
-    -------
-    Cutoff
-        That of the encoders with another `hz`, and the `bias` that is left at it.
+    `encoder`: the choice for the encoders alone, for what it says of them. `dq` and `ddq` (N, n):
+    smoothed motion [rad/s, rad/s^2]. `variance` (n, 3): as of `smoothed_error`. `moving` (n,):
+    joints that move. Returns: that of the encoders with another `hz`, and the `bias` that is left
+    at it.
     """
     if not moving.any():
         return encoder
@@ -268,19 +247,9 @@ def acceleration_powers(
 ) -> tuple[Array, Array, float]:
     """Power of the acceleration and of its noise below each cut-off, and the noise density.
 
-    Parameters
-    ----------
-    frequency, density : (F,) arrays
-        Spectrum [Hz, (rad/s^2)^2/Hz] of the second difference of the position: it whitens the
-        steep spectrum of the position before the window smears it.
-    step : float
-        Of the encoder [rad].
-    cutoffs : (C,) array [Hz]
-
-    Returns
-    -------
-    tuple of (C,) array, (C,) array, float
-        [(rad/s^2)^2, (rad/s^2)^2, rad^2/Hz].
+    `frequency` and `density` (F,): spectrum [Hz, (rad/s^2)^2/Hz] of the second difference of the
+    position: it whitens the steep spectrum of the position before the window smears it. `step`: of
+    the encoder [rad]. `cutoffs` (C,) [Hz]. Returns (C,) (C,): [(rad/s^2)^2, (rad/s^2)^2, rad^2/Hz].
     """
     density = density / np.maximum(np.sinc(frequency / rate_hz) ** 4, 0.05)
     omega4 = (2 * np.pi * frequency) ** 4

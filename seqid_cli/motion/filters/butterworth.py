@@ -78,17 +78,9 @@ class Lowpass:
     def __call__(self, values: Array, valid: Mask | None = None) -> Array:
         """Filter along the first axis, each run of valid samples by itself.
 
-        Parameters
-        ----------
-        values : (N, ...) array
-            Samples in time order.
-        valid : (N,) bool array, optional
-            False where samples must not leak into others.
-
-        Returns
-        -------
-        (N, ...) array
-            Filtered values; samples outside valid runs are returned as they came.
+        `values` (N, ...): samples in time order. `valid` (N,): false where samples must not leak
+        into others. Returns (N, ...): filtered values; samples outside valid runs are returned as
+        they came.
         """
         rows = np.array(values.reshape(len(values), -1).T, dtype=np.float64, order="C")
         self.filter_rows(rows, valid)
@@ -99,13 +91,8 @@ class Lowpass:
     ) -> None:
         """Filter signals in place, samples last, each run of valid samples by itself.
 
-        Parameters
-        ----------
-        rows : (c, N) array
-        valid : (N,) bool array, optional
-            False where samples must not leak into others; these stay as they are.
-        only : array of int, optional
-            Numbers of the signals to filter; all by default.
+        `rows` (c, N). `valid` (N,): false where samples must not leak into others; these stay as
+        they are. `only`: numbers of the signals to filter; all by default.
         """
         if not self.active:
             return

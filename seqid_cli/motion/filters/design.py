@@ -58,12 +58,8 @@ class StateSpace:
 def one_pass(cutoff_hz: float, rate_hz: float, every: int = 1) -> StateSpace:
     """Design one pass.
 
-    Parameters
-    ----------
-    cutoff_hz : float
-        Of one pass.
-    every : int
-        Which sample of a log is filtered; the log has `every` times the rate.
+    `cutoff_hz`: of one pass. `every`: which sample of a log is filtered; the log has `every` times
+    the rate.
     """
     zeros, poles, _ = butter(ORDER, cutoff_hz, fs=rate_hz * every, output="zpk")
     if every > 1:

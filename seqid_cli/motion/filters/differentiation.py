@@ -31,17 +31,9 @@ def shrink(mask: Mask, samples: int) -> Mask:
 def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> tuple[Array, Array]:
     """First and second time derivative of band-limited samples.
 
-    Parameters
-    ----------
-    values : (N, ...) array
-        Low-passed well below a fifth of the sampling rate.
-    valid : (N,) bool array, optional
-        Derivatives do not reach across samples that are not valid.
-
-    Returns
-    -------
-    tuple of (N, ...) arrays
-        Per second and per second squared; zero outside valid runs.
+    `values` (N, ...): low-passed well below a fifth of the sampling rate. `valid` (N,): derivatives
+    do not reach across samples that are not valid. Returns (N, ...): per second and per second
+    squared; zero outside valid runs.
     """
     first, second = np.zeros_like(values), np.zeros_like(values)
     for start, stop in runs(valid, len(values)):

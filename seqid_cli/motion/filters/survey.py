@@ -68,10 +68,7 @@ class Welch:
     def look(self, samples: Array, begin: int) -> int:
         """Take what is new in samples of which `begin` is the number of the first.
 
-        Returns
-        -------
-        int
-            Number of the first sample that is wanted next time.
+        Returns: number of the first sample that is wanted next time.
         """
         hop = self.length - self.length // 2
         wanted = self.length + self._differences
@@ -209,12 +206,8 @@ class Survey:
     def cutoff(self, resolution: Array, *, highest_hz: float = HIGHEST_HZ) -> Cutoff:
         """Choose one low-pass cut-off by the joints that move; the others say nothing about it.
 
-        Parameters
-        ----------
-        resolution : (n,) array
-            Encoder step [rad] of the robot file; zero where it is to be read off the data.
-        highest_hz : float
-            Highest cut-off that may be chosen.
+        `resolution` (n,): encoder step [rad] of the robot file; zero where it is to be read off the
+        data. `highest_hz`: highest cut-off that may be chosen.
         """
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)

@@ -115,10 +115,7 @@ POOR_CONDITION = 1e3
 def layout_report(imu: Imu) -> LayoutReport:
     """Say what a layout of accelerometers, and its gyro, can see.
 
-    Returns
-    -------
-    LayoutReport
-        With one sentence for each thing that it cannot see.
+    Returns: with one sentence for each thing that it cannot see.
     """
     rank, condition, errors = _resolved(imu)
     seen = np.isfinite(errors)
@@ -180,18 +177,9 @@ def calibrated(
 ) -> tuple[Imu, Array, Array | None]:
     """Take a calibration's biases and gains off the readings, and its axes into the layout.
 
-    Parameters
-    ----------
-    calibration : ImuCalibration
-        What it does not determine is left as the robot file has it.
-    accelerations : (N, K) array [m/s^2]
-    gyro : (N, 3) array [rad/s], optional
-
-    Returns
-    -------
-    tuple of Imu, (N, K) array, (N, 3) array or None
-        Readings of an instrument without those faults, whose axes are those of the returned Imu.
-        The clock offset stays in.
+    `calibration`: what it does not determine is left as the robot file has it. `accelerations` (N,
+    K) [m/s^2]. `gyro` (N, 3) [rad/s]. Returns (N, K) (N, 3): readings of an instrument without
+    those faults, whose axes are those of the returned Imu. The clock offset stays in.
     """
     bias = _known(calibration.accelerometer_bias, len(imu.axes), 0.0)
     scale = _known(calibration.accelerometer_scale, len(imu.axes), 1.0)
@@ -222,16 +210,9 @@ def read_angular(
 ) -> AngularReading:
     """Solve the array for angular acceleration and products of angular velocity.
 
-    Parameters
-    ----------
-    accelerations : (N, K) array
-        Readings [m/s^2].
-    gyro : (N, 3) array, optional
-        Angular velocity [rad/s]; used instead of the array where it is there.
-    valid : (N,) bool array
-        False in gaps.
-    noise : (K,) array, optional
-        Standard deviation of each accelerometer [m/s^2]; they weigh alike without it.
+    `accelerations` (N, K): readings [m/s^2]. `gyro` (N, 3): angular velocity [rad/s]; used instead
+    of the array where it is there. `valid` (N,): false in gaps. `noise` (K,): standard deviation of
+    each accelerometer [m/s^2]; they weigh alike without it.
     """
     filtered = lowpass(accelerations, valid)
     if gyro is not None:
@@ -250,16 +231,9 @@ def read_angular(
 def array_inverse(imu: Imu, noise: Array | None = None) -> tuple[Array, Array]:
     """Weighted least squares of the array: unknowns (12,) from readings, and their covariance.
 
-    Parameters
-    ----------
-    noise : (K,) array, optional
-        Standard deviations of the readings [m/s^2], one each without it.
-
-    Returns
-    -------
-    tuple of (12, K) and (12, 12) arrays
-        The map to f, dw and the products xx, yy, zz, xy, xz, yz, and their covariance. What the
-        layout does not see has the least possible size and no variance: see `layout_report`.
+    `noise` (K,): standard deviations of the readings [m/s^2], one each without it. Returns (12, K)
+    (12, 12): the map to f, dw and the products xx, yy, zz, xy, xz, yz, and their covariance. What
+    the layout does not see has the least possible size and no variance: see `layout_report`.
     """
     sigma = np.ones(len(imu.axes)) if noise is None else noise
     A, scale = _scaled(array_matrix(imu) / sigma[:, None])

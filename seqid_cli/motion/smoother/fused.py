@@ -113,14 +113,9 @@ def disagreement(
     A wrong calibration, clocks apart, or a link that does not follow its encoder: elastic, loose,
     or behind an encoder that is mounted off its axis. The smoother knows nothing of any of them.
 
-    Parameters
-    ----------
-    ddq : (N, n) array
-        Accelerations [rad/s^2], low-passed at the encoders' cut-off.
-    max_noise_ratio : float
-        Times the encoder's noise, whose quantisation is not white in slow moves.
-    max_share : float
-        Share of the acceleration: what shakes faster than IMUs sample shows up below.
+    `ddq` (N, n): accelerations [rad/s^2], low-passed at the encoders' cut-off. `max_noise_ratio`:
+    times the encoder's noise, whose quantisation is not white in slow moves. `max_share`: share of
+    the acceleration: what shakes faster than IMUs sample shows up below.
     """
     seen = encoder.moving.any(axis=0)
     used = encoder.usable

@@ -187,10 +187,7 @@ def moved(x: Mounted, change: Array) -> Mounted:
 def handed_on(x: Mounted, covariance: Array) -> Mounted:
     """What the next stretch of the log is to assume: where this one left the constants.
 
-    Parameters
-    ----------
-    covariance : (g, g) array
-        Of its constants, by this stretch.
+    `covariance` (g, g): of its constants, by this stretch.
     """
     channels = x.place.channels
     rates = channels - len(x.place.axes)

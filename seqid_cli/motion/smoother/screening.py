@@ -67,10 +67,7 @@ class Fit:
 def fits(chunk: Chunk, alone: Array, together: Array) -> list[Fit]:
     """How well each IMU goes with the others and the encoders.
 
-    Parameters
-    ----------
-    alone, together : (K, n) arrays
-        Coefficients by the encoders, and by everything.
+    `alone` and `together` (K, n): coefficients by the encoders, and by everything.
     """
     found = []
     for x in chunk.imus:

@@ -288,10 +288,7 @@ def _renewed_jerk(chunk: Chunk, c: Array, jerk: Jerk, left_open: Array) -> Jerk:
 def probed_covariance(solution: Solution, shared: Solution) -> tuple[Index, Array]:
     """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), interpolated from knots far apart.
 
-    Parameters
-    ----------
-    shared : Solution
-        Of the same stretch, perhaps on other knots: says how well the constants are known.
+    `shared`: of the same stretch, perhaps on other knots: says how well the constants are known.
     """
     chunk = solution.chunk
     every = max(1, int(PROBE_S / chunk.spacing))

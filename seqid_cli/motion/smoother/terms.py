@@ -240,9 +240,7 @@ def readings(x: Mounting, own: Array) -> Array:
 def imu_rows(chain: Chain, state: ChainState, dq: Array, x: Mounting) -> Rows:
     """Derivatives of an IMU's accelerometers, and of its gyro.
 
-    Parameters
-    ----------
-    dq : (m, N) array [rad/s], of the joints that move the IMU
+    `dq` (m, N) [rad/s].
     """
     link = x.link
     own = felt(state, x).transpose(2, 0, 1)

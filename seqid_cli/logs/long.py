@@ -46,6 +46,17 @@ class Block:
     tau: Array
     valid: Mask
 
+    PER_SAMPLE = ("q", "tau", "valid")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.q)
+
+    def part(self, where: slice) -> Block:
+        """Some samples, counted from the first of these."""
+        return Block(self.start + where.start, self.q[where], self.tau[where], self.valid[where])
+
 
 @dataclass(frozen=True)
 class Bridge:

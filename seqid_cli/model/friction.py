@@ -131,14 +131,12 @@ class FrictionSurface:
     def torque(self, q: Array, v: Array) -> Array:
         """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
         if self.directional:
-            both: Array = self.columns(q, v) @ self.coefficients
-            return both
+            return np.asarray(self.columns(q, v) @ self.coefficients)
         basis = self.scaling.basis(q, v, *self.orders)
         level: Array = basis @ self.positive.ravel()
         if self.extension.any():
             level = level + self._extension(q, v) @ self.extension[0]
-        torque: Array = np.tanh(v / self.sign_width) * level
-        return torque
+        return np.asarray(np.tanh(v / self.sign_width) * level)
 
     def std_error(self, q: Array, v: Array) -> Array:
         """Standard error (N,) N m of `torque`; zero where the file gives no covariance."""
@@ -146,14 +144,12 @@ class FrictionSurface:
         if self.covariance.shape != (X.shape[1], X.shape[1]):
             return np.zeros(len(q))
         variance = np.einsum("nk,kl,nl->n", X, self.covariance, X, optimize=True)
-        error: Array = np.sqrt(np.maximum(variance, 0.0))
-        return error
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def stated_error(self, q: Array, v: Array) -> Array:
         """Standard error (N,) N m of the physical torque: with that of the torque constant."""
         common = self.torque_constant_error * self.torque(q, v)
-        error: Array = np.hypot(self.std_error(q, v), common)
-        return error
+        return np.asarray(np.hypot(self.std_error(q, v), common))
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
         """Smallest and largest torque (N,) N m that friction can hold at rest."""
@@ -172,8 +168,7 @@ class FrictionSurface:
         """
         shares = (self.scaling.over_position.share(q), 0.5 * (self.scaling.u(v) + 1.0))
         row, column = (np.rint(share * (CELLS - 1)).astype(np.intp) for share in shares)
-        mask: Mask = self._vague[row, column] & (np.abs(v) > self.sign_width)
-        return mask
+        return np.asarray(self._vague[row, column] & (np.abs(v) > self.sign_width))
 
     @cached_property
     def _vague(self) -> Mask:
@@ -202,14 +197,12 @@ class FrictionSurface:
         if self.scaling.logarithmic:
             ends = np.log(ends)
         speeds = ends[0] + share * (ends[1] - ends[0])
-        found: Array = np.exp(speeds) if self.scaling.logarithmic else speeds
-        return found
+        return np.asarray(np.exp(speeds) if self.scaling.logarithmic else speeds)
 
     @property
     def slopes_beyond(self) -> Array:
         """Viscous slope (2,) N m s/rad beyond the fastest speed, forward and backward; >= 0."""
-        found: Array = np.resize(np.maximum(self._slopes, 0.0), 2)
-        return found
+        return np.asarray(np.resize(np.maximum(self._slopes, 0.0), 2))
 
     @property
     def _sides(self) -> tuple[Array, ...]:

@@ -128,8 +128,7 @@ class Polynomial:
         """Correlation rho (N,) with the edge of the range; 1 inside."""
         if self.high <= self.low:
             return np.ones_like(q)
-        kept: Array = np.exp(-0.5 * (self._distance(q) / (FADE * (self.high - self.low))) ** 2)
-        return kept
+        return np.asarray(np.exp(-0.5 * (self._distance(q) / (FADE * (self.high - self.low))) ** 2))
 
 
 @dataclass(frozen=True)
@@ -158,8 +157,7 @@ class Fourier:
 
     def mean(self, order: int) -> Array:
         """Return 1 for the constant, 0 for the waves."""
-        found: Array = np.eye(1, 2 * order + 1)[0]
-        return found
+        return np.asarray(np.eye(1, 2 * order + 1)[0])
 
     def novelty(self, q: Array) -> Array:
         """Return zeros: every angle is known."""
@@ -271,8 +269,7 @@ def _chebyshev(z: Array, order: int) -> Array:
 def tensor(over_position: Array, over_speed: Array) -> Array:
     """Return the products (N, a b) of functions (N, a) and (N, b), the second fastest."""
     product = over_position[:, :, None] * over_speed[:, None, :]
-    flat: Array = product.reshape(len(over_position), -1)
-    return flat
+    return np.asarray(product.reshape(len(over_position), -1))
 
 
 def scaled(value: Array, low: float, high: float) -> Array:

@@ -166,8 +166,7 @@ def sliding(motion: Motion, slowest: Array) -> Mask:
     with them, say nothing about the model.
     """
     near = slowest_near(motion, np.where(motion.moving, motion.dq, 0.0))
-    mask: Mask = (near >= slowest) & (near > 0.0) & motion.usable[:, None]
-    return mask
+    return np.asarray((near >= slowest) & (near > 0.0) & motion.usable[:, None])
 
 
 def slowest_near(motion: Motion, velocity: Array) -> Array:
@@ -181,5 +180,4 @@ def slowest_near(motion: Motion, velocity: Array) -> Array:
     ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
     fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
     size = 2 * max(1, int(REACH * motion.rate_hz * parts / cutoff)) + 1
-    least: Array = minimum_filter1d(fine, size, axis=0, mode="nearest")[::parts]
-    return least
+    return np.asarray(minimum_filter1d(fine, size, axis=0, mode="nearest")[::parts])

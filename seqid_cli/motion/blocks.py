@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import SIDE, differentiate, shrink
 from seqid_cli.motion.filters.survey import Survey
-from seqid_cli.motion.motion import PER_SAMPLE, Motion, all_valid
+from seqid_cli.motion.motion import Motion, all_valid
 from seqid_cli.motion.segmentation import motion_reach, moving_mask
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -81,68 +81,51 @@ def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     `blocks`: the log's samples in order. Yields: consecutive parts of the decimated motion; `t`
     counts from the first sample of the log.
     """
-    for window, low, start, stop in windows(blocks, plan.rows, plan.margin):
-        yield _motion(window, plan, low, start, stop)
+    for window, first, end in overlapping(blocks, plan.rows, plan.margin):
+        yield _motion(window, plan, slice(first, end))
 
 
-def windows(
-    blocks: Iterable[Block], rows: int, margin: int
-) -> Iterator[tuple[Block, int, int, int]]:
+S = TypeVar("S", Block, Motion)
+
+
+def joined(parts: list[S]) -> S:
+    """Put consecutive parts together; motion must have torque."""
+    first = parts[0]
+    names = first.PER_SAMPLE if len(parts) > 1 else ()
+    whole: dict[str, Any] = {n: np.concatenate([getattr(x, n) for x in parts]) for n in names}
+    return replace(first, **whole)
+
+
+def overlapping(parts: Iterable[S], rows: int, margin: int) -> Iterator[tuple[S, int, int]]:
     """Cut samples into blocks of `rows` with `margin` more on either side.
 
-    Yields: the samples, the number of the first of them, and the range [start, stop) of numbers
-    that is the block itself.
+    Yields the samples, and which of them, [start, stop), are the block itself.
     """
-    held: list[Block] = []
-    begin = end = start = 0
-    for block in blocks:
-        held.append(block)
-        end += len(block.q)
-        while end >= start + rows + margin:
-            low = max(0, start - margin)
-            joined = joined_blocks(held)
-            yield (
-                part_of_block(joined, low - begin, start + rows + margin - begin),
-                low,
-                start,
-                start + rows,
-            )
-            start += rows
-            keep = max(0, start - margin)
-            held, begin = [part_of_block(joined, keep - begin, end - begin)], keep
-    while start < end:
-        low, stop = max(0, start - margin), min(start + rows, end)
-        joined = joined_blocks(held)
-        yield part_of_block(joined, low - begin, min(stop + margin, end) - begin), low, start, stop
-        held, start = [joined], stop
+    held: list[S] = []
+    before = have = 0  # samples held in front of the next block, and in all
+    for part in parts:
+        held.append(part)
+        have += part.samples
+        while have >= before + rows + margin:
+            whole = joined(held)
+            yield whole.part(slice(0, before + rows + margin)), before, before + rows
+            drop = max(0, before + rows - margin)
+            before, have = before + rows - drop, have - drop
+            held = [whole.part(slice(drop, drop + have))]
+    while have > before:
+        whole = joined(held)
+        stop = min(before + rows, have)
+        yield whole.part(slice(0, min(stop + margin, have))), before, stop
+        held, before = [whole], stop
 
 
-def joined_blocks(held: list[Block]) -> Block:
-    """Put consecutive blocks together."""
-    if len(held) == 1:
-        return held[0]
-    return Block(
-        held[0].start,
-        np.concatenate([block.q for block in held]),
-        np.concatenate([block.tau for block in held]),
-        np.concatenate([block.valid for block in held]),
-    )
-
-
-def part_of_block(block: Block, low: int, high: int) -> Block:
-    """Samples [low, high) of a block, counted from its first."""
-    part = slice(low, high)
-    return Block(block.start + low, block.q[part], block.tau[part], block.valid[part])
-
-
-def _motion(window: Block, plan: Plan, low: int, start: int, stop: int) -> Motion:
+def _motion(window: Block, plan: Plan, inner: slice) -> Motion:
     factor = plan.factor
-    inner = slice(start - low, stop - low)
     kept = np.arange(inner.start, inner.stop, factor)
     q, dq, ddq, tau = _filtered(window, plan, inner)
     usable = shrink(window.valid, 2 * plan.lowpass.settling)
     return Motion(
-        t=np.arange(start, stop, factor) / plan.rate_hz,
+        t=(window.start + kept) / plan.rate_hz,
         q=q,
         dq=dq,
         ddq=ddq,
@@ -168,16 +151,6 @@ def _filtered(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Ar
     dq, ddq = differentiate(q, plan.rate_hz, valid)
     tau = lowpass(lowpass(window.tau, valid), valid)
     return q[inner][::factor], dq[inner][::factor], ddq[inner][::factor], tau[inner][::factor]
-
-
-def joined_motions(parts: list[Motion]) -> Motion:
-    """Put consecutive parts of one motion, which has torque, together."""
-    if len(parts) == 1:
-        return parts[0]
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(x, name) for x in parts]) for name in PER_SAMPLE
-    }
-    return replace(parts[0], **joined)
 
 
 @dataclass(frozen=True)

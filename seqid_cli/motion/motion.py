@@ -20,7 +20,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 SAMPLES_PER_CUTOFF = 10
-PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,8 @@ class Motion:
     encoder_error: Array | None = None
     warnings: tuple[str, ...] = ()
 
+    PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
+
     @property
     def samples(self) -> int:
         """Number of samples."""
@@ -75,7 +76,7 @@ class Motion:
 
     def part(self, where: slice) -> Motion:
         """Some samples; the filter stays."""
-        values = {name: getattr(self, name) for name in PER_SAMPLE}
+        values = {name: getattr(self, name) for name in self.PER_SAMPLE}
         own: dict[str, Any] = {n: None if v is None else v[where] for n, v in values.items()}
         return replace(self, **own)
 

@@ -65,8 +65,7 @@ class SurfaceFit:
         found = self.whole[1][np.ix_(kept, kept)]
         columns, error = self._grid
         own = np.einsum("nk,kl,nl->", columns[:, kept], found, columns[:, kept], optimize=True)
-        scaled: Array = found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0)
-        return scaled
+        return np.asarray(found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0))
 
     def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
         """Each inner speed u, with the entries of a surface fitted to the others."""

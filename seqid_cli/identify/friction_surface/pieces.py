@@ -9,7 +9,7 @@ import numpy as np
 
 from seqid_cli.logs.long import Block, LongLog
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.motion.blocks import joined_blocks, part_of_block
+from seqid_cli.motion.blocks import joined
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
 from seqid_cli.typing import Array
 
@@ -23,12 +23,12 @@ class _Held:
 
     def followed_by(self, other: Block) -> _Held:
         """These samples and the next."""
-        return replace(self, block=joined_blocks([self.block, other]))
+        return replace(self, block=joined([self.block, other]))
 
     def after(self, cut: int, margin: int) -> _Held:
         """What is left once everything in front of a sample (of the block) has been searched."""
         low = max(0, cut - margin)
-        return _Held(part_of_block(self.block, low, len(self.block.q)), cut - low)
+        return _Held(self.block.part(slice(low, self.block.samples)), cut - low)
 
 
 def pieces(

@@ -122,5 +122,4 @@ def _reduced(data: SpeedData, scaling: Scaling) -> tuple[Array, Array, float, fl
 def edges_of(t: Array, seconds: float) -> Array:
     """How near slices at times t (K,), each so many seconds long, are to both ends (K, 2)."""
     begin, end = t[0] - seconds / 2.0, t[-1] + seconds / 2.0
-    near: Array = np.exp(-np.stack([t - begin, end - t], axis=1) / EDGE_S)
-    return near
+    return np.asarray(np.exp(-np.stack([t - begin, end - t], axis=1) / EDGE_S))

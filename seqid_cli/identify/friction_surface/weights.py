@@ -58,5 +58,4 @@ def _scale(distances: Array) -> float:
 
 def _biweight(ratio: Array, *, max_ratio: float = 4.685) -> Array:
     """Tukey's weights; 95 % efficient for normal errors."""
-    weight: Array = np.clip(1.0 - (ratio / max_ratio) ** 2, 0.0, None) ** 2
-    return weight
+    return np.asarray(np.clip(1.0 - (ratio / max_ratio) ** 2, 0.0, None) ** 2)

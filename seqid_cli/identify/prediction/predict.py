@@ -22,7 +22,6 @@ from seqid_cli.identify.prediction.log_prediction import LogPrediction, notes_on
 from seqid_cli.identify.regression.streaming import (
     chosen_cutoff,
     open_if_long,
-    overlapping,
     streams,
     too_short,
 )
@@ -32,7 +31,7 @@ from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, sliding
-from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks
+from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks, overlapping
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.params.schema import Stages

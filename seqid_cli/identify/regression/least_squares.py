@@ -132,8 +132,7 @@ def _without(factors: Array, column: int, value: float) -> Array:
     below = np.asarray(np.linalg.qr(fewer[:, column:, column:], mode="r"), dtype=np.float64)
     diagonal = np.diagonal(below, axis1=1, axis2=2)
     fewer[:, column:-1, column:] = below * np.where(diagonal < 0, -1.0, 1.0)[:, :, None]
-    kept: Array = fewer[:, :-1].copy()
-    return kept
+    return np.asarray(fewer[:, :-1].copy())
 
 
 @dataclass(frozen=True)
@@ -257,8 +256,7 @@ def _determined(factor: Array, basis: Array) -> Mask:
     scaled = basis * np.where(alive, scale, 0.0)[:, None]
     Q, _ = np.linalg.qr(scaled)
     inside = np.sum(Q**2, axis=1)
-    determined: Mask = alive & (inside > 1 - 1e-4)
-    return determined
+    return np.asarray(alive & (inside > 1 - 1e-4))
 
 
 def _jackknife(
@@ -286,8 +284,7 @@ def _jackknife(
 def spread_of(moves: Array) -> Array:
     """Covariance (p, p) by the jackknife's moves (G, p)."""
     count = len(moves)
-    covariance: Array = moves.T @ moves * (max(count - 1, 1) / max(count, 1))
-    return covariance
+    return np.asarray(moves.T @ moves * (max(count - 1, 1) / max(count, 1)))
 
 
 def _add_blocks(A: Array, s: Array, blocks: list[Array], extended: Array, sigma: float) -> None:
@@ -336,5 +333,4 @@ def whitened(covariance: Array) -> Array:
     """Rows L with L' L the (pseudo-)inverse of a covariance: a stage's result as a prior."""
     value, vector = np.linalg.eigh((covariance + covariance.T) / 2)
     kept = value > 1e-14 * max(value.max(initial=0.0), 1e-300)
-    rows: Array = (vector[:, kept] / np.sqrt(value[kept])).T
-    return rows
+    return np.asarray((vector[:, kept] / np.sqrt(value[kept])).T)

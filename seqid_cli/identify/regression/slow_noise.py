@@ -120,8 +120,7 @@ def _flicker(t: Array, low: float, high: Array) -> Array:
     at_once = lag * upper < 1e-6
     safe = np.where(at_once, 1.0, lag)
     covariance = sici(safe * upper)[1] - sici(safe * low)[1]
-    result: Array = np.where(at_once, np.log(upper / low), covariance)
-    return result
+    return np.asarray(np.where(at_once, np.log(upper / low), covariance))
 
 
 def _root(shape: Sequence[Array], strengths: Array) -> Array:

@@ -12,7 +12,7 @@ to filter, decimate and reduce its equations block by block. Both give the same,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
@@ -28,10 +28,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import sliding
 from seqid_cli.motion.blocks import (
     SurveyedLog,
-    joined_motions,
     make_plan,
     motion_blocks,
     open_surveyed,
+    overlapping,
 )
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -186,31 +186,6 @@ def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tup
     resolution, survey = encoder_resolution(robot), survey_of(log)
     cutoff = as_asked(survey.cutoff(resolution), log.path, log.rate_hz, options)
     return cutoff, survey.noise_step(resolution)
-
-
-def overlapping(
-    parts: Iterable[Motion], rows: int, margin: int
-) -> Iterator[tuple[Motion, int, int]]:
-    """Cut motion into blocks of `rows` samples with `margin` more on either side.
-
-    Yields: the samples and which of them, [start, stop), are the block itself.
-    """
-    held: list[Motion] = []
-    before = have = 0  # samples held in front of the next block, and in all
-    for part in parts:
-        held.append(part)
-        have += part.samples
-        while have >= before + rows + margin:
-            joined = joined_motions(held)
-            yield joined.part(slice(0, before + rows + margin)), before, before + rows
-            drop = max(0, before + rows - margin)
-            before, have = before + rows - drop, have - drop
-            held = [joined.part(slice(drop, drop + have))]
-    while have > before:
-        joined = joined_motions(held)
-        stop = min(before + rows, have)
-        yield joined.part(slice(0, min(stop + margin, have))), before, stop
-        held, before = [joined], stop
 
 
 def too_short(path: Path, cutoff_hz: float) -> InputError:

@@ -176,5 +176,4 @@ def _gravity_values(gravity: RigidStage, basis: Basis, size: int) -> Array:
     """Base gravity parameters of the stage, undetermined ones at their smallest values."""
     names = standard_names(basis.expression.shape[1] // 11)
     phi = np.array([gravity.representative.get(name, 0.0) for name in names])
-    values: Array = (basis.expression @ phi)[:size]
-    return values
+    return np.asarray((basis.expression @ phi)[:size])

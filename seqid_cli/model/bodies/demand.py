@@ -57,8 +57,7 @@ class Identified:
     @property
     def held_covariance(self) -> Array:
         """Covariance (b, b) for torque constants as they are: of torque by the same drives."""
-        held: Array = self.covariance - self.moves.T @ self.moves
-        return held
+        return np.asarray(self.covariance - self.moves.T @ self.moves)
 
     @property
     def demand(self) -> Demand:
@@ -181,5 +180,4 @@ def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -
     correlation = covariance / np.outer(errors, errors)
     np.fill_diagonal(correlation, 1.0)
     variances, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-    W: Array = (axes / np.sqrt(np.maximum(variances, min_variance))).T / errors
-    return W
+    return np.asarray((axes / np.sqrt(np.maximum(variances, min_variance))).T / errors)

@@ -63,21 +63,18 @@ class Cutoff:
     @property
     def acceleration_noise(self) -> Array:
         """Standard deviation (n,) rad/s^2 of the differentiated encoder below the cut-off."""
-        noise: Array = np.sqrt(differentiated_error(self.noise_density, self.hz))
-        return noise
+        return np.asarray(np.sqrt(differentiated_error(self.noise_density, self.hz)))
 
     @property
     def encoder_noise(self) -> Array:
         """The same (n,) rad/s^2 below the cut-off that the encoders alone would have chosen."""
         hz = self.hz if self.alone_hz is None else self.alone_hz
-        noise: Array = np.sqrt(differentiated_error(self.noise_density, hz))
-        return noise
+        return np.asarray(np.sqrt(differentiated_error(self.noise_density, hz)))
 
 
 def differentiated_error(density: Array, hz: float | Array) -> Array:
     """Power of twice differentiated white noise of a density (rad^2/Hz) below a cut-off."""
-    power: Array = density * (2 * np.pi) ** 4 * hz**5 / 5
-    return power
+    return np.asarray(density * (2 * np.pi) ** 4 * hz**5 / 5)
 
 
 def smoothed_error(variance: Array, density: Array, hz: float) -> Array:

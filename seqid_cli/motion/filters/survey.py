@@ -200,8 +200,7 @@ class Survey:
 
     def moving(self, step: Array) -> Mask:
         """Joints (n,) that move at any time."""
-        moves: Mask = self._travel > TRAVEL_STEPS * step
-        return moves
+        return np.asarray(self._travel > TRAVEL_STEPS * step)
 
     def cutoff(self, resolution: Array, *, highest_hz: float = HIGHEST_HZ) -> Cutoff:
         """Choose one low-pass cut-off by the joints that move; the others say nothing about it.

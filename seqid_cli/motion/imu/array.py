@@ -243,11 +243,9 @@ def array_inverse(imu: Imu, noise: Array | None = None) -> tuple[Array, Array]:
 
 def _symmetric(p: Array) -> Array:
     rows = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
-    matrix: Array = p[:, rows]
-    return matrix
+    return np.asarray(p[:, rows])
 
 
 def speed_about(products: Array, axis: Array) -> Array:
     """Magnitude (N,) rad/s of the angular velocity about a known axis, from w w'."""
-    speed: Array = np.sqrt(np.maximum(np.einsum("nij,i,j->n", products, axis, axis), 0.0))
-    return speed
+    return np.asarray(np.sqrt(np.maximum(np.einsum("nij,i,j->n", products, axis, axis), 0.0)))

@@ -12,7 +12,7 @@ from scipy.signal import welch
 from seqid_cli.logs.long import Block
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion import blocks as module
-from seqid_cli.motion.blocks import Plan, joined_motions, make_plan, motion_blocks
+from seqid_cli.motion.blocks import Plan, joined, make_plan, motion_blocks
 from seqid_cli.motion.filters.survey import Survey, Welch
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -67,7 +67,7 @@ def test_motion_by_blocks_is_the_whole_motion(least: int, monkeypatch: pytest.Mo
     plan = plan_for(recording, expected)
     parts = list(motion_blocks(in_parts(recording, [500, 77, 1_333]), plan))
     assert len(parts) > 1 or least > SAMPLES
-    found = joined_motions(parts)
+    found = joined(parts)
     assert found.rate_hz == expected.rate_hz
     np.testing.assert_allclose(found.t, expected.t, rtol=1e-14)
     for name, order in zip(NAMES[:4], (0, 1, 2, 0), strict=True):
@@ -84,9 +84,7 @@ def test_the_bits_do_not_tell_how_the_samples_came(monkeypatch: pytest.MonkeyPat
     recording = log()
     plan = plan_for(recording, whole_motion(recording))
     ways = ([SAMPLES], [1], [1_000, 3, 250])
-    first, *others = (
-        joined_motions(list(motion_blocks(in_parts(recording, way), plan))) for way in ways
-    )
+    first, *others = (joined(list(motion_blocks(in_parts(recording, way), plan))) for way in ways)
     for other in others:
         for name in NAMES:
             np.testing.assert_array_equal(getattr(first, name), getattr(other, name))

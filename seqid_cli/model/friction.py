@@ -42,7 +42,6 @@ UNUSUAL = 4.0  # times the surface's median standard error, that it must be as w
 PATCHES = 1.0 / (np.sqrt(2.0 * np.pi) * FADE)  # independent patches of position in a range
 # The mean of few patches is uncertain itself, and the spread about it too small.
 NEW_GROUND = float(np.sqrt((PATCHES + 1.0) / (PATCHES - 1.0)))
-SLOPE_DOUBT = 0.3  # of the viscous slope, its standard error beyond the fastest speed
 BELOW, ABOVE, FASTER, SLOWER = range(4)  # the coefficients of the extension of one direction
 
 
@@ -225,7 +224,7 @@ class FrictionSurface:
         """Standard errors (directions, 4) of the extension's coefficients."""
         return np.array([self._errors_of(side) for side in self._sides])
 
-    def _errors_of(self, side: Array) -> Array:
+    def _errors_of(self, side: Array, *, slope_doubt: float = 0.3) -> Array:
         """Spread over position, twice; doubt about the slope; change near the slowest speed."""
         level = (self._grid @ side.ravel()).reshape(CELLS, CELLS)
         spread = NEW_GROUND * float(np.sqrt(np.mean((level - level.mean(axis=0)) ** 2)))
@@ -236,7 +235,7 @@ class FrictionSurface:
         width, power = float(np.ptp(line)), float(off @ off)
         slope = float(off @ values) / power if power else 0.0
         bend = float(np.sqrt(np.mean((values - values.mean() - slope * off) ** 2)))
-        doubt = float(np.hypot(SLOPE_DOUBT * slope, bend / width)) if width else 0.0
+        doubt = float(np.hypot(slope_doubt * slope, bend / width)) if width else 0.0
         slow, fast = self.scaling.speed
         near = np.array([slow, min(np.e * slow, fast)])
         change = float(np.ptp(_over_speed(self.scaling, near, over_speed)))

@@ -30,10 +30,6 @@ from seqid_cli.robot.types import Array
 Mask = NDArray[np.bool_]
 
 FADE = 0.1  # of the position range: the distance over which a surface forgets its edge
-SLOPE_FROM = 0.5  # of the fastest speed: above it the line beyond the fastest speed is fitted
-OUTSIDE_POSITION = 0.02  # of the position range, by which a position may lie beyond it
-OUTSIDE_SPEED = 0.02  # of a speed, by which it may lie beyond the identified ones
-_SLOPE_SPEEDS = 33  # at which that line is fitted
 
 
 class PositionBasis(Protocol):
@@ -109,9 +105,9 @@ class Polynomial:
         new = np.sqrt(1.0 - self._kept(q) ** 2)
         return np.stack([np.where(q < self.low, new, 0.0), np.where(q > self.high, new, 0.0)], 1)
 
-    def outside(self, q: Array) -> Mask:
-        """Return where positions left the range by more than `OUTSIDE_POSITION` of it."""
-        return self._distance(q) > OUTSIDE_POSITION * (self.high - self.low)
+    def outside(self, q: Array, *, outside_position: float = 0.02) -> Mask:
+        """Return where positions left the range by more than `outside_position` of it."""
+        return self._distance(q) > outside_position * (self.high - self.low)
 
     def share(self, q: Array) -> Array:
         """Return the share of the range, held at its ends."""
@@ -230,21 +226,23 @@ class Scaling:
     def slope(self, position_order: int, velocity_order: int) -> Array:
         """Return the weights of the coefficients in the viscous slope [N m s/rad].
 
-        It is the least-squares slope over the speeds from `SLOPE_FROM` of the fastest one on, of
+        It is the least-squares slope over the speeds from `slope_from` of the fastest one on, of
         the surface's mean over position.
         """
         mean = self.over_position.mean(position_order)
         return np.outer(mean, _slope_over_speed(self, velocity_order)).ravel()
 
-    def slope_speeds(self) -> Array:
+    def slope_speeds(self, *, slope_from: float = 0.5, points: int = 33) -> Array:
         """Return the speeds over which the line beyond the fastest speed is fitted, rad/s."""
         slow, fast = self.speed
-        return np.linspace(max(slow, SLOPE_FROM * fast), fast, _SLOPE_SPEEDS)
+        return np.linspace(max(slow, slope_from * fast), fast, points)
 
-    def outside(self, q: Array, v: Array, *, sign_width: float) -> Mask:
+    def outside(
+        self, q: Array, v: Array, *, sign_width: float, outside_speed: float = 0.02
+    ) -> Mask:
         """Return where position or speed left the identified range; rest has no friction law."""
-        fast = np.abs(v) > (1.0 + OUTSIDE_SPEED) * self.speed[1]
-        slow = (np.abs(v) < (1.0 - OUTSIDE_SPEED) * self.speed[0]) & (np.abs(v) > sign_width)
+        fast = np.abs(v) > (1.0 + outside_speed) * self.speed[1]
+        slow = (np.abs(v) < (1.0 - outside_speed) * self.speed[0]) & (np.abs(v) > sign_width)
         return self.over_position.outside(q) | fast | slow
 
 

@@ -25,22 +25,21 @@ from seqid_cli.robot.types import Array
 Mask = NDArray[np.bool_]
 Places = NDArray[np.intp]
 
-DENSE = 80.0  # samples per period of the cut-off that leave nothing to be folded back
 PARTS = 8
 HALF = 4  # samples on either side that the low-pass reaches
-BETA = 7.5  # of its Kaiser window: 77 dB between a fifth and four fifths of the rate
 KNOTS = np.arange(-2, 4)  # samples about a point that it is interpolated from
-WIDE = 3.0  # widths of the sign within which friction is not smooth
 
 
-def sampled_friction(surfaces: list[FrictionSurface | None], motion: Motion) -> Array:
+def sampled_friction(
+    surfaces: list[FrictionSurface | None], motion: Motion, *, dense: float = 80.0
+) -> Array:
     """Friction torque of a motion, its step at reversals kept below half of the rate.
 
     Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for a joint
     whose friction is not known.
     """
     torque = friction_torque(surfaces, motion.q, motion.dq)
-    if motion.rate_hz >= DENSE * motion.lowpass.cutoff_hz:
+    if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
         return torque
     inside = shrink(motion.valid, HALF + len(KNOTS) // 2)
     for j, surface in enumerate(surfaces):
@@ -51,10 +50,10 @@ def sampled_friction(surfaces: list[FrictionSurface | None], motion: Motion) -> 
     return torque
 
 
-def _near_reversals(motion: Motion, j: int, width: float) -> Mask:
+def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) -> Mask:
     """Samples (N,) that the low-pass reaches from where a joint is slower than the sign's width."""
     v, moving = motion.dq[:, j], motion.moving[:, j]
-    slow = np.abs(v) < WIDE * width
+    slow = np.abs(v) < wide * width
     turns = (v[1:] * v[:-1] <= 0) | slow[1:] | slow[:-1]
     turns &= moving[1:] & moving[:-1]
     found: Mask = np.zeros(len(v), dtype=np.bool_)
@@ -85,8 +84,8 @@ def _interpolation() -> Array:
 
 
 @lru_cache(maxsize=1)
-def _taps() -> Array:
+def _taps(*, beta: float = 7.5) -> Array:
     """Low-pass (2 HALF + 1, PARTS) over the points of the samples around one."""
     taps = np.zeros((2 * HALF + 1) * PARTS)
-    taps[: 2 * HALF * PARTS + 1] = firwin(2 * HALF * PARTS + 1, 1 / PARTS, window=("kaiser", BETA))
+    taps[: 2 * HALF * PARTS + 1] = firwin(2 * HALF * PARTS + 1, 1 / PARTS, window=("kaiser", beta))
     return taps.reshape(2 * HALF + 1, PARTS)

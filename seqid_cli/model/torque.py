@@ -19,7 +19,6 @@ from seqid_cli.robot.types import Array, Robot
 
 Mask = NDArray[np.bool_]
 
-FINE = 80.0  # samples per period of the cut-off that tell when a joint is slow
 REACH = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 
 
@@ -169,13 +168,13 @@ def sliding(motion: Motion, slowest: Array) -> Mask:
     return np.asarray((near >= slowest) & (near > 0.0) & motion.usable[:, None])
 
 
-def slowest_near(motion: Motion, velocity: Array) -> Array:
+def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -> Array:
     """Least of velocities (N, k) within a quarter of a period of the cut-off, without sign.
 
     Taken as straight between samples, so that thinning does not hide a reversal between two.
     """
     cutoff = motion.lowpass.cutoff_hz
-    parts = max(1, math.ceil(FINE * cutoff / motion.rate_hz))
+    parts = max(1, math.ceil(per_period * cutoff / motion.rate_hz))
     share = (np.arange(parts) / parts)[:, None]
     ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
     fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])

@@ -25,8 +25,6 @@ from seqid_cli.motion.segmentation import motion_reach, moving_mask
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-LEAST_BLOCK = 32_768
-
 
 @dataclass(frozen=True)
 class Plan:
@@ -58,7 +56,14 @@ class Plan:
         return self.rate_hz / self.factor
 
 
-def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float) -> Plan:
+def make_plan(
+    rate_hz: float,
+    cutoff: Cutoff,
+    step: Array,
+    *,
+    samples_per_cutoff: float,
+    least_block: int = 32768,
+) -> Plan:
     """Plan the blocks.
 
     `step` (n,): position changes [rad] that are more than noise. `samples_per_cutoff`: samples that
@@ -70,7 +75,7 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
         factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
     margin = max(2 * lowpass.memory + SIDE, 2 * lowpass.settling, motion_reach(rate_hz))
     margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
-    least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK  # thinned ones need less memory
+    least = least_block if factor == 1 else 2 * least_block  # thinned ones need less memory
     rows = -(-max(least, 2 * margin) // factor) * factor
     return Plan(rate_hz, cutoff, step, factor, rows, margin)
 

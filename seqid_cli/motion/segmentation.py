@@ -22,15 +22,9 @@ from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Index, Mask
 
 SCALES_S = (0.1, 0.3, 1.0)
-COARSE = 8  # looks per half of a time scale that mostly tell whether a joint moves
 TRAVEL_STEPS = 2.5  # noise steps of travel, beyond which a joint moves
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
 SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
-VELOCITY_TOLERANCE = 0.1
-SLOWER = 0.1  # of the mean velocity, by which an end may be slower than the middle
-STEADY = 0.15  # of the mean velocity, at the ends of a stretch
-LEAST_SHARE = 0.5  # of the move, that a stretch must cover
-SHORTEST_S = 0.12
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,9 @@ def motion_reach(rate_hz: float) -> int:
     return int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2
 
 
-def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) -> Mask:
+def moving_mask(
+    q: Array, rate_hz: float, step: Array, at: Index | None = None, *, looks: int = 8
+) -> Mask:
     """Where each joint moves.
 
     `q` (N, n): encoder positions [rad]. `step` (n,): encoder noise [rad], see `noise_step`. `at`
@@ -79,7 +75,7 @@ def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) 
         half = max(1, round(scale * rate_hz / 2))
         if 2 * half >= len(q):
             continue
-        for every in (max(coarse, half // COARSE), 1):  # and some samples of it
+        for every in (max(coarse, half // looks), 1):  # and some samples of it
             left = np.flatnonzero(~moving.all(axis=1))
             if len(left):
                 moving[left] |= _seen_moving(q.T, step, at, half, every)[left]
@@ -173,7 +169,9 @@ def _steps(position: Array, step: float) -> Index:
     return np.flatnonzero(np.diff(counts)) + 1
 
 
-def _plateaus(position: Array, rate_hz: float, step: float) -> list[tuple[int, int]]:
+def _plateaus(
+    position: Array, rate_hz: float, step: float, *, velocity_tolerance: float = 0.1
+) -> list[tuple[int, int]]:
     """Ranges of one-directional motion in which the velocity is constant."""
     travel = abs(position[-1] - position[0])
     if travel < 8 * step:
@@ -188,7 +186,7 @@ def _plateaus(position: Array, rate_hz: float, step: float) -> list[tuple[int, i
         return []
     middle = inner[half:-half]
     # Two windowed velocities of a quantised position differ by up to two counts per window.
-    allowed = VELOCITY_TOLERANCE * np.abs(middle) + 1.2 * step * rate_hz / (2 * half)
+    allowed = velocity_tolerance * np.abs(middle) + 1.2 * step * rate_hz / (2 * half)
     steady = drift < allowed
     result = []
     for a, b in runs(steady, len(steady)):
@@ -205,7 +203,15 @@ def _half_window(position: Array, rate_hz: float, step: float) -> int:
 
 
 def _trimmed(
-    position: Array, start: int, stop: int, half: int, rate_hz: float, step: float
+    position: Array,
+    start: int,
+    stop: int,
+    half: int,
+    rate_hz: float,
+    step: float,
+    *,
+    least_share: float = 0.5,
+    shortest_s: float = 0.12,
 ) -> list[tuple[int, int]]:
     """Cut a steady range back until its velocity is one and the same throughout.
 
@@ -213,8 +219,8 @@ def _trimmed(
     is left must then be a fair share of the move.
     """
     start, stop = start + half // 2, stop - half // 2
-    least = max(8 * step, LEAST_SHARE * abs(float(position[-1] - position[0])))
-    while stop - start >= max(8, SHORTEST_S * rate_hz):
+    least = max(8 * step, least_share * abs(float(position[-1] - position[0])))
+    while stop - start >= max(8, shortest_s * rate_hz):
         piece = position[start:stop]
         if abs(float(piece[-1] - piece[0])) < least:
             return []
@@ -226,7 +232,9 @@ def _trimmed(
     return []
 
 
-def _end_velocities(piece: Array, step: float) -> tuple[float, float]:
+def _end_velocities(
+    piece: Array, step: float, *, slower: float = 0.1, steady: float = 0.15
+) -> tuple[float, float]:
     """How far the velocity at either end is from the mean, over what is allowed; a cubic fit."""
     x = np.linspace(-1.0, 1.0, len(piece))
     cubic = Polynomial.fit(x, piece, 3, domain=[-1, 1], window=[-1, 1]).deriv()
@@ -238,7 +246,7 @@ def _end_velocities(piece: Array, step: float) -> tuple[float, float]:
 
     def excess(end: float) -> float:
         # An end faster than the middle is a controller settling, a slower one the top of a sine.
-        return float(max(abs(end - 1) / (STEADY + slack), (middle - end) / (SLOWER + slack)))
+        return float(max(abs(end - 1) / (steady + slack), (middle - end) / (slower + slack)))
 
     return excess(first), excess(last)
 

@@ -1,6 +1,6 @@
 """How well a friction surface predicts speeds that were left out (Eq. 11).
 
-Errors are of averages over `GROUP` neighbouring slices that belong to their trial
+Errors are of averages over `group_size` neighbouring slices that belong to their trial
 (`surface_weights`): of inner speeds by a surface that was
 fitted to the others, of the slowest and the fastest, beyond which nothing was seen, by the surface
 itself.
@@ -17,7 +17,6 @@ from seqid_cli.identify.friction_surface.fit import SurfaceFit
 from seqid_cli.identify.friction_surface.reduction import COUNTS, Orders, SpeedData
 from seqid_cli.typing import Array
 
-GROUP = 16  # slices averaged for the criterion
 NOISES = 2.0  # of such an average, that count as none of the surface's error
 NEAR_ZERO = 0.2  # of the RMS friction, below which the criterion is absolute
 
@@ -99,10 +98,10 @@ def _errors(
     return Errors(np.full(len(error), u), error, friction, noise)
 
 
-def _grouped(item: SpeedData, fitted: Array) -> tuple[Array, Array, Array]:
+def _grouped(item: SpeedData, fitted: Array, *, group_size: int = 16) -> tuple[Array, Array, Array]:
     """Errors and friction averaged over groups of slices, and the noise of such an average."""
     belongs = np.flatnonzero(item.weight > COUNTS * item.weight.max())
-    groups = np.array_split(belongs, max(len(belongs) // GROUP, 1))
+    groups = np.array_split(belongs, max(len(belongs) // group_size, 1))
     off = item.friction - fitted
     steps = np.concatenate([np.diff(off[group]) for group in groups])
     scatter = float(np.sqrt(np.mean(steps**2) / 2.0)) if len(steps) else 0.0

@@ -158,9 +158,9 @@ def fit_surfaces(
 
 def choose_orders(
     fits: Sequence[SurfaceFit],
-    *,
     position: int | None,
     velocity: int | None,
+    *,
     accept: Callable[[Orders], bool] | None = None,
 ) -> Orders:
     """Choose the fewest orders that do as well as the highest ones.

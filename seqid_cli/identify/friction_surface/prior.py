@@ -39,14 +39,8 @@ NAMES = (
     *("position", "speed", "both", "trial", "slow", "unsteady", "edge", "noise"),
     *("over_position", "over_speed"),
 )
-BROAD = 3.0  # of the RMS friction: size of Coulomb and viscous friction, as good as free
-DECAY = 3.0  # usual power of the degree with which the variance of a term falls
 DECAY_SPREAD = float(np.log(2.0))  # standard deviation of its logarithm
-USUAL = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1)  # of the RMS friction: sizes over position ... edge
 SPREAD = float(np.log(10.0))  # standard deviation of a size's logarithm about the usual one
-NEAR, STEP, NEWTON = 0.1, 1e-4, 20  # of the logarithms: farthest and trial step; how many steps
-DONE = 1e-10  # of the logarithms: a step that is none
-LIMIT = 5.0  # spreads, beyond which no size is looked for
 
 
 @dataclass(frozen=True)
@@ -101,9 +95,6 @@ class Sizes:
         return np.stack([a**2 * shape * every for a, shape in zip(sizes, shapes, strict=True)])
 
 
-ROUNDING = 1e-14  # of a covariance's largest entry: below it there is nothing but rounding
-
-
 @dataclass(frozen=True)
 class Normal:
     """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,).
@@ -120,14 +111,14 @@ class Normal:
     power: float
 
     @classmethod
-    def of(cls, reduced: Reduced, sizes: Sizes, order: int) -> Normal:
+    def of(cls, reduced: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> Normal:
         """Add up the trials; `order` is that over speed."""
         R, z, phi = reduced.R, reduced.z, reduced.over_speed(order)
         own = sizes.own(reduced.scaling, reduced.size, reduced.speeds).sum(axis=0)
         scaled = R * np.sqrt(own)[:, None, :]
         V = scaled @ scaled.transpose(0, 2, 1)
         diagonal = np.arange(V.shape[1])
-        rounding = ROUNDING * V[:, diagonal, diagonal].max(axis=1, keepdims=True)
+        rounding = min_share * V[:, diagonal, diagonal].max(axis=1, keepdims=True)
         V[:, diagonal, diagonal] += sizes.noise**2 + rounding
         inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
         toward = R.transpose(0, 2, 1) @ inverse
@@ -161,16 +152,24 @@ class Evidence:
     broad: float
 
     @classmethod
-    def of(cls, sets: Sequence[Reduced], highest: Orders) -> Evidence:
+    def of(
+        cls,
+        sets: Sequence[Reduced],
+        highest: Orders,
+        *,
+        broad: float = 3.0,
+        decay: float = 3.0,
+        usual_shares: tuple[float, ...] = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1),
+    ) -> Evidence:
         """Set up; the sizes' usual values are shares of the friction."""
         level = max(max(own.level_of_friction for own in sets), 1e-300)
         rest = sum(own.rest.sum() for own in sets)
         free = sum(np.maximum(own.slices - own.z.shape[1], 0.0).sum() for own in sets)
         noise = np.sqrt(rest / free) if free > 0 else 0.0
         noise = max(noise, 1e-6 * level)
-        usual = np.array([*(level * np.array(USUAL)), noise, DECAY, DECAY])
-        spread = np.array([SPREAD] * (len(USUAL) + 1) + [DECAY_SPREAD] * 2)
-        return cls(sets, highest, usual, spread, BROAD * level)
+        usual = np.array([*(level * np.array(usual_shares)), noise, decay, decay])
+        spread = np.array([SPREAD] * (len(usual_shares) + 1) + [DECAY_SPREAD] * 2)
+        return cls(sets, highest, usual, spread, broad * level)
 
     def sizes(self, logs: Array) -> Sizes:
         """Sizes from the logarithms (10,) of what they are times the usual ones."""
@@ -186,28 +185,36 @@ class Evidence:
             cost, gradient = cost + more, gradient + slope
         return cost, gradient
 
-    def strongest(self) -> tuple[Sizes, float]:
+    def strongest(self, *, limit: float = 5.0) -> tuple[Sizes, float]:
         """The sizes of the largest marginal likelihood, and twice its logarithm."""
-        bounds = [(-LIMIT * spread, LIMIT * spread) for spread in self.spread]
+        bounds = [(-limit * spread, limit * spread) for spread in self.spread]
         start = np.zeros(len(self.usual))
         found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
         logs = self._polished(np.asarray(found.x, dtype=np.float64))
         return self.sizes(logs), -self(logs)[0]
 
-    def _polished(self, logs: Array) -> Array:
+    def _polished(
+        self,
+        logs: Array,
+        *,
+        near: float = 0.1,
+        newton: int = 20,
+        done: float = 1e-10,
+        trial_step: float = 0.0001,
+    ) -> Array:
         """The maximum to the last digits, by Newton's method: the likelihood is flat about it."""
         slope = self(logs)[1]
-        steps = STEP * np.eye(len(logs))
-        curvature = np.stack([(self(logs + step)[1] - slope) / STEP for step in steps])
+        steps = trial_step * np.eye(len(logs))
+        curvature = np.stack([(self(logs + step)[1] - slope) / trial_step for step in steps])
         curvature = 0.5 * (curvature + curvature.T)
         if np.linalg.eigvalsh(curvature)[0] <= 0.0:
             return logs
-        for _ in range(NEWTON):
+        for _ in range(newton):
             step = np.linalg.solve(curvature, self(logs)[1])
-            if np.abs(step).max() > NEAR:
+            if np.abs(step).max() > near:
                 break
             logs = logs - step
-            if np.abs(step).max() < DONE:
+            if np.abs(step).max() < done:
                 break
         return logs
 

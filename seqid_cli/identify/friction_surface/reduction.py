@@ -4,7 +4,7 @@ With A (K, p) the functions of position at the slices of one trial, W their weig
 friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest hold as much of the
 surface as the slices do, so speeds and orders can be left out without going back to them. Two
 columns more have what is left of speeding up and of slowing down at the ends of a trial,
-exp(-s / `EDGE_S`), s the time from the end. The last has the torque that one standard error of the
+exp(-s / `edge_s`), s the time from the end. The last has the torque that one standard error of the
 joint's inertia makes of its acceleration; its coefficient is the same in all trials.
 """
 
@@ -21,9 +21,7 @@ from seqid_cli.typing import Array, Mask
 
 EDGES = 2  # ends of a trial
 EXTRA = EDGES + 1  # columns beside those of position: the ends, and the inertia's error
-EDGE_S = 0.05  # s, in which what is left of an acceleration falls by e: half a window of its search
 COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
-EMPTY = 1e-12  # of an R factor: a row of zeros, whose right side is a matter of rounding
 MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
 
 
@@ -102,7 +100,9 @@ def reduce_trials(data: Sequence[SpeedData], scaling: Scaling) -> Reduced:
     return Reduced(scaling, speeds, scaling.u(speeds), R, z, rest, total, slices)
 
 
-def _reduced(data: SpeedData, scaling: Scaling) -> tuple[Array, Array, float, float, float]:
+def _reduced(
+    data: SpeedData, scaling: Scaling, *, empty_share: float = 1e-12
+) -> tuple[Array, Array, float, float, float]:
     root = np.sqrt(data.weight)
     over_position = scaling.over_position.values(data.q, MAX_POSITION_ORDER)
     A = np.column_stack([over_position, data.edges, data.push]) * root[:, None]
@@ -113,13 +113,13 @@ def _reduced(data: SpeedData, scaling: Scaling) -> tuple[Array, Array, float, fl
     factor: Array = np.asarray(np.linalg.qr(padded, mode="r"), dtype=np.float64)
     R, z = factor[:size, :size], factor[:size, size]
     rest = float(factor[size, size] ** 2) if len(factor) > size else 0.0
-    empty = np.linalg.norm(R, axis=1) <= EMPTY * np.linalg.norm(R)
+    empty = np.linalg.norm(R, axis=1) <= empty_share * np.linalg.norm(R)
     rest, z = rest + float(np.sum(z[empty] ** 2)), np.where(empty, 0.0, z)
     slices = float(np.count_nonzero(data.weight > COUNTS * data.weight.max(initial=0.0)))
     return R, z, rest, float(data.weight.sum()), slices
 
 
-def edges_of(t: Array, seconds: float) -> Array:
+def edges_of(t: Array, seconds: float, *, edge_s: float = 0.05) -> Array:
     """How near slices at times t (K,), each so many seconds long, are to both ends (K, 2)."""
     begin, end = t[0] - seconds / 2.0, t[-1] + seconds / 2.0
-    return np.asarray(np.exp(-np.stack([t - begin, end - t], axis=1) / EDGE_S))
+    return np.asarray(np.exp(-np.stack([t - begin, end - t], axis=1) / edge_s))

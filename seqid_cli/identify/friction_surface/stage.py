@@ -43,11 +43,6 @@ class UnpairedError(QualityError):
     """A joint's trials cannot be freed of gravity."""
 
 
-WIDE_RANGE = 4.0  # fastest over slowest speed from which a logarithmic scale is tried
-ROUNDS = 2  # of a first look at which slices belong
-NARROW_SIGN = 25.0  # the sign is all there at a fifth of the slowest speed
-
-
 def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
@@ -127,16 +122,16 @@ def _fit(
     _check_orders(robot, j, data, options.velocity_order)
     sides = (1, -1) if gravity.directional else (0,)
     sets = [[item for item in data if side in (0, item.direction)] for side in sides]
-    asked = {"position": options.position_order, "velocity": options.velocity_order}
+    asked = options.position_order, options.velocity_order
     scalings = _scalings(data) if thorough else _scalings(data)[:1]
-    parts = _fitted(sets, scalings, **asked)
+    parts = _fitted(sets, scalings, *asked)
     fits = [fit for _, fit in parts]
 
     def accept(chosen: Orders) -> bool:
         errors = joined([left_out_errors(own, fit, chosen) for own, fit in parts])
         return errors.meets(options.beta or DEFAULT_BETA)
 
-    chosen = choose_orders(fits, **asked, accept=accept if options.beta else None)
+    chosen = choose_orders(fits, *asked, accept=accept if options.beta else None)
     surface = _surface(fits, chosen, directional=gravity.directional)
     return Fit(gravity, parts, chosen, surface)
 
@@ -144,13 +139,14 @@ def _fit(
 def _fitted(
     sets: list[list[SpeedData]],
     scalings: list[Scaling],
-    *,
     position: int | None,
     velocity: int | None,
+    *,
+    rounds: int = 2,
 ) -> list[tuple[list[SpeedData], SurfaceFit]]:
     """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
     distances = [around_medians(own) for own in sets]
-    for last in (*[False] * ROUNDS, True):
+    for last in (*[False] * rounds, True):
         data = [weighted(own, off) for own, off in zip(sets, distances, strict=True)]
         tried = [
             fit_surfaces(
@@ -163,7 +159,7 @@ def _fitted(
     return list(zip(data, fits, strict=True))
 
 
-def _scalings(data: list[SpeedData]) -> list[Scaling]:
+def _scalings(data: list[SpeedData], *, wide_range: float = 4.0) -> list[Scaling]:
     """Bases that may suit: speeds or their logarithms, positions of one range or of every turn."""
     low = min(float(item.q.min()) for item in data)
     high = max(float(item.q.max()) for item in data)
@@ -172,7 +168,7 @@ def _scalings(data: list[SpeedData]) -> list[Scaling]:
     return [
         Scaling((low, high), (slow, fast), logarithmic, periodic)
         for periodic in ((False, True) if high - low > 2.0 * np.pi else (False,))
-        for logarithmic in ((False, True) if slow * WIDE_RANGE < fast else (False,))
+        for logarithmic in ((False, True) if slow * wide_range < fast else (False,))
     ]
 
 
@@ -209,11 +205,13 @@ def _check_orders(robot: Robot, j: int, data: list[SpeedData], velocity: int | N
         )
 
 
-def _surface(fits: list[SurfaceFit], orders: Orders, *, directional: bool) -> FrictionSurface:
+def _surface(
+    fits: list[SurfaceFit], orders: Orders, *, directional: bool, narrow_sign: float = 25.0
+) -> FrictionSurface:
     """One surface for both directions together (Eq. 15's assumption) or one for each."""
     D = [fit.entries(orders) for fit in fits]
     scaling = fits[0].reduced.scaling
     covariance = block_diag(*(fit.covariance(orders) for fit in fits))
     return FrictionSurface(
-        scaling, scaling.speed[0] / NARROW_SIGN, D[0], D[-1], covariance, directional
+        scaling, scaling.speed[0] / narrow_sign, D[0], D[-1], covariance, directional
     )

@@ -28,12 +28,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 SLICES = 64
-WINDOW_S = 0.08  # s, of motion in a ramp that is averaged
-LEAST_WINDOW = 8  # samples
-ZEROS = 4  # samples, at the ends of a window: two central differences end within them
-MOST_ORDER = 12  # of the polynomial in time that a trial's positions follow
-SAME_SPEED = 0.12
-SAME_CONFIGURATION = 0.03  # rad
 
 
 @dataclass(frozen=True)
@@ -163,14 +157,14 @@ def _finite_mean(values: Array) -> float:
     return float(finite.mean()) if len(finite) else np.nan
 
 
-def _path(time: Array, q: Array) -> Chebyshev:
+def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
     """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts.
 
     Its order, two at least, is that of least BIC: gravity and friction that change with the
     position leave their trace in the speed that a soft controller holds.
     """
     best, least = None, np.inf
-    most = max(2, min(MOST_ORDER, len(q) // 3))
+    most = max(2, min(most_order, len(q) // 3))
     for order in range(min(3, most), most + 1):
         fit = Chebyshev.fit(time, q, order, domain=[-1, 1])
         square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
@@ -181,15 +175,24 @@ def _path(time: Array, q: Array) -> Chebyshev:
     return best
 
 
-def _ramps(q: Array, tau: Array, rate_hz: float, stretch: Stretch) -> Ramps:
+def _ramps(
+    q: Array,
+    tau: Array,
+    rate_hz: float,
+    stretch: Stretch,
+    *,
+    window_s: float = 0.08,
+    least_window: int = 8,
+    zeros: int = 4,
+) -> Ramps:
     """Means of a move (N,) under raised cosines that overlap by half, where it speeds up or slows.
 
     With a window that ends in zeros the means of its derivatives are derivatives of its means:
     sums over positions times the window's own differences, without differentiating positions.
     """
-    length = max(LEAST_WINDOW, round(WINDOW_S * rate_hz))
-    window = np.zeros(length + 2 * ZEROS)
-    window[ZEROS:-ZEROS] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+    length = max(least_window, round(window_s * rate_hz))
+    window = np.zeros(length + 2 * zeros)
+    window[zeros:-zeros] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
     window /= window.sum()
     starts = np.arange(0, len(q) - len(window) + 1, max(1, length // 2))
     middles = starts + len(window) // 2 + stretch.move_start
@@ -220,25 +223,25 @@ class HasSpeed(Protocol):
 S = TypeVar("S", bound=HasSpeed)
 
 
-def speed_levels(trials: list[S]) -> list[list[S]]:
+def speed_levels(trials: list[S], *, same_speed: float = 0.12) -> list[list[S]]:
     """Group what was measured at speeds within 12 percent of the slowest of the group."""
     levels: list[list[S]] = []
     for trial in sorted(trials, key=lambda t: t.speed):
-        if levels and trial.speed <= levels[-1][0].speed * (1 + SAME_SPEED):
+        if levels and trial.speed <= levels[-1][0].speed * (1 + same_speed):
             levels[-1].append(trial)
         else:
             levels.append([trial])
     return levels
 
 
-def configurations(trials: list[Trial]) -> list[list[Trial]]:
+def configurations(trials: list[Trial], *, same_configuration: float = 0.03) -> list[list[Trial]]:
     """Group trials of one joint by where the other joints are locked."""
     groups: list[list[Trial]] = []
     for trial in trials:
         for group in groups:
             off = np.abs(trial.configuration - group[0].configuration)
             off[trial.joint] = 0.0
-            if off.max(initial=0.0) < SAME_CONFIGURATION:
+            if off.max(initial=0.0) < same_configuration:
                 group.append(trial)
                 break
         else:

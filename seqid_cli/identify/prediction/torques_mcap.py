@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 TOPICS = ("/seqid/measured", "/seqid/predicted", "/seqid/residual", "/seqid/low", "/seqid/high")
 JOINT_STATE = "sensor_msgs/msg/JointState"
-_PAUSE_S = 1.0
-_LATEST_S = 2.0**31  # seconds of a ROS 2 stamp are 32 bits
 _RULE = "=" * 80
 _DEFINITION = (
     "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
@@ -86,12 +84,14 @@ class McapTorqueWriter:
                     )
         self._count += len(stamps)
 
-    def _stamps(self, log: LogPrediction) -> NDArray[np.int64]:
+    def _stamps(
+        self, log: LogPrediction, *, pause_s: float = 1.0, latest_s: float = 2.0**31
+    ) -> NDArray[np.int64]:
         """Time stamps (N,) ns of a log's samples."""
         if log.part == 0:
             period = float(log.t[-1] - log.t[0]) / max(len(log.t) - 1, 1)
-            usable = 0.0 <= log.start < _LATEST_S - log.samples * period
-            after = self._end + _PAUSE_S if np.isfinite(self._end) else 0.0
+            usable = 0.0 <= log.start < latest_s - log.samples * period
+            after = self._end + pause_s if np.isfinite(self._end) else 0.0
             self._start = log.start if usable and log.start > self._end else after
             self._count = 0
         self._end = self._start + float(log.t[-1])

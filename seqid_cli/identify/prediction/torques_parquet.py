@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 from seqid_cli.identify.prediction.log_prediction import LogPrediction
 from seqid_cli.params.files import replacing, writing
 
-_ROWS = 65536  # per row group
 _KINDS = ("torque", "predicted", "residual")
 _REST = ("low", "high")
 _MOTION = ("position", "velocity")
@@ -52,7 +51,7 @@ class TorqueWriter:
             with writing(path):
                 writer.close()
 
-    def write(self, log: LogPrediction) -> None:
+    def write(self, log: LogPrediction, *, rows: int = 65536) -> None:
         """Append a log, or the next part of one, all its samples."""
         columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
         for j in range(log.tau.shape[1]):
@@ -66,4 +65,4 @@ class TorqueWriter:
                 columns.append(pa.array(known, from_pandas=True))  # NaN is null
         with writing(self._path):
             table = pa.table(columns, schema=self._schema)
-            self._writer.write_table(table, row_group_size=_ROWS)
+            self._writer.write_table(table, row_group_size=rows)

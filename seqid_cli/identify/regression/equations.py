@@ -17,7 +17,6 @@ from seqid_cli.robot.base_parameters import Basis, base_regressor, loaded_column
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-BLOCK_S = 1.0
 CHUNK = 4096
 
 
@@ -122,9 +121,9 @@ def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[R
         yield Rows(motion.part(where), columns.of(motion, where.start, where.stop), where)
 
 
-def blocks(samples: int, rate_hz: float) -> Iterator[slice]:
+def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:
     """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
-    length = max(8, round(BLOCK_S * rate_hz))
+    length = max(8, round(block_s * rate_hz))
     count = max(1, round(samples / length))
     edges = np.linspace(0, samples, count + 1).astype(int)
     for a, b in pairwise(edges):

@@ -33,8 +33,6 @@ from seqid_cli.identify.regression.qr_factors import (
 from seqid_cli.typing import Array, Mask
 
 MOST_BLOCKS = 256
-LEAST_SPAN = 64  # rows: shorter stretches of them are cheaper picked one by one
-WHITE_FLOOR = 0.05
 RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, that counts as excited
 
 
@@ -53,7 +51,13 @@ class Accumulator:
     _total: Array | None = field(default=None, repr=False, compare=False)
 
     def add(
-        self, H: Array, y: Array, where: Mask | None = None, *, loaded: Mask | None = None
+        self,
+        H: Array,
+        y: Array,
+        where: Mask | None = None,
+        *,
+        loaded: Mask | None = None,
+        least_span: int = 64,
     ) -> None:
         """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true.
 
@@ -65,7 +69,7 @@ class Accumulator:
         if where is not None and not where.all():
             spans = spans_of(where) if H.strides[0] < H.strides[1] else []
             y = y[where]
-            if len(spans) * LEAST_SPAN > len(y) or not spans:
+            if len(spans) * least_span > len(y) or not spans:
                 H, spans = np.compress(where, H.T, axis=1).T, None
         goes_on = bool(self.blocks) and self.filled < self.span
         if len(y) or not goes_on:
@@ -175,6 +179,7 @@ def solve(
     prior: Prior | None = None,
     iterations: int = 3,
     independent: float = 1.0,
+    white_floor: float = 0.05,
 ) -> Solution:
     """Solve for all joints together, each weighted by its own residual.
 
@@ -206,7 +211,7 @@ def solve(
     covariance = spread_of(moves)
     covariance += _prior_part(factor, [totals[k] / scale[k] for k in used], bread)
     # A direction in which the blocks happen to agree is not known better than white noise allows.
-    covariance += WHITE_FLOOR * bread
+    covariance += white_floor * bread
     determined = _determined(factor, basis)
     shares = np.zeros((len(joints), size))
     for k in used:

@@ -9,9 +9,6 @@ from seqid_cli.typing import Array, Index, Mask
 
 Spans = list[tuple[int, int]]  # half-open ranges of rows
 
-PANEL = 8  # columns that the blocked QR takes at once
-STRIP = 1024  # rows that it takes at once: they stay in cache
-
 
 def triangular(rows: Array) -> Array:
     """Triangular factor (p, p) of rows (N, p), diagonal not negative.
@@ -49,7 +46,9 @@ def spans_of(where: Mask) -> Spans:
     return list(zip(ends[first:-1:2], ends[first + 1 :: 2], strict=True))
 
 
-def by_reflections(H: Array, y: Array, alive: Mask, spans: Spans | None = None) -> Array:
+def by_reflections(
+    H: Array, y: Array, alive: Mask, spans: Spans | None = None, *, strip_rows: int = 1024
+) -> Array:
     """Factor (p + 1, p + 1) of rows [H y], (N, p) and (N,), of which some columns are not zero.
 
     With `spans` of H, y holds the rows of these alone.
@@ -59,11 +58,11 @@ def by_reflections(H: Array, y: Array, alive: Mask, spans: Spans | None = None) 
     if spans is not None and len(chosen):
         rows = np.empty((len(chosen), len(y)))
         _lay(rows, H.T, y, runs, spans)
-        for start in range(0, len(y), STRIP):
-            R = _reflected(R, np.ascontiguousarray(rows[:, start : start + STRIP]).T, 0)
+        for start in range(0, len(y), strip_rows):
+            R = _reflected(R, np.ascontiguousarray(rows[:, start : start + strip_rows]).T, 0)
         return _signed(R, chosen, len(alive))
-    for start in range(0, len(y) if len(chosen) else 0, STRIP):
-        part = slice(start, start + STRIP)
+    for start in range(0, len(y) if len(chosen) else 0, strip_rows):
+        part = slice(start, start + strip_rows)
         strip = np.empty((len(chosen), len(y[part])))
         _lay(strip, H[part].T, y[part], runs)
         R = _reflected(R, strip.T, 0)
@@ -113,12 +112,12 @@ def _runs(numbers: Index) -> Spans:
     return list(zip(starts, stops, strict=True))
 
 
-def _reflected(R: Array, rows: Array, triangle: int) -> Array:
+def _reflected(R: Array, rows: Array, triangle: int, *, panel_size: int = 8) -> Array:
     """R (k, k) of R on top of rows (m, k), the last `triangle` of them upper trapezoidal.
 
     Both must be Fortran-ordered and are used up.
     """
-    panel = min(PANEL, len(R))
+    panel = min(panel_size, len(R))
     R, *_ = dtpqrt(triangle, panel, R, rows, overwrite_a=True, overwrite_b=True)
     return R
 

@@ -29,9 +29,6 @@ from scipy.special import sici
 
 from seqid_cli.typing import Array, Index
 
-STIFFNESS = (1e-9, 1e-7, 1e-5)  # of V's mean variance, added until it can be factored
-LEAST = 1e-6  # of a strength, against that of white noise: none
-
 
 @dataclass(frozen=True)
 class Rows:
@@ -88,9 +85,9 @@ def whitener_of(rows: Rows) -> Whitener:
 _Shape = tuple[Index, Array, Array, Array]
 
 
-def _strengths(logs: Array, white: float, typical: float) -> Array:
+def _strengths(logs: Array, white: float, typical: float, *, least: float = 1e-06) -> Array:
     """Strengths of white, common and slow noise from their logarithms against white noise."""
-    w, t, f = np.exp(np.clip(logs, np.log(LEAST), -np.log(LEAST)))
+    w, t, f = np.exp(np.clip(logs, np.log(least), -np.log(least)))
     return np.array([w * white, t * typical, f * typical])
 
 
@@ -123,12 +120,17 @@ def _flicker(t: Array, low: float, high: Array) -> Array:
     return np.asarray(np.where(at_once, np.log(upper / low), covariance))
 
 
-def _root(shape: Sequence[Array], strengths: Array) -> Array:
+def _root(
+    shape: Sequence[Array],
+    strengths: Array,
+    *,
+    stiffness: tuple[float, ...] = (1e-09, 1e-07, 1e-05),
+) -> Array:
     white, common, slow = shape
     V = strengths[1] * common + strengths[2] * slow
     V[np.diag_indices_from(V)] += strengths[0] * white
     mean = float(np.trace(V)) / len(V)
-    for share in STIFFNESS:  # rows at nearly the same time leave V as good as singular
+    for share in stiffness:  # rows at nearly the same time leave V as good as singular
         with contextlib.suppress(np.linalg.LinAlgError):
             own = V + share * mean * np.eye(len(V))
             return np.asarray(cholesky(own, lower=True, check_finite=False))

@@ -28,8 +28,6 @@ from seqid_cli.params.schema import RigidStage, Verdict
 from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
-FLAT = 1e-9  # of a covariance's largest eigenvalue, below which a direction is not known
-
 Result = tuple[Solution, Posterior]
 
 
@@ -87,11 +85,11 @@ def _difference(
     return d, V + friction_covariance(both, surfaces, len(d))
 
 
-def _excess(d: Array, V: Array) -> float:
+def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
     """Square root of the share of a difference that its own noise does not explain."""
     scale = np.sqrt(np.maximum(np.diag(V), 1e-300))
     value, vector = np.linalg.eigh(V / np.outer(scale, scale))
-    kept = value > FLAT * max(float(value.max(initial=0.0)), 1e-300)
+    kept = value > flat * max(float(value.max(initial=0.0)), 1e-300)
     along = vector[:, kept].T @ (d / scale)
     W = float(np.sum(along**2 / value[kept]))
     return float(np.sqrt(max(0.0, 1.0 - float(kept.sum()) / W))) if W > 0 else 0.0

@@ -39,9 +39,6 @@ KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
 BANDWIDTHS = 10.0
 NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
-PER_PARAMETER = 2.0  # independent samples of a joint's torque
-CLEAR_FALL = 0.05  # of the score, beyond which a later maximum is not looked for
-WORTH = 0.01  # of the score per joint, that a higher cut-off of smoothed motion must bring
 
 
 @dataclass(frozen=True)
@@ -136,12 +133,14 @@ class Score:
         return highest_of(self.bandwidth_hz)
 
 
-def highest_of(bandwidth_hz: float, joints: int = 0, seconds: float = math.inf) -> float:
+def highest_of(
+    bandwidth_hz: float, joints: int = 0, seconds: float = math.inf, *, per_parameter: float = 2.0
+) -> float:
     """Highest cut-off [Hz] for a motion's bandwidth, and for the joints that move so long.
 
     Low-passed noise has 2 B independent samples a second, B its bandwidth.
     """
-    needed = PER_PARAMETER * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
+    needed = per_parameter * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
     return max(BANDWIDTHS * bandwidth_hz, 2 * LOWEST_HZ, needed)
 
 
@@ -198,10 +197,10 @@ def smoothed_score(
     return Score(values, bandwidth, int(np.sum(moving)))
 
 
-def lowest_as_good(score: Array, joints: int) -> int:
+def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:
     """Index of the lowest cut-off whose score of smoothed motion is nearly the best."""
     best = score[first_maximum(score)]
-    return int(np.flatnonzero(score >= best - WORTH * joints)[0])
+    return int(np.flatnonzero(score >= best - worth * joints)[0])
 
 
 def _power_below(values: Array, rate_hz: float, cutoffs: Array) -> Array:
@@ -212,13 +211,13 @@ def _power_below(values: Array, rate_hz: float, cutoffs: Array) -> Array:
     return np.asarray(np.interp(cutoffs, frequency, total))
 
 
-def first_maximum(score: Array) -> int:
+def first_maximum(score: Array, *, clear_fall: float = 0.05) -> int:
     """Index of the best value before the first clear fall.
 
     A slow joint's quantisation is tones, not white noise; above the motion's bandwidth they would
     count as signal and raise the score again.
     """
-    fallen = np.flatnonzero(score < np.maximum.accumulate(score) - CLEAR_FALL)
+    fallen = np.flatnonzero(score < np.maximum.accumulate(score) - clear_fall)
     return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
 
 

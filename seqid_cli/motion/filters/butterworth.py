@@ -36,10 +36,7 @@ from seqid_cli.motion.filters.differentiation import FIRST, SECOND, SIDE, runs
 from seqid_cli.typing import Array, Index, Mask
 
 SHORTEST = 8  # samples of a run that is filtered at all
-BLOCK = 48  # samples per block: longer ones cost more products, shorter ones more steps
-BLOCK_OF_KEPT = 96  # the same where few samples are kept
 LEAST_KEPT = 2 * SIDE + 1  # samples per kept one, so that its derivatives lie in one block
-TILE = 131_072  # values filtered together: what is made on the way stays in cache
 NEGLIGIBLE = 1e-13
 GROWS = 64  # samples more than the memory, for what grows before it decays
 
@@ -87,7 +84,12 @@ class Lowpass:
         return np.ascontiguousarray(rows.T).reshape(values.shape)
 
     def filter_rows(
-        self, rows: Array, valid: Mask | None = None, *, only: Index | None = None
+        self,
+        rows: Array,
+        valid: Mask | None = None,
+        *,
+        only: Index | None = None,
+        tile: int = 131072,
     ) -> None:
         """Filter signals in place, samples last, each run of valid samples by itself.
 
@@ -102,7 +104,7 @@ class Lowpass:
             if stop - start <= SHORTEST:
                 continue
             pad = min(6 * self.settling, stop - start - 1)
-            height = max(1, TILE // (stop - start + 2 * pad))
+            height = max(1, tile // (stop - start + 2 * pad))
             for top in range(0, count, height):
                 own = slice(top, top + height)
                 part = own if only is None else _as_slice(only[own])
@@ -239,11 +241,14 @@ def _kernel(
     keep: int = 1,
     passes: int = 1,
     derivatives: bool = False,
+    *,
+    block: int = 48,
+    block_of_kept: int = 96,
 ) -> _Kernel:
     """Lay out the matrices; `keep` is samples per kept one, the rest as of `Lowpass.decimated`."""
     space = one_pass(cutoff_hz, rate_hz, every)
     space = space.twice() if passes == 2 else space
-    length = BLOCK if keep == 1 else keep * -(-BLOCK_OF_KEPT // keep)
+    length = block if keep == 1 else keep * -(-block_of_kept // keep)
     steps, rows = [space.B], [space.C]
     for _ in range(length - 1):
         steps.append(space.A @ steps[-1])

@@ -31,19 +31,14 @@ from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
 from seqid_cli.typing import Array, Index, Mask
 
 MOST_LEVELS = 65_536  # distinct positions of a joint; a step and noise show in fewer
-SECOND_S, VELOCITY_S = 8, 20  # segments of the spectra of the second and the first difference
-LEAST_SEGMENT = 256
-DENSE, SPARSE = 262_144, 4  # samples with all segments of their spectra; of the others every 4th
-STEPS = 16  # per half time scale, at which travel is looked at
 MANY = 1 << 60
-TILE = 2048  # samples worked on at once
 
 
 class Welch:
     """One-sided spectral density of c signals, by Welch's method with half overlap.
 
     Equal to `scipy.signal.welch` (Hann window, no detrending) of the signals as a whole, as long as
-    they have no more than `DENSE` samples. Behind those every `SPARSE`-th segment is taken.
+    they have no more than `dense` samples. Behind those every `sparse`-th segment is taken.
     """
 
     def __init__(self, length: int, differences: int = 0) -> None:
@@ -65,7 +60,7 @@ class Welch:
         self._begin = min(self.look(left, begin), end)
         self._left = left[self._begin - begin :].copy(order="K")
 
-    def look(self, samples: Array, begin: int) -> int:
+    def look(self, samples: Array, begin: int, *, dense: int = 262144, sparse: int = 4) -> int:
         """Take what is new in samples of which `begin` is the number of the first.
 
         Returns: number of the first sample that is wanted next time.
@@ -81,7 +76,7 @@ class Welch:
             power = spectrum.real**2 + spectrum.imag**2
             self._sum = power if self._sum is None else self._sum + power
             self._segments += 1
-            self._start += hop if self._start < DENSE else SPARSE * hop
+            self._start += hop if self._start < dense else sparse * hop
         return self._start
 
     def density(self, rate_hz: float) -> tuple[Array, Array]:
@@ -145,13 +140,13 @@ class Survey:
         self._tail = wide[max(0, keep - begin) :].copy(order="K")
         self._seen = end
 
-    def _add_fourth(self, wide: Array) -> None:
+    def _add_fourth(self, wide: Array, *, tile: int = 2048) -> None:
         """Take fourth differences of samples, where they are to be kept."""
         count = max(0, len(wide) - 4)
         first, step = self._fourth.next_kept()
         kept = np.empty((wide.shape[1], len(range(first, count, step)))).T
-        for low in range(0, len(kept), TILE):  # what is made on the way stays in cache
-            high = min(low + TILE, len(kept))
+        for low in range(0, len(kept), tile):  # what is made on the way stays in cache
+            high = min(low + tile, len(kept))
             start, stop = first + low * step, first + (high - 1) * step + 1
             a, b, c, d, e = (wide[start + k : stop + k : step] for k in range(5))
             ab, bc, cd, de = b - a, c - b, d - c, e - d
@@ -166,8 +161,8 @@ class Survey:
         self._known[j] = levels
         self._levels[j] = None if len(levels) > MOST_LEVELS else levels
 
-    def _add_travel(self, wide: Array, half: int, number: int) -> None:
-        step = max(1, half // STEPS)
+    def _add_travel(self, wide: Array, half: int, number: int, *, steps: int = 16) -> None:
+        step = max(1, half // steps)
         first = -number % step  # on the same samples whatever parts they come in
         if len(wide) <= 2 * half + first:
             return
@@ -265,15 +260,17 @@ def _frequencies(length: int, rate_hz: float) -> Array:
     return np.asarray(np.arange(length // 2 + 1) * (rate_hz / length), dtype=np.float64)
 
 
-def _lengths(rate_hz: float, samples: int) -> tuple[int, int, list[int]]:
+def _lengths(
+    rate_hz: float, samples: int, *, second_s: int = 8, velocity_s: int = 20
+) -> tuple[int, int, list[int]]:
     """Segments of both spectra and halves of the time scales, in samples."""
     halves = [max(1, round(scale * rate_hz / 2)) for scale in SCALES_S]
     return (
-        _segment(samples - 2, SECOND_S, rate_hz),
-        _segment(samples - 1, VELOCITY_S, rate_hz),
+        _segment(samples - 2, second_s, rate_hz),
+        _segment(samples - 1, velocity_s, rate_hz),
         [half for half in halves if 2 * half < samples],
     )
 
 
-def _segment(samples: int, seconds: float, rate_hz: float) -> int:
-    return min(samples, max(LEAST_SEGMENT, int(seconds * rate_hz)))
+def _segment(samples: int, seconds: float, rate_hz: float, *, least_segment: int = 256) -> int:
+    return min(samples, max(least_segment, int(seconds * rate_hz)))

@@ -109,7 +109,6 @@ QUANTITIES = (
     *(f"angular acceleration about {a}" for a in "xyz"),
     *(f"angular velocity product {a}" for a in ("xx", "yy", "zz", "xy", "xz", "yz")),
 )
-POOR_CONDITION = 1e3
 
 
 def layout_report(imu: Imu) -> LayoutReport:
@@ -126,7 +125,9 @@ def layout_report(imu: Imu) -> LayoutReport:
     return LayoutReport(len(imu.axes), rank, condition, force, acceleration, products, errors, said)
 
 
-def _statements(imu: Imu, seen: Mask, rank: int, condition: float) -> list[str]:
+def _statements(
+    imu: Imu, seen: Mask, rank: int, condition: float, *, poor_condition: float = 1000.0
+) -> list[str]:
     """What cannot be seen, and what would mend it."""
     said = []
     hidden = np.array([not x for x in seen])
@@ -147,7 +148,7 @@ def _statements(imu: Imu, seen: Mask, rank: int, condition: float) -> list[str]:
         said.append(f"{spare} of its {len(imu.axes)} accelerometers repeat what others say")
     if hidden[3:].any():
         said.append(_remedy(imu))
-    elif condition > POOR_CONDITION and not imu.gyro:
+    elif condition > poor_condition and not imu.gyro:
         said.append(f"its accelerometers are too close or too alike (condition {condition:.3g})")
     return said
 

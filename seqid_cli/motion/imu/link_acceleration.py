@@ -28,11 +28,6 @@ from seqid_cli.robot.kinematics import forward, link_angular_motion
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Index
 
-DISAGREEMENT = 0.5  # share of the encoder's acceleration beyond which an IMU is not believed
-AXIS_ERROR = 0.003  # what calibration leaves of scale and alignment
-UNSEEN = 1e-6  # weight of an encoder beside IMUs
-LEAST_SHIFT = 1e-3  # of a sample, below which clocks agree
-
 
 @dataclass(frozen=True)
 class LinkReading:
@@ -147,6 +142,8 @@ def link_reading(
     gyro: Array | None,
     recording: Recording,
     motion: Motion,
+    *,
+    axis_error: float = 0.003,
 ) -> LinkReading:
     """One IMU's angular acceleration in its link's frame, on the motion's time base.
 
@@ -164,12 +161,14 @@ def link_reading(
     gain = _gain(calibration)
     noise = (calibration.noise_density or 0.0) * np.sqrt(lowpass.cutoff_hz)
     size = float(np.sqrt(np.mean(np.sum(dw**2, axis=1))))
-    return LinkReading(imu, gain * dw, float(np.hypot(noise, AXIS_ERROR * size)))
+    return LinkReading(imu, gain * dw, float(np.hypot(noise, axis_error * size)))
 
 
-def _on_encoders_clock(values: Array, recording: Recording, offset: float) -> Array:
+def _on_encoders_clock(
+    values: Array, recording: Recording, offset: float, *, least_shift: float = 0.001
+) -> Array:
     """Readings (N, K) when the encoders were read; those stamped t were taken at t - `offset`."""
-    if abs(offset) * recording.rate_hz < LEAST_SHIFT:
+    if abs(offset) * recording.rate_hz < least_shift:
         return values
     t, valid = recording.t, recording.valid
     return np.column_stack([np.interp(t + offset, t[valid], v[valid]) for v in values.T])
@@ -209,7 +208,9 @@ def _predicted(robot: Robot, motion: Motion, link: int) -> Array:
     return link_angular_motion(robot.chain, motion.q, motion.dq, motion.ddq, link).dw
 
 
-def _healthy(reading: LinkReading, robot: Robot, motion: Motion, moving: Index) -> bool:
+def _healthy(
+    reading: LinkReading, robot: Robot, motion: Motion, moving: Index, *, disagreement: float = 0.5
+) -> bool:
     """Whether an IMU agrees with what the encoders say its link does."""
     link = reading.imu.after_joint
     own = moving[moving <= link]
@@ -220,11 +221,16 @@ def _healthy(reading: LinkReading, robot: Robot, motion: Motion, moving: Index) 
     noise = float(np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)))
     size = float(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
     error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-    return bool(np.isfinite(error)) and error < DISAGREEMENT * size + 3 * (noise + reading.noise)
+    return bool(np.isfinite(error)) and error < disagreement * size + 3 * (noise + reading.noise)
 
 
 def _solve(
-    robot: Robot, motion: Motion, moving: Index, readings: list[LinkReading]
+    robot: Robot,
+    motion: Motion,
+    moving: Index,
+    readings: list[LinkReading],
+    *,
+    unseen: float = 1e-06,
 ) -> tuple[Array, Array]:
     """Weighted least squares per sample for the moving joints: accelerations, their error (n,)."""
     count = len(moving)
@@ -243,11 +249,11 @@ def _solve(
         normal += weight * np.einsum("nik,nil->nkl", J, J)
         right += weight * np.einsum("nik,ni->nk", J, reading.dw - c)
     noise = np.maximum(motion.cutoff.acceleration_noise, 1e-9)
-    encoder = UNSEEN / noise[moving] ** 2
+    encoder = unseen / noise[moving] ** 2
     normal[:, range(count), range(count)] += encoder
     right += encoder * motion.ddq[:, moving]
     ddq, error = np.zeros_like(motion.ddq), noise.copy()
     ddq[:, moving] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
     variance = np.median(np.linalg.inv(normal), axis=0).diagonal()
-    error[moving] = np.minimum(np.sqrt(variance), noise[moving] / np.sqrt(UNSEEN))
-    return ddq, np.where(error > 0.5 * noise / np.sqrt(UNSEEN), noise, error)
+    error[moving] = np.minimum(np.sqrt(variance), noise[moving] / np.sqrt(unseen))
+    return ddq, np.where(error > 0.5 * noise / np.sqrt(unseen), noise, error)

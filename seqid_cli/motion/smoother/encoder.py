@@ -9,10 +9,6 @@ import numpy as np
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Mask
 
-EDGE = 0.03  # of a count, by which the places of an encoder's edges are off
-NOISY = 0.3  # share of code changes that turn back at once, beyond which noise hides the edges
-SMALLEST_VARIANCE = 1e-16  # rad^2, of an encoder
-
 
 @dataclass(frozen=True)
 class EncoderView:
@@ -56,7 +52,9 @@ class EncoderView:
         q, dwell = np.repeat(self.q, stride), np.repeat(self.dwell, stride)
         return replace(self, q=q, edge=edge, dwell=dwell, known=known, stride=stride)
 
-    def weights(self, speed: Array, dt: float) -> tuple[Array, Array]:
+    def weights(
+        self, speed: Array, dt: float, *, edge: float = 0.03, smallest_variance: float = 1e-16
+    ) -> tuple[Array, Array]:
         """Weights, 1/rad^2, of samples and of the edges half a sample after them.
 
         A joint that crosses an edge was there within one sample: its position is known to
@@ -65,12 +63,12 @@ class EncoderView:
         """
         uniform = self.step**2 / 12
         if not self.step or not np.isfinite(self.edge).any():
-            known = self.known / max(self.white + uniform, SMALLEST_VARIANCE)
+            known = self.known / max(self.white + uniform, smallest_variance)
             return known / (self.dwell if self.step else 1.0), np.zeros(len(self.q))
         moved = np.abs(speed) * dt * self.stride
         fast = moved >= self.step
         crossing = np.isfinite(self.edge) & ~fast
-        edges = crossing / (moved**2 / 12 + (EDGE * self.step) ** 2 + self.white)
+        edges = crossing / (moved**2 / 12 + (edge * self.step) ** 2 + self.white)
         samples = 1.0 / (uniform * np.where(fast, 1.0, self.dwell) + self.white)
         return samples * self.known, edges
 
@@ -83,7 +81,9 @@ def bridged(q: Array, known: Mask) -> Array:
     return np.asarray(np.interp(np.arange(len(q)), at, q[at]))
 
 
-def encoder_view(q: Array, step: float, valid: Mask | None = None) -> EncoderView:
+def encoder_view(
+    q: Array, step: float, valid: Mask | None = None, *, noisy: float = 0.3
+) -> EncoderView:
     """Read codes and edges off one joint's positions (N,) [rad], where they are finite."""
     known: Mask = np.isfinite(q) if valid is None else np.isfinite(q) & valid
     if not known.all():
@@ -97,7 +97,7 @@ def encoder_view(q: Array, step: float, valid: Mask | None = None) -> EncoderVie
     between = known[1:] & known[:-1]
     at = np.flatnonzero((change != 0) & between)
     back = (np.diff(at) <= 3) & (change[at[1:]] * change[at[:-1]] < 0)
-    if len(at) > 20 and float(np.mean(back)) > NOISY:
+    if len(at) > 20 and float(np.mean(back)) > noisy:
         return EncoderView(q, step, white, nowhere, once, known)
     edge = nowhere.copy()
     single = at[np.abs(change[at]) == 1]

@@ -34,8 +34,6 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
 ABSENT = "not calibrated or not recorded"  # the smoother's words, put more exactly here
-LARGEST_KEPT = 100_000  # positions of a log whose smoothed motion is kept to be used again
-MOSTLY = 0.95  # share of the samples with a reading that calls for no remark
 
 
 def fused_motion(
@@ -177,8 +175,8 @@ class _Found:
     notes: tuple[str, ...]
 
 
-def _smoothed(task: _Task) -> _Found:
-    return _kept(task) if task.recording.q.size <= LARGEST_KEPT else _made(task)
+def _smoothed(task: _Task, *, largest_kept: int = 100000) -> _Found:
+    return _kept(task) if task.recording.q.size <= largest_kept else _made(task)
 
 
 def _made(task: _Task) -> _Found:
@@ -193,7 +191,7 @@ def _made(task: _Task) -> _Found:
     return _Found(s.q, s.dq, s.ddq, variance, seen, s.imus, notes)
 
 
-def _silent(task: _Task, names: tuple[str, ...]) -> Iterator[str]:
+def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Iterator[str]:
     """Say which of the IMUs that were used read only now and then."""
     recording = task.recording
     for imu in mounted_imus(recording, task.robot, task.stage)[0]:
@@ -201,7 +199,7 @@ def _silent(task: _Task, names: tuple[str, ...]) -> Iterator[str]:
             continue
         live = read(imu, recording, slice(None)).live[recording.valid]
         share = np.count_nonzero(live.any(axis=1)) / max(len(live), 1)
-        if share < MOSTLY:
+        if share < mostly:
             yield f"{imu.name} reads in {percent(share, 0)} of the samples"
 
 

@@ -18,13 +18,8 @@ from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Mask
 
 # Prior standard deviations where no calibration says better, and what changes since it was made.
-BIAS, GYRO_BIAS, LEVER, DELAY_S, GAIN = 0.3, 0.05, 1.0, 0.02, 0.01
-BIAS_DRIFT, GYRO_BIAS_DRIFT, LEVER_DRIFT, DELAY_DRIFT_S, GAIN_DRIFT = 0.05, 5e-3, 2e-4, 1e-3, 1e-3
-TURN_DEG = (0.03, 10.0)  # limits of a calibration's standard error as a prior
+BIAS_DRIFT, GYRO_BIAS_DRIFT, DELAY_DRIFT_S = 0.05, 0.005, 0.001
 LEAST_NOISE = 1e-3  # m/s^2 or rad/s
-FORGET = 1.5  # growth of the constants' covariance from one chunk to the next
-SILENT, STUCK_S = 25, 0.5  # samples alike in all channels; seconds in one while others move
-CLIPPED, CLIPPED_NOISE = 3, 20.0  # samples alike at a channel's limit, far beyond its noise
 
 
 def mounted_imus(
@@ -89,21 +84,34 @@ def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> 
     )
 
 
-def _prior(known: ImuCalibration, count: int, rates: int) -> Array:
+def _prior(
+    known: ImuCalibration,
+    count: int,
+    rates: int,
+    *,
+    delay_s: float = 0.02,
+    lever_drift: float = 0.0002,
+    gain_drift: float = 0.001,
+    turn_deg: tuple[float, float] = (0.03, 10.0),
+    bias_prior: float = 0.3,
+    gyro_bias_prior: float = 0.05,
+    lever_prior: float = 1.0,
+    gain_prior: float = 0.01,
+) -> Array:
     """Standard deviations (g,) of biases, place, turn, clock offset and axes."""
     turns = known.std_errors_deg or [known.std_error_deg]
     bias, gyro_bias, lever, gain, gyro_gain = (
         np.hypot(_known(values, size, default), drift)
         for values, size, default, drift in (
-            (known.accelerometer_bias_std_errors, count, BIAS, BIAS_DRIFT),
-            (known.gyro_bias_std_errors, rates, GYRO_BIAS, GYRO_BIAS_DRIFT),
-            (known.lever_std_errors, 3, LEVER, LEVER_DRIFT),
-            (known.accelerometer_scale_std_errors, count, GAIN, GAIN_DRIFT),
-            (known.gyro_scale_std_errors, rates, GAIN, GAIN_DRIFT),
+            (known.accelerometer_bias_std_errors, count, bias_prior, BIAS_DRIFT),
+            (known.gyro_bias_std_errors, rates, gyro_bias_prior, GYRO_BIAS_DRIFT),
+            (known.lever_std_errors, 3, lever_prior, lever_drift),
+            (known.accelerometer_scale_std_errors, count, gain_prior, gain_drift),
+            (known.gyro_scale_std_errors, rates, gain_prior, gain_drift),
         )
     )
     tilts = [
-        np.radians(_known(values, size, np.degrees(GAIN)))
+        np.radians(_known(values, size, np.degrees(gain_prior)))
         for values, size in (
             (known.accelerometer_tilt_std_errors_deg, count),
             (known.gyro_tilt_std_errors_deg, rates),
@@ -111,8 +119,8 @@ def _prior(known: ImuCalibration, count: int, rates: int) -> Array:
     ]
     axes = np.maximum(np.concatenate([gain, gyro_gain]), np.concatenate(tilts))
     offset = known.time_offset_std_error_s
-    late = DELAY_S if offset is None else float(np.hypot(offset, DELAY_DRIFT_S))
-    turn = np.full(3, np.radians(np.clip(np.max(turns), *TURN_DEG)))
+    late = delay_s if offset is None else float(np.hypot(offset, DELAY_DRIFT_S))
+    turn = np.full(3, np.radians(np.clip(np.max(turns), *turn_deg)))
     return np.concatenate([bias, gyro_bias, lever, turn, [late], np.repeat(axes, 3)])
 
 
@@ -130,15 +138,15 @@ def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
     return replace(x, raw=raw, live=live, noise=np.maximum(noise, LEAST_NOISE))
 
 
-def _silent(raw: Array, rate_hz: float) -> Mask:
+def _silent(raw: Array, rate_hz: float, *, stuck_s: float = 0.5, min_alike: int = 25) -> Mask:
     """Where a sensor repeats its last reading in all channels, or one while the others move."""
     values = np.ascontiguousarray(raw.T)
     same = np.zeros(values.shape, dtype=bool)
     np.equal(values[:, 1:], values[:, :-1], out=same[:, 1:])
-    silent = uniform_filter1d(same.all(axis=0).astype(float), SILENT) > 0.9
+    silent = uniform_filter1d(same.all(axis=0).astype(float), min_alike) > 0.9
     # The window's whole width is as silent as its middle.
-    silent = uniform_filter1d(silent.astype(float), SILENT + 2) > 0
-    width = max(SILENT, int(STUCK_S * rate_hz))
+    silent = uniform_filter1d(silent.astype(float), min_alike + 2) > 0
+    width = max(min_alike, int(stuck_s * rate_hz))
     stuck = np.zeros_like(same)
     often = np.count_nonzero(same, axis=1) / len(raw)
     for k in np.flatnonzero(often > min(width, len(raw)) / (2 * len(raw))):
@@ -148,7 +156,9 @@ def _silent(raw: Array, rate_hz: float) -> Mask:
     return np.asarray((stuck | silent).T)
 
 
-def _clipped(raw: Array, live: Mask, noise: Array) -> Mask:
+def _clipped(
+    raw: Array, live: Mask, noise: Array, *, clipped_noise: float = 20.0, min_clipped: int = 3
+) -> Mask:
     """Where a channel stays at its own limit for several samples, with those beside them."""
     clipped = np.zeros_like(live)
     for k in np.flatnonzero(live.any(axis=0)):
@@ -157,10 +167,10 @@ def _clipped(raw: Array, live: Mask, noise: Array) -> Mask:
         middle = float(np.median(values))
         for limit in (values.min(), values.max()):
             at = channel == limit
-            if abs(limit - middle) < CLIPPED_NOISE * noise[k] or at.sum() < CLIPPED:
+            if abs(limit - middle) < clipped_noise * noise[k] or at.sum() < min_clipped:
                 continue
-            run = np.convolve(at.astype(float), np.ones(CLIPPED), "same") > CLIPPED - 0.5
-            clipped[:, k] |= np.convolve(run, np.ones(CLIPPED + 2), "same") > 0.5
+            run = np.convolve(at.astype(float), np.ones(min_clipped), "same") > min_clipped - 0.5
+            clipped[:, k] |= np.convolve(run, np.ones(min_clipped + 2), "same") > 0.5
     return clipped
 
 
@@ -184,7 +194,7 @@ def moved(x: Mounted, change: Array) -> Mounted:
     return replace(x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away)
 
 
-def handed_on(x: Mounted, covariance: Array) -> Mounted:
+def handed_on(x: Mounted, covariance: Array, *, forget: float = 1.5) -> Mounted:
     """What the next stretch of the log is to assume: where this one left the constants.
 
     `covariance` (g, g): of its constants, by this stretch.
@@ -194,5 +204,5 @@ def handed_on(x: Mounted, covariance: Array) -> Mounted:
     drift = np.zeros(len(covariance))
     drift[:channels] = np.repeat([BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates])
     drift[channels + 6] = 0.1 * DELAY_DRIFT_S
-    precision = np.linalg.inv(FORGET * covariance + np.diag(0.1 * drift**2))
+    precision = np.linalg.inv(forget * covariance + np.diag(0.1 * drift**2))
     return replace(x, away=np.zeros(len(x.away)), precision=0.5 * (precision + precision.T))

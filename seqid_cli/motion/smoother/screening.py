@@ -15,15 +15,7 @@ from seqid_cli.robust import gaussian_spread
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
-DISAGREEMENT = 0.5  # share of the expected reading's changes, beyond which an IMU is not believed
-LARGEST_OFFSET = 2.0  # m/s^2 or rad/s, of a mean reading
-LEAST_SEEN = 0.3  # share of the samples
-COMPARE_S = 0.1
-SEARCH_S = 0.06  # of a clock's offset, to both sides of what is expected
-SURE_S, SURE_M = 2e-3, 5e-3  # standard errors of clock offset and place that need no search
-BEYOND_NOISE, UNEXPLAINED = 2.3, 0.36  # limits of what joint motion leaves of an IMU's readings
-TYPICAL, IN_MOTION = 0.8, 0.05  # share of the intervals; of a joint's largest speed
-INDEPENDENT_S = 0.05  # between errors of the encoders' motion that have nothing to do with another
+BEYOND_NOISE = 2.3  # limits of what joint motion leaves of an IMU's readings
 
 
 def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
@@ -43,7 +35,7 @@ def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
 class Fit:
     """What joint motion leaves of an IMU's readings, over its noise, and what encoders alone leave.
 
-    Both are root mean squares over the channels that `TYPICAL` of the intervals in motion do not
+    Both are root mean squares over the channels that `typical` of the intervals in motion do not
     exceed: a jolt is over in less time than there is between coarse knots, which cannot follow it.
     `size` is the same in m/s^2 (rad/s). What encoders leave is only found of a suspect.
     """
@@ -84,13 +76,13 @@ def fits(chunk: Chunk, alone: Array, together: Array) -> list[Fit]:
     return found
 
 
-def contradiction(found: Sequence[Fit]) -> tuple[str, list[str]]:
+def contradiction(found: Sequence[Fit], *, unexplained: float = 0.36) -> tuple[str, list[str]]:
     """The IMU to be left out, if any, and what is to be said of those that fit badly.
 
     A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
     from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
     """
-    notes, name, worst = [], "", UNEXPLAINED
+    notes, name, worst = [], "", unexplained
     for fit in found:
         if not fit.suspect:
             continue
@@ -101,15 +93,15 @@ def contradiction(found: Sequence[Fit]) -> tuple[str, list[str]]:
         notes.append(f"{fit.name} fits badly: {text}; check geometry, mounting and gravity")
         if fit.share > worst:
             worst, name = fit.share, fit.name
-            said = f"{fit.name} is left out: {text} (limit {percent(UNEXPLAINED, 0)})"
+            said = f"{fit.name} is left out: {text} (limit {percent(unexplained, 0)})"
     return (name, [said]) if name else ("", notes)
 
 
-def _in_motion(chunk: Chunk, c: Array, joints: int) -> Mask:
+def _in_motion(chunk: Chunk, c: Array, joints: int, *, in_motion: float = 0.05) -> Mask:
     """Intervals (M,) in which any of the first joints moves."""
     speed = np.abs(mean_motion(chunk, c[:, :joints])[1])
     fastest = speed.max(axis=1, keepdims=True)
-    return np.asarray((speed > IN_MOTION * np.maximum(fastest, 1e-9)).any(axis=0))
+    return np.asarray((speed > in_motion * np.maximum(fastest, 1e-9)).any(axis=0))
 
 
 def _without_drift(x: Mounted, told: Array) -> Array:
@@ -120,21 +112,23 @@ def _without_drift(x: Mounted, told: Array) -> Array:
     return np.asarray(off - slope * t)
 
 
-def _typical(off: Array, seen: Mask, own: Mask) -> float:
+def _typical(off: Array, seen: Mask, own: Mask, *, typical: float = 0.8) -> float:
     """Root mean square over the channels, where it is larger than in most of the intervals."""
     square = np.sum(off[own] ** 2, axis=1) / np.maximum(seen[own].sum(axis=1), 1)
-    return float(np.sqrt(np.quantile(square, TYPICAL)))
+    return float(np.sqrt(np.quantile(square, typical)))
 
 
-def located(chunk: Chunk, c: Array, x: Mounted) -> Mounted:
+def located(
+    chunk: Chunk, c: Array, x: Mounted, *, sure_s: float = 0.002, sure_m: float = 0.005
+) -> Mounted:
     """Fit an IMU's place, biases and clock offset to a motion that is taken as given."""
     if not x.seen.any():
         return x
     late = x.place.channels + 6
     known = np.diag(x.precision) ** -0.5
-    if known[late] < SURE_S and known[late - 6 : late - 3].max() < SURE_M:
+    if known[late] < sure_s and known[late - 6 : late - 3].max() < sure_m:
         return x
-    if known[late] > SURE_S:
+    if known[late] > sure_s:
         x = _searched(chunk, c, x)
     return _fitted(chunk, c, _fitted(chunk, c, x, late), late + 1)
 
@@ -150,7 +144,9 @@ def _fitted(chunk: Chunk, c: Array, x: Mounted, count: int) -> Mounted:
     return replace(chunk, imus=(x,)).gathered().imus[0]
 
 
-def _searched(chunk: Chunk, c: Array, x: Mounted) -> Mounted:
+def _searched(
+    chunk: Chunk, c: Array, x: Mounted, *, search_s: float = 0.06, independent_s: float = 0.05
+) -> Mounted:
     """The clock offset on a grid of knots that leaves the least of the readings, all else fitted.
 
     The encoders' motion errs over long stretches; few of the residuals are independent.
@@ -160,7 +156,7 @@ def _searched(chunk: Chunk, c: Array, x: Mounted) -> Mounted:
     r = _cell_means(chunk, x, x.y - told)
     noise = _noise(x, r)
     G, info = _design(chunk, c, x, r, late)
-    lags = range(-int(SEARCH_S / h), int(SEARCH_S / h) + 1)
+    lags = range(-int(search_s / h), int(search_s / h) + 1)
     left = np.empty(len(lags))
     for i, lag in enumerate(lags):
         seen = _later(np.asarray(x.seen, dtype=np.float64), lag) > 0
@@ -168,7 +164,7 @@ def _searched(chunk: Chunk, c: Array, x: Mounted) -> Mounted:
         r = _cell_means(chunk, later, later.y - told) / noise
         g = np.tensordot(r, G, 2)
         left[i] = np.sum(r**2) - g @ np.linalg.solve(info, g)
-    independent = chunk.samples * chunk.dt / INDEPENDENT_S
+    independent = chunk.samples * chunk.dt / independent_s
     away = np.array(lags) * h + x.away[late]
     cost = 0.5 * independent * np.log(np.maximum(left, 1e-12))
     lag = lags[int(np.argmin(cost + 0.5 * x.precision[late, late] * away**2))]
@@ -204,20 +200,29 @@ def _design(chunk: Chunk, c: Array, x: Mounted, r: Array, count: int) -> tuple[A
     return G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
 
 
-def _contradiction(x: Mounted, expected: Array, chunk: Chunk) -> str:
+def _contradiction(
+    x: Mounted,
+    expected: Array,
+    chunk: Chunk,
+    *,
+    disagreement: float = 0.5,
+    largest_offset: float = 2.0,
+    least_seen: float = 0.3,
+    compare_s: float = 0.1,
+) -> str:
     """Why an IMU cannot be right, or nothing."""
     share = float(x.seen.mean()) * chunk.stride
-    if share < LEAST_SEEN:
+    if share < least_seen:
         return f"it reads in {percent(share, 0)} of the samples"
-    width = max(3, int(COMPARE_S / chunk.spacing))
+    width = max(3, int(compare_s / chunk.spacing))
     weight = np.maximum(uniform_filter1d(x.seen.astype(float), width, axis=0), 1e-9)
     seen, told = (uniform_filter1d(v * x.seen, width, axis=0) / weight for v in (x.y, expected))
     alive = x.seen.any(axis=1)
     off = np.abs(np.mean((seen - told)[alive], axis=0, where=x.seen[alive]))
-    if not np.nanmax(off) < LARGEST_OFFSET:
-        return f"its mean reading is off by {np.nanmax(off):.3g} (limit {LARGEST_OFFSET:g})"
+    if not np.nanmax(off) < largest_offset:
+        return f"its mean reading is off by {np.nanmax(off):.3g} (limit {largest_offset:g})"
     error, size = (_changes(v, x) for v in (seen - told, told))
-    limit = DISAGREEMENT * size + 3 * float(np.sqrt(np.mean(x.spread**2)))
+    limit = disagreement * size + 3 * float(np.sqrt(np.mean(x.spread**2)))
     if not error < limit:
         return f"it differs from the encoders by {error:.3g} (limit {limit:.3g})"
     return ""

@@ -39,9 +39,7 @@ from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index
 
-FIRST_JERK = 1e3  # rad/s^3 between knots a millisecond apart, to start with
 FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for the constants
-CHUNK_S, OVERLAP_S = 10.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -106,12 +104,19 @@ class _Part:
     notes: tuple[str, ...] = field(default=())
 
 
-def _parts(recording: Recording, robot: Robot, imus: list[Mounted], every: int) -> Iterator[_Part]:
+def _parts(
+    recording: Recording,
+    robot: Robot,
+    imus: list[Mounted],
+    every: int,
+    *,
+    first_jerk: float = 1000.0,
+) -> Iterator[_Part]:
     """Smooth one chunk after the other; each starts from the constants that the last has found."""
     step = encoder_resolution(robot)
     step = np.where(step > 0, step, encoder_step(_filled(recording)))
     spacing = max(COARSE_S, every / recording.rate_hz)
-    size = np.full(robot.n, FIRST_JERK * np.sqrt(spacing / FINE_S))
+    size = np.full(robot.n, first_jerk * np.sqrt(spacing / FINE_S))
     known = {x.name: x for x in imus}
     for start, stop in _bounds(len(recording.q), recording.rate_hz):
         own = slice(start, stop)
@@ -208,11 +213,13 @@ def _on_knots(chunk: Chunk, spacing: float, every: int) -> Chunk:
     return replace(chunk, views=views, dt=chunk.dt / finer, every=every)
 
 
-def _bounds(samples: int, rate_hz: float) -> list[tuple[int, int]]:
+def _bounds(
+    samples: int, rate_hz: float, *, chunk_s: float = 10.0, overlap_s: float = 0.5
+) -> list[tuple[int, int]]:
     """Overlapping chunks of nearly the same length."""
-    count = max(1, round(samples / (CHUNK_S * rate_hz)))
+    count = max(1, round(samples / (chunk_s * rate_hz)))
     edges = np.linspace(0, samples, count + 1).astype(int)
-    lap = int(OVERLAP_S * rate_hz)
+    lap = int(overlap_s * rate_hz)
     starts = np.maximum(edges[:-1] - lap, 0)
     stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples)
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]

@@ -27,25 +27,7 @@ from seqid_cli.motion.smoother.system import (
 from seqid_cli.motion.smoother.terms import JERK, Jerk
 from seqid_cli.typing import Array, Index
 
-LEAST_JERK = 30.0  # rad/s^3 between knots
-LARGEST_CHANGE, LEAST_KNOWN = 10.0, 0.01  # of the jerk's size in one round; of its intervals
-NOISE_TOLERANCE, MOST_QUIETER, LEAST_FREE = 0.1, 2.0, 0.1
-FIRST_MEAN_S = 0.05
-PROBE_S = 0.125  # between knots at which the acceleration's variance is found
-FEWER = 4  # such knots from one to the next at which the whole covariance is found
-DENSE_S = 0.01  # between places at which the covariance is kept
-FOLLOWS = (0.0, 2.0)  # power of the jerk's relative size that variances may follow
-FEW = 0.3  # spread of that size's logarithm, below which the power is about one
-ENCODER_ROUNDS = 4
 FINE_ROUNDS: tuple[Constants, ...] = ("none",)
-KNOWN_AXES = 2e-3  # standard error of a channel's axis that needs no more work
-FREEDOM, NEARBY, LEAST_NEARBY = 4.0, 2.0, 5  # in known intervals; intervals
-DARK = 4.0  # most that jerk's mean square may be above the usual where nothing tells it
-OPEN_S = 0.25  # over which the share left open is averaged
-RELATIVE = (0.1, 30.0)  # limits of a jerk's size over the usual one
-FELT = 0.01  # of a variance, that the constants may add unnoticed
-SHRINK = 0.02  # of the jerks' correlations
-STIFFNESS = (0.0, 1e-14, 1e-12, 1e-10)  # of the largest information, added until it can be factored
 
 
 @dataclass(frozen=True)
@@ -67,15 +49,15 @@ class Solution:
             x = x + self.border @ np.linalg.solve(self.schur, self.border.T @ x)
         return halved(self.factor, x, transposed=True)
 
-    def reach(self) -> Array:
+    def reach(self, *, felt: float = 0.01) -> Array:
         """Deviations of the coefficients (Kn, r) by which the constants may move them.
 
-        Independent of each other; none is left away that adds more than `FELT` of its own to any
+        Independent of each other; none is left away that adds more than `felt` of its own to any
         variance.
         """
         half = np.linalg.inv(np.linalg.cholesky(self.schur))
         size, along = np.linalg.eigh(half @ (self.border.T @ self.border) @ half.T)
-        kept = half.T @ along[:, size > FELT]
+        kept = half.T @ along[:, size > felt]
         return halved(self.factor, self.border @ kept, transposed=True)
 
 
@@ -87,11 +69,11 @@ def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
     return np.asarray(x)
 
 
-def encoder_motion(chunk: Chunk, size: Array) -> tuple[Array, Jerk]:
+def encoder_motion(chunk: Chunk, size: Array, *, encoder_rounds: int = 4) -> tuple[Array, Jerk]:
     """Coefficients (K, n) and the jerk from the encoders alone, which couple no joints."""
     c, rng = _first_coefficients(chunk), np.random.default_rng(0)
     jerk = Jerk(size, np.eye(len(size)), np.ones((chunk.intervals, len(size))))
-    for _ in range(ENCODER_ROUNDS):
+    for _ in range(encoder_rounds):
         band = encoder_information(chunk, c, jerk.size * jerk.relative)
         factor = _factor(band.by_joint())
         signs = rng.choice([-1.0, 1.0], jerk.relative.shape)
@@ -104,9 +86,9 @@ def encoder_motion(chunk: Chunk, size: Array) -> tuple[Array, Jerk]:
     return c, jerk
 
 
-def _factor(band: Array) -> Array:
+def _factor(band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1e-10)) -> Array:
     """Cholesky factor of a lower band (k, K); of nearly it where a long hole tells nothing."""
-    for share in STIFFNESS:
+    for share in stiffness:
         own = band.copy()
         own[0] += share * np.abs(band[0]).max()
         with contextlib.suppress(np.linalg.LinAlgError):
@@ -146,13 +128,13 @@ def settled(coarse: Chunk, c: Array, jerk: Jerk) -> Solution:
     return replace(solution, chunk=coarse, jerk=jerk)
 
 
-def _axes_known(chunk: Chunk) -> bool:
+def _axes_known(chunk: Chunk, *, known_axes: float = 0.002) -> bool:
     """Whether earlier stretches have told the channels' axes."""
     known = [np.diag(x.precision)[x.place.channels + 7 :].min() for x in chunk.imus]
-    return bool(known) and min(known) > KNOWN_AXES**-2.0
+    return bool(known) and min(known) > known_axes**-2.0
 
 
-def detailed(fine: Chunk, c: Array, jerk: Jerk) -> Solution:
+def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1) -> Solution:
     """Motion on fine knots about `c` (K, n), with the IMUs' clocks, other constants as they are."""
     rng = np.random.default_rng(0)
     linear = linearised(fine, c)
@@ -162,7 +144,7 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk) -> Solution:
         told = tuple(predicted(fine, c, x) for x in fine.imus)
         misfits = [misfit(x, y) for x, y in zip(fine.imus, told, strict=True)]
         factors = _noise_factors(first, jerk, misfits)
-        if any(np.any(np.abs(f - 1.0) > NOISE_TOLERANCE) for f in factors):
+        if any(np.any(np.abs(f - 1.0) > noise_tolerance) for f in factors):
             pairs = zip(fine.imus, factors, strict=True)
             fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
         first = renewed(fine, c, jerk, linear, constants, told)
@@ -185,7 +167,14 @@ def renewed(
     return stepped(replace(solved(chunk, c, jerk, normal), constants=constants), normal)
 
 
-def _noise_factors(solution: Solution, jerk: Jerk, misfits: list[Array]) -> list[Array]:
+def _noise_factors(
+    solution: Solution,
+    jerk: Jerk,
+    misfits: list[Array],
+    *,
+    most_quieter: float = 2.0,
+    least_free: float = 0.1,
+) -> list[Array]:
     """Noise of each IMU's channels over what they were weighted with, most likely.
 
     The motion has followed the noise in as many directions as the readings determine.
@@ -194,14 +183,14 @@ def _noise_factors(solution: Solution, jerk: Jerk, misfits: list[Array]) -> list
     found = jerk_of(solution.c, chunk.spacing) / jerk.relative
     determined = np.sum((found @ jerk.precision) * found)
     readings = sum(x.seen.sum() for x in chunk.imus)
-    free = max(1.0 - determined / max(readings, 1), LEAST_FREE)
-    return [np.maximum(each / np.sqrt(free), 1.0 / MOST_QUIETER) for each in misfits]
+    free = max(1.0 - determined / max(readings, 1), least_free)
+    return [np.maximum(each / np.sqrt(free), 1.0 / most_quieter) for each in misfits]
 
 
-def _first_coefficients(chunk: Chunk) -> Array:
+def _first_coefficients(chunk: Chunk, *, first_mean_s: float = 0.05) -> Array:
     """Moving averages of the positions."""
     q = np.column_stack([view.q for view in chunk.views])
-    q = uniform_filter1d(q, max(3, int(FIRST_MEAN_S / chunk.dt)), axis=0)
+    q = uniform_filter1d(q, max(3, int(first_mean_s / chunk.dt)), axis=0)
     index = np.clip((np.arange(chunk.intervals + 3) - 1) * chunk.every, 0, len(q) - 1)
     return np.asarray(q[index])
 
@@ -248,17 +237,32 @@ def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     return replace(renewed, correlation=_correlation(second))
 
 
-def _correlation(second: Array) -> Array:
+def _correlation(second: Array, *, shrink: float = 0.02) -> Array:
     """Correlation (n, n) by second moments that chance may have made slightly impossible."""
     deviation = np.sqrt(np.maximum(np.diag(second), 1e-12))
     values, axes = np.linalg.eigh(second / np.outer(deviation, deviation))
     possible = (axes * np.maximum(values, 0.0)) @ axes.T
     deviation = np.sqrt(np.diag(possible))
     possible /= np.outer(deviation, deviation)
-    return np.asarray((1.0 - SHRINK) * possible + SHRINK * np.eye(len(second)))
+    return np.asarray((1.0 - shrink) * possible + shrink * np.eye(len(second)))
 
 
-def _renewed_jerk(chunk: Chunk, c: Array, jerk: Jerk, left_open: Array) -> Jerk:
+def _renewed_jerk(
+    chunk: Chunk,
+    c: Array,
+    jerk: Jerk,
+    left_open: Array,
+    *,
+    least_jerk: float = 30.0,
+    largest_change: float = 10.0,
+    least_known: float = 0.01,
+    freedom: float = 4.0,
+    nearby: float = 2.0,
+    least_nearby: int = 5,
+    open_s: float = 0.25,
+    most_dark: float = 4.0,
+    relative_limits: tuple[float, float] = (0.1, 30.0),
+) -> Jerk:
     """One step towards the most likely jerk of each joint, and towards its changes over time.
 
     `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the data
@@ -266,32 +270,34 @@ def _renewed_jerk(chunk: Chunk, c: Array, jerk: Jerk, left_open: Array) -> Jerk:
     compares there. Where they tell nothing it is taken to be as large as on the average.
     """
     m = chunk.intervals
-    known = np.maximum(m - left_open.sum(axis=0), LEAST_KNOWN * m)
+    known = np.maximum(m - left_open.sum(axis=0), least_known * m)
     found = jerk_of(c, chunk.spacing)
     size = np.sqrt(np.sum((found / jerk.relative) ** 2, axis=0) / known)
-    size = np.clip(size, jerk.size / LARGEST_CHANGE, jerk.size * LARGEST_CHANGE)
-    size = np.maximum(size, LEAST_JERK)
-    around = max(3, int(OPEN_S / chunk.spacing))
+    size = np.clip(size, jerk.size / largest_change, jerk.size * largest_change)
+    size = np.maximum(size, least_jerk)
+    around = max(3, int(open_s / chunk.spacing))
     relative = np.empty_like(found)
     for j, share in enumerate(known / m):
         told = np.clip(1.0 - uniform_filter1d(left_open[:, j], around), 0.0, 1.0)
-        width = int(np.clip(NEARBY / share, LEAST_NEARBY, m))
+        width = int(np.clip(nearby / share, least_nearby, m))
         near = uniform_filter1d(uniform_filter1d((found[:, j] / size[j]) ** 2, width), width)
         average = float(np.mean(jerk.relative[:, j] ** 2 * told) / np.mean(told + 1e-9))
-        average = float(np.clip(average, 1.0, DARK))
+        average = float(np.clip(average, 1.0, most_dark))
         dark = 1.0 / (1.0 + (width * told) ** 2)
-        usual = FREEDOM * (1.0 - dark + dark * average)
-        relative[:, j] = np.sqrt((usual + width * near) / (FREEDOM + width * told))
-    return Jerk(size, jerk.correlation, np.clip(relative, *RELATIVE))
+        usual = freedom * (1.0 - dark + dark * average)
+        relative[:, j] = np.sqrt((usual + width * near) / (freedom + width * told))
+    return Jerk(size, jerk.correlation, np.clip(relative, *relative_limits))
 
 
-def probed_covariance(solution: Solution, shared: Solution) -> tuple[Index, Array]:
+def probed_covariance(
+    solution: Solution, shared: Solution, *, probe_s: float = 0.125
+) -> tuple[Index, Array]:
     """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), interpolated from knots far apart.
 
     `shared`: of the same stretch, perhaps on other knots: says how well the constants are known.
     """
     chunk = solution.chunk
-    every = max(1, int(PROBE_S / chunk.spacing))
+    every = max(1, int(probe_s / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)
     knots = np.unique(np.minimum(-(-knots // chunk.stride) * chunk.stride, chunk.intervals - 1))
     found = _at_knots(solution, knots)
@@ -302,18 +308,26 @@ def probed_covariance(solution: Solution, shared: Solution) -> tuple[Index, Arra
     return _everywhere(solution, knots, found)
 
 
-def _everywhere(solution: Solution, knots: Index, found: Array) -> tuple[Index, Array]:
+def _everywhere(
+    solution: Solution,
+    knots: Index,
+    found: Array,
+    *,
+    dense_s: float = 0.01,
+    follows: tuple[float, float] = (0.0, 2.0),
+    few: float = 0.3,
+) -> tuple[Index, Array]:
     """Covariance at samples closer together, by the power of the jerk that the variance follows."""
     chunk, relative = solution.chunk, solution.jerk.relative
-    every = max(1, int(DENSE_S / chunk.spacing))
+    every = max(1, int(dense_s / chunk.spacing))
     places = -(-np.arange(0, chunk.intervals, every) // chunk.stride) * chunk.stride
     places = np.unique(np.minimum(places, chunk.intervals - 1))
     out = np.empty((len(places), *found.shape[1:]))
     for j in range(chunk.joints):
         size = np.log(relative[:, j])
         spread = size[knots] - size[knots].mean()
-        follow = (spread @ np.log(found[:, j, 2, 2]) + FEW) / (spread @ spread + FEW)
-        rise = np.exp(np.clip(follow, *FOLLOWS) * size)[:, None, None]
+        follow = (spread @ np.log(found[:, j, 2, 2]) + few) / (spread @ spread + few)
+        rise = np.exp(np.clip(follow, *follows) * size)[:, None, None]
         usual = found[:, j] / rise[knots]
         at = np.clip(np.searchsorted(knots, places), 1, max(len(knots) - 1, 1))
         before, after = usual[at - 1], usual[np.minimum(at, len(knots) - 1)]
@@ -331,9 +345,9 @@ def _along(shared: Solution, knots: Index) -> Array:
     return np.moveaxis(np.tensordot(W, along, (1, 0)), 0, 2)
 
 
-def _at_knots(solution: Solution, knots: Index) -> Array:
+def _at_knots(solution: Solution, knots: Index, *, fewer: int = 4) -> Array:
     """Covariance (G, n, 3, 3) at knots: whole at a few, the acceleration's variance at all."""
-    few = np.arange(0, len(knots), FEWER)
+    few = np.arange(0, len(knots), fewer)
     found = between(_forward(solution, knots[few], slice(0, 3)), few, len(knots))
     variance = _forward(solution, knots, slice(2, 3))[:, :, 0]
     share = np.sqrt(variance / found[:, :, 2, 2:])

@@ -18,7 +18,6 @@ from seqid_cli.robot.types import Chain
 from seqid_cli.typing import Array
 
 JERK = np.array([-1.0, 3.0, -3.0, 1.0])
-STRETCH = 512  # intervals whose couplings fit into the cache
 
 
 def spline_weights(u: Array, spacing: float) -> Array:
@@ -87,13 +86,13 @@ class Jerk:
         return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
-def couple_jerks(band: Array, precision: Array, relative: Array) -> None:
+def couple_jerks(band: Array, precision: Array, relative: Array, *, stretch: int = 512) -> None:
     """Add what the jerks' precision between joints says to a lower band (K, n, 4n)."""
     if not precision.any():
         return
     inverse = 1.0 / relative
-    for start in range(0, len(inverse), STRETCH):
-        own = inverse[start : start + STRETCH]
+    for start in range(0, len(inverse), stretch):
+        own = inverse[start : start + stretch]
         couplings = own[:, :, None] * own[:, None] * precision
         _add_couplings(band[start : start + len(own) + 3], couplings)
 

@@ -174,7 +174,7 @@ def measured(label: str, rig: Rig) -> Row:
         speed,
         paper[0] if paper else None,
         rms(got.dq - c.log.truth.dq),
-        tuple(sorted({imu.name for imu in c.robot.imus} - set(got.imus))),
+        tuple(sorted({imu.name for imu in c.robot.imus} - set(got.mounted))),
     )
 
 

@@ -181,14 +181,14 @@ def _smoothed(task: _Task, *, largest_kept: int = 100000) -> _Found:
 
 def _made(task: _Task) -> _Found:
     s = smoothed_motion(task.recording, task.robot, task.stage)
+    imus = tuple(s.mounted)
     known = task.recording.valid[s.places]
     variance = np.diagonal(s.covariance_at_places, axis1=2, axis2=3)
     variance = np.median(variance[known] if known.any() else variance, axis=0)
-    last = max((x.after_joint for x in task.robot.imus if x.name in s.imus), default=-1)
+    last = max((x.place.link for x in s.mounted.values()), default=-1)
     seen = np.arange(task.robot.n) <= last
-    notes = (*s.notes, *_silent(task, s.imus))
     variance = np.where(seen[:, None], variance, np.inf)
-    return _Found(s.q, s.dq, s.ddq, variance, seen, s.imus, notes)
+    return _Found(s.q, s.dq, s.ddq, variance, seen, imus, (*s.notes, *_silent(task, imus)))
 
 
 def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Iterator[str]:

@@ -12,8 +12,8 @@ from the factor's rows behind some of the knots.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
@@ -46,10 +46,8 @@ FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for t
 class Smoothed:
     """Motion (N, n) at every sample; `covariance` (N, n, 3, 3) of each joint's q, dq, ddq.
 
-    `bias` of each IMU's readings [m/s^2, then rad/s], `lever`, its place on the link [m], and
-    `time_offset`, its clock's stamp minus the encoders' [s], are of the last chunk it took part in;
-    `jerk` (n,) rad/s^3 is the standard deviation of the jerk between knots. The covariance is kept
-    at some `places` only and made for all samples when asked for.
+    `mounted` has the IMUs that took part, by name, as the last chunk left them. The covariance is
+    kept at some `places` only and made for all samples when asked for.
     """
 
     q: Array
@@ -57,12 +55,7 @@ class Smoothed:
     ddq: Array
     places: Index
     covariance_at_places: Array  # (G, n, 3, 3)
-    bias: dict[str, Array]
-    lever: dict[str, Array]
-    time_offset: dict[str, float]
-    time_offset_std_error: dict[str, float]
-    jerk: Array
-    imus: tuple[str, ...]
+    mounted: dict[str, Mounted]
     notes: tuple[str, ...]
 
     @property
@@ -72,14 +65,16 @@ class Smoothed:
 
 
 def smoothed_motion(
-    recording: Recording, robot: Robot, stage: ImuStage | None, *, every: int = 1
+    recording: Recording, robot: Robot, stage: ImuStage | None, *, chunk_s: float = 10.0
 ) -> Smoothed:
     """Smooth all joints of one log.
 
     Parameters
     ----------
-    every : int
-        Samples per knot of the splines. Slow logs get several knots per sample by themselves.
+    stage : ImuStage, optional
+        Calibrations; IMUs without one take no part.
+    chunk_s : float
+        Length [s] of what is smoothed at once.
 
     Returns
     -------
@@ -88,77 +83,62 @@ def smoothed_motion(
     """
     # Threads of the linear algebra only get into each other's way with matrices this narrow.
     with threadpool_limits(1):
-        return _joined(recording, robot, stage, every)
+        return _joined(recording, robot, stage, chunk_s)
 
 
 @dataclass(frozen=True)
 class _Part:
     """One chunk's motion (N, 3, n) and covariance, and its IMUs with what it says of them."""
 
-    start: int
     motion: Array
     places: Index
     covariance: Array
-    jerk: Array
     imus: tuple[Mounted, ...]
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...]
 
 
 def _parts(
     recording: Recording,
     robot: Robot,
     imus: list[Mounted],
-    every: int,
+    chunks: Iterable[slice],
     *,
     first_jerk: float = 1000.0,
 ) -> Iterator[_Part]:
     """Smooth one chunk after the other; each starts from the constants that the last has found."""
+    dt = 1.0 / recording.rate_hz
+    filled = [bridged(x, np.isfinite(x)) for x in recording.q.T]
     step = encoder_resolution(robot)
-    step = np.where(step > 0, step, encoder_step(_filled(recording)))
-    spacing = max(COARSE_S, every / recording.rate_hz)
-    size = np.full(robot.n, first_jerk * np.sqrt(spacing / FINE_S))
+    step = np.where(step > 0, step, encoder_step(np.column_stack(filled)))
+    size = np.full(robot.n, first_jerk * np.sqrt(max(COARSE_S, dt) / FINE_S))
     known = {x.name: x for x in imus}
-    for start, stop in _bounds(len(recording.q), recording.rate_hz):
-        own = slice(start, stop)
+    for own in chunks:
         views = tuple(
             encoder_view(recording.q[own, j], float(step[j]), recording.valid[own])
             for j in range(robot.n)
         )
         here = tuple(read(x, recording, own) for x in known.values())
-        part, size = _smoothed(Chunk(robot, views, 1.0 / recording.rate_hz, every, here), size)
+        part, size = _smoothed(Chunk(robot, views, dt, 1, here), size)
         known |= {x.name: x for x in part.imus}
-        when = f"{start / recording.rate_hz:.1f} s: "
-        yield replace(part, start=start, notes=tuple(when + text for text in part.notes))
-
-
-def _filled(recording: Recording) -> Array:
-    """Positions (N, n) with missing ones bridged."""
-    q = recording.q
-    if np.isfinite(q).all():
-        return q
-    return np.column_stack([bridged(x, np.isfinite(x)) for x in q.T])
+        yield replace(part, notes=tuple(f"{own.start * dt:.1f} s: {x}" for x in part.notes))
 
 
 def _smoothed(chunk: Chunk, size: Array) -> tuple[_Part, Array]:
     """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse."""
-    between_knots = COARSE_S if chunk.dt <= FINE_S else FINE_S
-    coarse = _on_knots(chunk, between_knots, chunk.every).gathered()
+    coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
     c, jerk = encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)
     shared, said = _agreed(chunk, coarse, c, jerk)
-    notes += said
-    fine, c, finer = _refined(chunk, shared)
-    last = detailed(fine, c, finer)
-    places, covariance = probed_covariance(last, shared)
+    last = detailed(*_refined(chunk, shared))
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
-    imus = _with_covariance(shared, last)
-    part = _Part(0, motion, places, covariance, last.jerk.size, imus, tuple(notes))
-    return part, shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
+    known = *probed_covariance(last, shared), _with_covariance(shared, last)
+    size = shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
+    return _Part(motion, *known, tuple(notes + said)), size
 
 
 def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
     """What was found on coarse knots, on fine ones."""
-    fine = _on_knots(replace(chunk, imus=shared.chunk.imus), FINE_S, chunk.every).gathered()
+    fine = _on_knots(replace(chunk, imus=shared.chunk.imus), FINE_S).gathered()
     c = resampled(shared.chunk, shared.c, fine)
     return fine, c, _on_finer(shared.jerk, shared.chunk, fine)
 
@@ -205,64 +185,50 @@ def _with_covariance(shared: Solution, last: Solution) -> tuple[Mounted, ...]:
     return tuple(found)
 
 
-def _on_knots(chunk: Chunk, spacing: float, every: int) -> Chunk:
-    """The same with knots about as far apart as `spacing` s, or `every` samples where set."""
-    finer = max(1, round(chunk.dt / spacing)) if every == 1 else 1
-    views = tuple(view.refined(finer) for view in chunk.views) if finer > 1 else chunk.views
-    every = max(every, round(spacing / chunk.dt), 1) if finer == 1 else 1
+def _on_knots(chunk: Chunk, spacing: float) -> Chunk:
+    """The same with knots about as far apart as `spacing` s."""
+    finer = max(1, round(chunk.dt / spacing))
+    views = tuple(view.refined(finer) for view in chunk.views)
+    every = max(1, round(spacing / chunk.dt)) if finer == 1 else 1
     return replace(chunk, views=views, dt=chunk.dt / finer, every=every)
 
 
-def _bounds(
-    samples: int, rate_hz: float, *, chunk_s: float = 10.0, overlap_s: float = 0.5
-) -> list[tuple[int, int]]:
+def _chunks(samples: int, length: float, lap: int) -> list[slice]:
     """Overlapping chunks of nearly the same length."""
-    count = max(1, round(samples / (chunk_s * rate_hz)))
-    edges = np.linspace(0, samples, count + 1).astype(int)
-    lap = int(overlap_s * rate_hz)
-    starts = np.maximum(edges[:-1] - lap, 0)
-    stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples)
-    return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
+    edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
+    starts = np.maximum(edges[:-1] - lap, 0).tolist()
+    stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples).tolist()
+    return [slice(a, b) for a, b in zip(starts, stops, strict=True)]
 
 
-def _joined(recording: Recording, robot: Robot, stage: ImuStage | None, every: int) -> Smoothed:
+def _joined(
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    chunk_s: float,
+    *,
+    overlap_s: float = 0.5,
+) -> Smoothed:
     """Lay the chunks side by side; each fades into the next over their overlap."""
-    samples = len(recording.q)
+    samples, rate = len(recording.q), recording.rate_hz
     imus, notes = mounted_imus(recording, robot, stage)
-    bounds = [(-2, -1), *_bounds(samples, recording.rate_hz), (samples, samples + 1)]
+    chunks = _chunks(samples, chunk_s * rate, int(overlap_s * rate))
     motion = np.zeros((samples, 3, robot.n))
     places, covariance = [], []
     found: dict[str, Mounted] = {}
-    for k, part in enumerate(_parts(recording, robot, imus, every)):
-        (start, stop), before, after = bounds[k + 1], bounds[k][1], bounds[k + 2][0]
-        t = np.arange(start, stop, dtype=float)
-        rise, fall = [max(start, 0) - (k == 0), before], [after, stop]
-        if k == 0:
-            rise = [-2, -1]
+    for k, part in enumerate(_parts(recording, robot, imus, chunks)):
+        own = chunks[k]
+        rise = [own.start, chunks[k - 1].stop] if k else [-2, -1]
+        fall = [chunks[k + 1].start if k + 1 < len(chunks) else samples, own.stop]
+        t = np.arange(own.start, own.stop, dtype=float)
         share = np.interp(t, [*rise, *fall], [0.0, 1.0, 1.0, 0.0])
-        motion[start:stop] += share[:, None, None] * part.motion
-        own = share[part.places] >= 0.5
-        places.append(part.places[own] + start)
-        covariance.append(part.covariance[own])
+        motion[own] += share[:, None, None] * part.motion
+        kept = share[part.places] >= 0.5
+        places.append(part.places[kept] + own.start)
+        covariance.append(part.covariance[kept])
         notes += part.notes
         found |= {x.name: x for x in part.imus}
-        jerk = part.jerk
     q, dq, ddq = (np.ascontiguousarray(motion[:, d]) for d in range(3))
-    late = {name: x.place.channels + 6 for name, x in found.items()}
-    return Smoothed(
-        q,
-        dq,
-        ddq,
-        np.concatenate(places),
-        np.concatenate(covariance),
-        {name: x.bias for name, x in found.items()},
-        {name: x.place.lever for name, x in found.items()},
-        {name: x.delay for name, x in found.items()},
-        {
-            name: float(np.sqrt(np.linalg.inv(x.precision)[late[name], late[name]]))
-            for name, x in found.items()
-        },
-        jerk,
-        tuple(x.name for x in imus if x.name in found),
-        tuple(notes),
-    )
+    mounted = {x.name: found[x.name] for x in imus if x.name in found}
+    known = np.concatenate(places), np.concatenate(covariance), mounted
+    return Smoothed(q, dq, ddq, *known, tuple(notes))

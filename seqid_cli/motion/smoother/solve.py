@@ -27,8 +27,6 @@ from seqid_cli.motion.smoother.system import (
 from seqid_cli.motion.smoother.terms import JERK, Jerk
 from seqid_cli.typing import Array, Index
 
-FINE_ROUNDS: tuple[Constants, ...] = ("none",)
-
 
 @dataclass(frozen=True)
 class Solution:
@@ -140,18 +138,13 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1)
     linear = linearised(fine, c)
     first = renewed(fine, c, jerk, linear, "clock")
     fine, c, jerk = first.chunk.gathered(), first.c, _probed_jerk(first, rng)
-    for constants in FINE_ROUNDS:
-        told = tuple(predicted(fine, c, x) for x in fine.imus)
-        misfits = [misfit(x, y) for x, y in zip(fine.imus, told, strict=True)]
-        factors = _noise_factors(first, jerk, misfits)
-        if any(np.any(np.abs(f - 1.0) > noise_tolerance) for f in factors):
-            pairs = zip(fine.imus, factors, strict=True)
-            fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
-        first = renewed(fine, c, jerk, linear, constants, told)
-        fine, c = first.chunk.gathered() if constants != "none" else first.chunk, first.c
-        if constants != FINE_ROUNDS[-1]:
-            jerk = _probed_jerk(first, rng)
-    return first
+    told = tuple(predicted(fine, c, x) for x in fine.imus)
+    misfits = [misfit(x, y) for x, y in zip(fine.imus, told, strict=True)]
+    factors = _noise_factors(first, jerk, misfits)
+    if any(np.any(np.abs(f - 1.0) > noise_tolerance) for f in factors):
+        pairs = zip(fine.imus, factors, strict=True)
+        fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
+    return renewed(fine, c, jerk, linear, "none", told)
 
 
 def renewed(

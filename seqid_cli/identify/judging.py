@@ -201,9 +201,7 @@ def _gravity_of_trials(
 ) -> Iterator[Verdict]:
     """Compare the chain's gravity with that of the friction trials, posture by posture."""
     names = robot.joint_names
-    least = max(
-        limits.min_torque, limits.light_share * float(_largest(robot, stage, limits.postures).max())
-    )
+    least = max(limits.min_torque, limits.light_share * _largest(robot, stage, limits.postures))
     for j, (q, measured) in _measured_gravity(friction, robot, limits).items():
         own = _gravity_torque(stage, robot, q)[:, j]
         size = float(np.sqrt(np.mean(measured**2)))
@@ -298,13 +296,12 @@ def _weighed(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verdict
     """Compare gravity with that of the URDF's inertials, where there are any."""
     if robot.nominal is None or not samples:
         return
-    largest = _largest(robot, None, limits.postures)
+    least = max(
+        limits.min_torque, 2.0 * limits.light_share * _largest(robot, None, limits.postures)
+    )
     for j, (q, measured) in samples.items():
-        still = np.zeros_like(q)
-        nominal = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)[:, j]
-        if float(np.abs(nominal).max()) < max(
-            limits.min_torque, 2.0 * limits.light_share * float(largest.max())
-        ):
+        nominal = _gravity_torque(None, robot, q)[:, j]
+        if float(np.abs(nominal).max()) < least:
             continue
         ratio = float(measured @ nominal) / float(nominal @ nominal)
         size = float(np.sqrt(np.mean(measured**2) / np.mean(nominal**2)))
@@ -328,23 +325,17 @@ def _weighed(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verdict
         yield Verdict(joint=robot.joint_names[j], good=False, reason=reason)
 
 
-def _gravity_torque(stage: RigidStage, robot: Robot, q: Array) -> Array:
-    """Gravity torque (N, n) by a stage's parameters."""
-    phi, _ = standard_parameters(stage, robot.n)
+def _gravity_torque(stage: RigidStage | None, robot: Robot, q: Array) -> Array:
+    """Gravity torque (N, n) by a stage's parameters, or by the URDF's inertials."""
+    phi = standard_parameters(stage, robot.n)[0] if stage is not None else robot.nominal
+    assert phi is not None
     still = np.zeros_like(q)
     return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
 
 
-def _largest(robot: Robot, stage: RigidStage | None, postures: int) -> Array:
-    """Largest gravity torque (n,), by a stage's parameters or by the URDF's."""
-    q = _postures(robot, postures)
-    still = np.zeros_like(q)
-    if stage is not None:
-        torque = _gravity_torque(stage, robot, q)
-    else:
-        assert robot.nominal is not None
-        torque = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
-    return np.asarray(np.abs(torque).max(axis=0))
+def _largest(robot: Robot, stage: RigidStage | None, postures: int) -> float:
+    """Largest gravity torque of any joint, by a stage's parameters or by the URDF's."""
+    return float(np.abs(_gravity_torque(stage, robot, _postures(robot, postures))).max())
 
 
 def _postures(robot: Robot, count: int) -> Array:

@@ -135,7 +135,7 @@ def bound(c: Case, rig: Rig) -> Array:
         encoder_view(c.recording.q[:, j], float(c.plant.encoder_step[j])) for j in range(c.robot.n)
     ]
     imus = []
-    for x, array in zip(mounted_imus(c.recording, c.robot, c.stage)[0], c.plant.imus, strict=True):
+    for x, array in zip(mounted_imus(c.recording, c.robot, c.stage), c.plant.imus, strict=True):
         noise = np.full(x.place.channels, np.hypot(array.noise, array.resolution / np.sqrt(12)))
         noise[len(x.place.axes) :] = GYRO_NOISE
         place = replace(x.place, R=array.rotation, lever=array.lever)

@@ -199,6 +199,30 @@ def _system(robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8) 
     )
 
 
+@dataclass(frozen=True)
+class Clustered:
+    """Least squares `theta` (p,) whose rows share errors within clusters.
+
+    `left` is the residual, `bread` the inverse of the normal matrix, `moves` (G, p) what each
+    cluster pulls the estimate by.
+    """
+
+    theta: Array
+    left: Array
+    bread: Array
+    moves: Array
+
+    @classmethod
+    def of(cls, A: Array, y: Array, cluster: Index) -> Clustered:
+        """Solve rows A (N, p), y (N,) of clusters (N,), numbered from 0."""
+        theta = np.asarray(np.linalg.lstsq(A, y, rcond=1e-10)[0], dtype=np.float64)
+        left = y - A @ theta
+        bread = np.asarray(np.linalg.pinv(A.T @ A, hermitian=True))
+        scores = np.zeros((int(cluster.max()) + 1, A.shape[1]))
+        np.add.at(scores, cluster, A * left[:, None])
+        return cls(theta, left, bread, scores @ bread)
+
+
 def _solve(system: _System, *, extended: bool) -> tuple[Array, Array, float]:
     """Weighted least squares: solution, standard errors robust within blocks, squares left."""
     columns = system.columns
@@ -207,15 +231,10 @@ def _solve(system: _System, *, extended: bool) -> tuple[Array, Array, float]:
     if columns.shape[1] == 0:
         return np.zeros(0), np.zeros(0), float(np.sum((system.root * system.y) ** 2))
     A, y = columns * system.root[:, None], system.y * system.root
-    solution: Array = np.asarray(np.linalg.lstsq(A, y, rcond=1e-10)[0], dtype=np.float64)
-    left = y - A @ solution
-    bread = np.linalg.pinv(A.T @ A)
-    blocks = int(system.block.max()) + 1
-    scores = np.zeros((blocks, A.shape[1]))
-    np.add.at(scores, system.block, A * left[:, None])
-    scale = blocks / max(blocks - A.shape[1], 1)
-    covariance = bread @ (scores.T @ scores) @ bread * scale
-    return solution, np.sqrt(np.maximum(np.diag(covariance), 0.0)), float(left @ left)
+    found = Clustered.of(A, y, system.block)
+    blocks = len(found.moves)
+    variance = np.sum(found.moves**2, axis=0) * blocks / max(blocks - A.shape[1], 1)
+    return found.theta, np.sqrt(variance), float(found.left @ found.left)
 
 
 def _asymmetry(

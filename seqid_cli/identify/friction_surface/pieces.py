@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,23 +11,6 @@ from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import joined
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
 from seqid_cli.typing import Array
-
-
-@dataclass(frozen=True)
-class _Held:
-    """Consecutive samples; those from `start` on are still to be searched."""
-
-    block: Block
-    start: int
-
-    def followed_by(self, other: Block) -> _Held:
-        """These samples and the next."""
-        return replace(self, block=joined([self.block, other]))
-
-    def after(self, cut: int, margin: int) -> _Held:
-        """What is left once everything in front of a sample (of the block) has been searched."""
-        low = max(0, cut - margin)
-        return _Held(self.block.part(slice(low, self.block.samples)), cut - low)
 
 
 def pieces(
@@ -47,36 +29,35 @@ def pieces(
         found = constant_velocity(log.q, log.rate_hz, step=step, valid=log.valid)
         yield Block(0, log.q, torque_of(log), log.valid), found
         return
-    margin = motion_reach(log.rate_hz)
-    wait = rows
-    held: _Held | None = None
+    margin, rate = motion_reach(log.rate_hz), log.rate_hz
+    wait, start = rows, 0  # samples before `start` have been searched
+    held: Block | None = None
     for block in log.blocks():
-        held = _Held(block, 0) if held is None else held.followed_by(block)
-        if len(held.block.q) - held.start < wait + margin:
+        held = block if held is None else joined([held, block])
+        if held.samples - start < wait + margin:
             continue
-        cut = _last_change(held, log.rate_hz, step, margin)
+        cut = _last_change(held, start, rate, step, margin)
         if cut is None:  # one move that goes on and on
-            wait = 2 * (len(held.block.q) - held.start)
+            wait = 2 * (held.samples - start)
             continue
-        yield held.block, _stretches(held, cut, log.rate_hz, step)
-        held, wait = held.after(cut, margin), rows
+        yield held, _stretches(held, start, cut, rate, step)
+        low = max(0, cut - margin)
+        held, start, wait = held.part(slice(low, held.samples)), cut - low, rows
     if held is not None:
-        yield held.block, _stretches(held, len(held.block.q), log.rate_hz, step)
+        yield held, _stretches(held, start, held.samples, rate, step)
 
 
-def _last_change(held: _Held, rate_hz: float, step: Array, margin: int) -> int | None:
+def _last_change(block: Block, start: int, rate_hz: float, step: Array, margin: int) -> int | None:
     """Find the last sample, away from the end, at which another joint moves than before it."""
-    block = held.block
     moving = moving_mask(block.q, rate_hz, step)
     alone = block.valid & (moving.sum(axis=1) == 1)
     mover = np.where(alone, moving.argmax(axis=1), -1)
-    searched = mover[held.start : len(mover) - margin]
+    searched = mover[start : len(mover) - margin]
     changes = np.flatnonzero(searched[1:] != searched[:-1])
-    return held.start + int(changes[-1]) + 1 if len(changes) else None
+    return start + int(changes[-1]) + 1 if len(changes) else None
 
 
-def _stretches(held: _Held, cut: int, rate_hz: float, step: Array) -> list[Stretch]:
-    inside = held.block.valid.copy()
-    inside[: held.start] = False
-    inside[cut:] = False
-    return constant_velocity(held.block.q, rate_hz, step=step, valid=inside)
+def _stretches(block: Block, start: int, cut: int, rate_hz: float, step: Array) -> list[Stretch]:
+    inside = block.valid.copy()
+    inside[:start], inside[cut:] = False, False
+    return constant_velocity(block.q, rate_hz, step=step, valid=inside)

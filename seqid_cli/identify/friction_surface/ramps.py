@@ -19,12 +19,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
+from seqid_cli.identify.friction_surface.gravity_separation import Clustered, gravity_columns
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial, configurations
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
-from seqid_cli.typing import Array, Index
 
 
 @dataclass(frozen=True)
@@ -71,24 +70,21 @@ def _as_friction(group: Sequence[Trial]) -> float:
     return torque / accelerated if accelerated > 0.0 else 0.0
 
 
-def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:
-    mean = np.full(len(trial.q), trial.velocity)
-    pushed = inertia * trial.ddq
-    off = pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
-    return _settled(replace(trial, tau=trial.tau - off), pushed)
-
-
-def _settled(trial: Trial, pushed: Array, *, max_ratio: float = 2.0) -> Trial:
-    """Without the slices whose acceleration takes a torque `pushed` (K,) beyond noise and usual.
+def _steady(
+    trial: Trial, inertia: float, surface: FrictionSurface, *, max_ratio: float = 2.0
+) -> Trial:
+    """The trial at its mean velocity, without the slices of more than noise and usual push.
 
     At the ends a controller settles faster than the path follows: what is taken off is as wrong
     there as it is large.
     """
-    noise = PER_MEDIAN * float(np.median(np.abs(np.diff(trial.tau, 2)))) / np.sqrt(6.0)
-    usual = float(np.median(np.abs(pushed)))
-    kept = np.abs(pushed) <= max_ratio * np.hypot(noise, usual)
-    names = ("q", "dq", "ddq", "tau", "t")
-    return replace(trial, **{name: getattr(trial, name)[kept] for name in names})
+    mean, pushed = np.full(len(trial.q), trial.velocity), inertia * trial.ddq
+    off = pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
+    tau = trial.tau - off
+    noise = PER_MEDIAN * float(np.median(np.abs(np.diff(tau, 2)))) / np.sqrt(6.0)
+    kept = np.abs(pushed) <= max_ratio * np.hypot(noise, float(np.median(np.abs(pushed))))
+    steady = {name: getattr(trial, name)[kept] for name in ("q", "dq", "ddq", "t")}
+    return replace(trial, tau=tau[kept], **steady)
 
 
 @dataclass(frozen=True)
@@ -130,7 +126,11 @@ def _inertia_of(
             rows.append(np.column_stack([ddq, a]) * np.sqrt(weight))
             right.append((tau - surface.torque(q, dq)) * np.sqrt(weight))
             cluster.append(np.full(len(q), number))
-    return _first_parameter(np.vstack(rows), np.concatenate(right), np.concatenate(cluster))
+    found = Clustered.of(np.vstack(rows), np.concatenate(right), np.concatenate(cluster))
+    count, spare = len(found.moves), len(found.left) - len(found.theta)
+    robust = count / max(count - 1, 1) * float(np.sum(found.moves[:, 0] ** 2))
+    white = float(found.left @ found.left) / max(spare, 1) * float(found.bread[0, 0])
+    return _Inertia(float(found.theta[0]), white, robust, count)
 
 
 def _within(ramps: Ramps, surface: FrictionSurface) -> Ramps:
@@ -138,16 +138,3 @@ def _within(ramps: Ramps, surface: FrictionSurface) -> Ramps:
     low, high = surface.scaling.speed
     kept = (np.abs(ramps.dq) >= low) & (np.abs(ramps.dq) <= high)
     return Ramps(ramps.q[kept], ramps.dq[kept], ramps.ddq[kept], ramps.tau[kept], ramps.weight)
-
-
-def _first_parameter(A: Array, y: Array, cluster: Index) -> _Inertia:
-    """Least squares for the first parameter; the rows of a cluster share errors."""
-    bread = np.linalg.pinv(A.T @ A, hermitian=True)
-    theta = bread @ (A.T @ y)
-    left = y - A @ theta
-    count = int(cluster.max()) + 1
-    scores = np.zeros((count, A.shape[1]))
-    np.add.at(scores, cluster, A * left[:, None])
-    robust = count / max(count - 1, 1) * float(np.sum((scores @ bread)[:, 0] ** 2))
-    white = float(left @ left) / max(len(y) - A.shape[1], 1) * float(bread[0, 0])
-    return _Inertia(float(theta[0]), white, robust, count)

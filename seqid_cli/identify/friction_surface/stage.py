@@ -174,7 +174,7 @@ def _scalings(data: list[SpeedData], *, wide_range: float = 4.0) -> list[Scaling
 
 def friction_data(gravity: GravityFit) -> list[SpeedData]:
     """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
-    result = []
+    data = []
     for group in gravity.groups:
         for trial in group.trials:
             direction = 1 if trial.velocity > 0 else -1
@@ -182,16 +182,12 @@ def friction_data(gravity: GravityFit) -> list[SpeedData]:
             weight = np.full(len(trial.q), trial.weight)
             edges = edges_of(trial.t, trial.seconds)
             push = direction * trial.inertia_error * trial.ddq
-            result.append(SpeedData(trial.speed, direction, trial.q, friction, weight, edges, push))
-    return _on_levels(result)
-
-
-def _on_levels(data: list[SpeedData]) -> list[SpeedData]:
-    result = []
+            data.append(SpeedData(trial.speed, direction, trial.q, friction, weight, edges, push))
+    found = []
     for level in speed_levels(data):
         speed = float(np.mean([item.speed for item in level]))
-        result += [replace(item, speed=speed) for item in level]
-    return result
+        found += [replace(item, speed=speed) for item in level]
+    return found
 
 
 def _check_orders(robot: Robot, j: int, data: list[SpeedData], velocity: int | None) -> None:

@@ -205,13 +205,13 @@ def _described(
             if joints[j].samples
         },
         rotor_coupling="gyroscopic" if coupling.used else "diagonal",
-        motion={use.log: source_text(use) for use in equations.uses},
-        motion_use=equations.uses,
+        motion={use.log: source_text(use) for use in equations.rows.uses},
+        motion_use=equations.rows.uses,
         missing_pairs=pairs,
-        cutoff_hz=float(np.median(equations.cutoffs)),
+        cutoff_hz=float(np.median(equations.rows.cutoffs)),
         verdicts=_verdicts(equations, solution, joints),
         notes=[
-            cutoff_note(equations.cutoffs, equations.options.motion),
+            cutoff_note(equations.rows.cutoffs, equations.options.motion),
             *_left_open(missing, pairs),
             *coupling.notes,
         ],
@@ -237,7 +237,7 @@ def _verdicts(
             reason = "does not move in these logs, or its friction is not known"
             verdicts.append(Verdict(joint=name, good=False, reason=reason))
             continue
-        left = float(solution.sigma[j]), float(equations.torque_squares[j]), joints[j].samples
+        left = float(solution.sigma[j]), float(equations.rows.torque_squares[j]), joints[j].samples
         share, reason = residual_share(*left)
         verdicts.append(Verdict(joint=name, good=share < poor_share, reason=reason))
     size = equations.basis.size

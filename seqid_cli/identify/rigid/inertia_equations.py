@@ -47,7 +47,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 
-@dataclass(frozen=True)
+@dataclass
 class InertiaRows:
     """The equations of some logs, reduced: factors, sums and crossed sums per joint."""
 
@@ -57,6 +57,12 @@ class InertiaRows:
     cutoffs: list[float]
     uses: list[MotionUse]
     counts: Array  # (2,): samples that count as independent, and all
+
+    @classmethod
+    def none(cls, size: int, n: int) -> InertiaRows:
+        """No equation of n joints with so many parameters."""
+        joints = [Accumulator(size) for _ in range(n)]
+        return cls(joints, np.zeros(n), {}, [], [], np.zeros(2))
 
     def __add__(self, other: InertiaRows) -> InertiaRows:
         """The equations of both, those of `other` behind."""
@@ -85,25 +91,22 @@ class InertiaEquations:
         self._rotor_torque = np.where(scaled, gear_ratios(robot) ** 2 * self.rotors, 0.0)
         coupling = np.full((robot.n, 1), bool(self.rotors.any()))
         self._loaded = np.hstack([loaded_columns(robot, basis), coupling])
-        self._start()
+        self.rows = InertiaRows.none(basis.size + 1, robot.n)
+        self._grouped = GroupedBlocks(self.rows.joints, self._loaded)
 
-    def _start(self) -> None:
-        """Forget all rows."""
-        self.joints = [Accumulator(self.basis.size + 1) for _ in range(self.robot.n)]
-        self.torque_squares = np.zeros(self.robot.n)
-        self.cutoffs: list[float] = []
-        self.uses: list[MotionUse] = []
-        self.counts = np.zeros(2)
-        self._grouped = GroupedBlocks(self.joints, self._loaded)
-        self._cross: dict[int, Array] = {}
+    @property
+    def joints(self) -> list[Accumulator]:
+        """The rows of each joint."""
+        return self.rows.joints
 
-    def rows_of(self, recording: Recording | SurveyedLog) -> InertiaRows:
+    def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
         """The rows of one log alone; these equations stay as they are."""
-        fresh = copy(self)
-        fresh._start()
-        fresh.add(recording)
-        sums = fresh.joints, fresh.torque_squares, fresh._cross
-        return InertiaRows(*sums, fresh.cutoffs, fresh.uses, fresh.counts)
+        fresh = self.with_rows(InertiaRows.none(self.basis.size + 1, self.robot.n))
+        fresh._grouped = GroupedBlocks(fresh.joints, self._loaded)
+        motion = pass_over(log, fresh)
+        fresh.rows.cutoffs.append(motion.cutoff.hz)
+        fresh.rows.uses.append(motion_use(log.path, self.robot, motion))
+        return fresh.rows
 
     def at_cutoff(self, cutoff_hz: float) -> InertiaEquations:
         """The same equations, to take rows that are filtered at another cut-off."""
@@ -115,15 +118,8 @@ class InertiaEquations:
     def with_rows(self, rows: InertiaRows) -> InertiaEquations:
         """The same equations with rows."""
         full = copy(self)
-        full.joints, full.torque_squares, full._cross = rows.joints, rows.torque_squares, rows.cross
-        full.cutoffs, full.uses, full.counts = rows.cutoffs, rows.uses, rows.counts
+        full.rows = rows
         return full
-
-    def add(self, log: Recording | SurveyedLog) -> None:
-        """Add the rows of one log."""
-        motion = pass_over(log, self)
-        self.cutoffs.append(motion.cutoff.hz)
-        self.uses.append(motion_use(log.path, self.robot, motion))
 
     def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""
@@ -145,7 +141,7 @@ class InertiaEquations:
 
     def add_chunk(self, motion: Motion, H: Array, y: Array, usable: Mask) -> None:
         """Add rows H (N, n, b + 1), y (N, n) of consecutive samples, where they are usable."""
-        self.counts += motion.samples * np.array([motion.independent_share, 1.0])
+        self.rows.counts += motion.samples * np.array([motion.independent_share, 1.0])
         known = usable & np.array([surface is not None for surface in self.surfaces])
         ends = [block.stop for block in blocks(motion.samples, motion.rate_hz)]
         self._grouped.add((H, y, known), ends)
@@ -155,13 +151,13 @@ class InertiaEquations:
             if surface is None or not rows.any():
                 continue
             assert motion.tau is not None
-            self.torque_squares[j] += float(np.sum(motion.tau[rows, j] ** 2))
+            self.rows.torque_squares[j] += float(np.sum(motion.tau[rows, j] ** 2))
             some = np.flatnonzero(rows)[::every]
             F = every * surface.columns(motion.q[some, j], motion.dq[some, j])
             if self._rotor_torque[j]:
                 F = np.column_stack([F, every * self._rotor_torque[j] * motion.ddq[some, j]])
-            crossed = self._cross.get(j, np.zeros((H.shape[2], F.shape[1])))
-            self._cross[j] = crossed + H[some, j].T @ F
+            crossed = self.rows.cross.get(j, np.zeros((H.shape[2], F.shape[1])))
+            self.rows.cross[j] = crossed + H[some, j].T @ F
 
     def expect(self, count: int, rows: int) -> None:
         """So many blocks of about so many rows of one log follow; 0 when they have come."""
@@ -193,7 +189,7 @@ class InertiaEquations:
         size = len(solution.theta)
         crossed = {
             j: -share * solution.bread @ sums[:size] / solution.sigma[j] ** 2
-            for j, sums in self._cross.items()
+            for j, sums in self.rows.cross.items()
         }
         gain = solution.bread @ prior.A.T if prior is not None else np.zeros((size, 0))
         known = {j: S[:, -1] for j, S in crossed.items() if self._rotor_torque[j]}
@@ -206,7 +202,7 @@ class InertiaEquations:
 
     def imu_moves(self, theta: Array) -> Array:
         """By what the errors of the IMUs that took part move the parameters (b, d)."""
-        names = {name for use in self.uses for name in use.imus}
+        names = {name for use in self.rows.uses for name in use.imus}
         imus = self.stages.imu.imus if self.stages.imu else {}
         errors = {name: imus[name].acceleration_std_error or 0.0 for name in names}
         inertia = np.where(self.basis.gravity & bool(self.stages.gravity), 0.0, theta)
@@ -216,7 +212,7 @@ class InertiaEquations:
     @property
     def independent_share(self) -> float:
         """Share of the samples that count as independent beside the gravity stage."""
-        return float(self.counts[0] / max(self.counts[1], 1.0))
+        return float(self.rows.counts[0] / max(self.rows.counts[1], 1.0))
 
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:

@@ -52,7 +52,11 @@ class Equations(Protocol):
     """Rows of an identification whose last column is the share of the coupling."""
 
     basis: Basis
-    joints: list[Accumulator]
+
+    @property
+    def joints(self) -> list[Accumulator]:
+        """The rows of each joint."""
+        ...
 
     def with_coupling(self, share: float) -> list[Accumulator]:
         """The rows with the share held at a value."""

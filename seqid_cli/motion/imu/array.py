@@ -11,6 +11,7 @@ well-placed accelerometers determine all of them; the products give w up to its 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -182,22 +183,23 @@ def calibrated(
     K) [m/s^2]. `gyro` (N, 3) [rad/s]. Returns (N, K) (N, 3): readings of an instrument without
     those faults, whose axes are those of the returned Imu. The clock offset stays in.
     """
-    bias = _known(calibration.accelerometer_bias, len(imu.axes), 0.0)
-    scale = _known(calibration.accelerometer_scale, len(imu.axes), 1.0)
+    bias = entries(calibration.accelerometer_bias, len(imu.axes), 0.0)
+    scale = entries(calibration.accelerometer_scale, len(imu.axes), 1.0)
     axes = np.array(calibration.accelerometer_axes) if calibration.accelerometer_axes else imu.axes
     mended = replace(imu, axes=axes)
     if gyro is None:
         return mended, (accelerations - bias) / scale, None
-    rate = (gyro - _known(calibration.gyro_bias, 3, 0.0)) / _known(calibration.gyro_scale, 3, 1.0)
+    rate = (gyro - entries(calibration.gyro_bias, 3, 0.0)) / entries(calibration.gyro_scale, 3, 1.0)
     if calibration.gyro_axes:
         rate = rate @ np.linalg.inv(np.array(calibration.gyro_axes)).T
     return mended, (accelerations - bias) / scale, rate
 
 
-def _known(values: list[float | None], count: int, otherwise: float) -> Array:
-    if not values:
-        return np.full(count, otherwise)
-    return np.array([otherwise if value is None else value for value in values])
+def entries(values: Sequence[float | None], count: int, default: float) -> Array:
+    """Entries (count,) of a calibration; the default where it has none."""
+    if len(values) != count:
+        return np.full(count, default)
+    return np.array([default if v is None else v for v in values], dtype=np.float64)
 
 
 def read_angular(

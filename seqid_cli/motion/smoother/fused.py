@@ -33,8 +33,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
-ABSENT = "not calibrated or not recorded"  # the smoother's words, put more exactly here
-
 
 def fused_motion(
     recording: Recording,
@@ -65,11 +63,10 @@ def fused_motion(
         If no stretch of the log is long enough to filter.
     """
     missing = tuple(absent_imus(recording, robot, stage))
-    if not present_imus(recording, robot, stage):
+    if not mounted_imus(recording, robot, stage):
         return replace(encoder, warnings=(*encoder.warnings, *missing))
     smoothed = _smoothed(_Task.of(recording, robot, stage))
-    doubts = [note for note in smoothed.notes if not note.endswith(ABSENT)]
-    warnings = (*encoder.warnings, *missing, *doubts)
+    warnings = (*encoder.warnings, *missing, *smoothed.notes)
     if not smoothed.imus:
         return replace(encoder, warnings=warnings)
     apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, recording.valid))
@@ -194,7 +191,7 @@ def _made(task: _Task) -> _Found:
 def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Iterator[str]:
     """Say which of the IMUs that were used read only now and then."""
     recording = task.recording
-    for imu in mounted_imus(recording, task.robot, task.stage)[0]:
+    for imu in mounted_imus(recording, task.robot, task.stage):
         if imu.name not in names:
             continue
         live = read(imu, recording, slice(None)).live[recording.valid]
@@ -206,13 +203,6 @@ def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Ite
 @lru_cache(maxsize=32)
 def _kept(task: _Task) -> _Found:
     return _made(task)
-
-
-def present_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> tuple[str, ...]:
-    """Names of the IMUs that are calibrated and in the log."""
-    calibrated = stage.imus if stage else {}
-    names = [imu.name for imu in robot.imus]
-    return tuple(x for x in names if x in calibrated and x in recording.accelerometers)
 
 
 def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> Iterator[str]:

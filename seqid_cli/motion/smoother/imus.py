@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.imu.array import entries
 from seqid_cli.motion.smoother.chunk import Mounted
 from seqid_cli.motion.smoother.terms import Mounting
 from seqid_cli.params.schema import ImuCalibration, ImuStage
@@ -22,36 +23,21 @@ BIAS_DRIFT, GYRO_BIAS_DRIFT, DELAY_DRIFT_S = 0.05, 0.005, 0.001
 LEAST_NOISE = 1e-3  # m/s^2 or rad/s
 
 
-def mounted_imus(
-    recording: Recording, robot: Robot, stage: ImuStage | None
-) -> tuple[list[Mounted], list[str]]:
-    """IMUs with calibration and readings, as the calibration has them; they hold no readings yet.
-
-    The notes name those that are left out.
-    """
-    found, notes = [], []
-    calibrations = stage.imus if stage else {}
+def mounted_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> list[Mounted]:
+    """IMUs with calibration and readings, as the calibration has them, without their readings."""
+    found = []
     for imu in robot.imus:
-        calibration = calibrations.get(imu.name)
-        if calibration is None or imu.name not in recording.accelerometers:
-            notes.append(f"{imu.name}: not calibrated or not recorded")
-            continue
-        gyro = imu.gyro and imu.name in recording.gyros
-        found.append(_mounted(imu, calibration, gyro=gyro, rate_hz=recording.rate_hz))
-    return found, notes
-
-
-def _known(values: Sequence[float | None], count: int, default: float) -> Array:
-    """Entries (count,) of a calibration; the default where it has none."""
-    if len(values) != count:
-        return np.full(count, default)
-    return np.array([default if v is None else v for v in values], dtype=np.float64)
+        calibration = stage.imus.get(imu.name) if stage else None
+        if calibration is not None and imu.name in recording.accelerometers:
+            gyro = imu.gyro and imu.name in recording.gyros
+            found.append(_mounted(imu, calibration, gyro=gyro, rate_hz=recording.rate_hz))
+    return found
 
 
 def _axes(rows: Sequence[Sequence[float]], gains: Sequence[float | None], nominal: Array) -> Array:
     """Sensing axes (K, 3), as long as the channels' gains."""
     axes = np.array(rows) if len(rows) == len(nominal) else nominal
-    return np.asarray(axes * _known(gains, len(nominal), 1.0)[:, None])
+    return np.asarray(axes * entries(gains, len(nominal), 1.0)[:, None])
 
 
 def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> Mounted:
@@ -62,11 +48,16 @@ def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> 
         positions=imu.positions,
         axes=_axes(known.accelerometer_axes, known.accelerometer_scale, imu.axes),
         R=np.array(known.rotation),
-        lever=_known(known.lever, 3, 0.0),
+        lever=entries(known.lever, 3, 0.0),
         gyro=_axes(known.gyro_axes, known.gyro_scale, np.eye(3)) if gyro else None,
     )
-    bias = [_known(known.accelerometer_bias, count, 0.0), _known(known.gyro_bias, rates, 0.0)]
-    density = [_known(known.accelerometer_noise, count, 0.0), _known(known.gyro_noise, rates, 0.0)]
+    bias, density = (
+        np.concatenate([entries(accelerometers, count, 0.0), entries(gyros, rates, 0.0)])
+        for accelerometers, gyros in (
+            (known.accelerometer_bias, known.gyro_bias),
+            (known.accelerometer_noise, known.gyro_noise),
+        )
+    )
     prior = _prior(known, count, rates)
     nothing = np.zeros((0, count + rates))
     return Mounted(
@@ -74,8 +65,8 @@ def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> 
         place=place,
         raw=nothing,
         live=nothing > 0,
-        noise=np.maximum(np.concatenate(density) * np.sqrt(rate_hz / 2), LEAST_NOISE),
-        bias=np.concatenate(bias),
+        noise=np.maximum(density * np.sqrt(rate_hz / 2), LEAST_NOISE),
+        bias=bias,
         delay=known.time_offset_s if known.time_offset_std_error_s is not None else 0.0,
         away=np.zeros(len(prior)),
         precision=np.diag(prior**-2.0),
@@ -101,7 +92,7 @@ def _prior(
     """Standard deviations (g,) of biases, place, turn, clock offset and axes."""
     turns = known.std_errors_deg or [known.std_error_deg]
     bias, gyro_bias, lever, gain, gyro_gain = (
-        np.hypot(_known(values, size, default), drift)
+        np.hypot(entries(values, size, default), drift)
         for values, size, default, drift in (
             (known.accelerometer_bias_std_errors, count, bias_prior, BIAS_DRIFT),
             (known.gyro_bias_std_errors, rates, gyro_bias_prior, GYRO_BIAS_DRIFT),
@@ -111,7 +102,7 @@ def _prior(
         )
     )
     tilts = [
-        np.radians(_known(values, size, np.degrees(gain_prior)))
+        np.radians(entries(values, size, np.degrees(gain_prior)))
         for values, size in (
             (known.accelerometer_tilt_std_errors_deg, count),
             (known.gyro_tilt_std_errors_deg, rates),

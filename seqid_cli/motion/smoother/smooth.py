@@ -211,10 +211,11 @@ def _joined(
 ) -> Smoothed:
     """Lay the chunks side by side; each fades into the next over their overlap."""
     samples, rate = len(recording.q), recording.rate_hz
-    imus, notes = mounted_imus(recording, robot, stage)
+    imus = mounted_imus(recording, robot, stage)
     chunks = _chunks(samples, chunk_s * rate, int(overlap_s * rate))
     motion = np.zeros((samples, 3, robot.n))
     places, covariance = [], []
+    notes: list[str] = []
     found: dict[str, Mounted] = {}
     for k, part in enumerate(_parts(recording, robot, imus, chunks)):
         own = chunks[k]

@@ -143,7 +143,7 @@ def scene(encoder: str) -> Scene:
         health=Health(rate_hz=1.0 / DT, jitter=0.0),
         accelerometers=accelerometers,
     )
-    known, _ = mounted_imus(recording, robot, ImuStage(imus=calibrations))
+    known = mounted_imus(recording, robot, ImuStage(imus=calibrations))
     imus = tuple(read(x, recording, slice(None)) for x in known)
     views = tuple(encoder_view(recording.q[:, j], step) for j in range(2))
     return Scene(Chunk(robot, views, DT, 1, imus), length, step)

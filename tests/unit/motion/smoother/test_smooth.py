@@ -141,7 +141,7 @@ def test_both_sources_together_beat_each(name: str) -> None:
 def true_chunk(s: Scene) -> tuple[Chunk, Array, Jerk]:
     """The smoother's own model about the truth, with the true noise, mounting and jerk."""
     views = [encoder_view(s.recording.q[:, j], s.plant.encoder_step[j]) for j in range(s.robot.n)]
-    imus, _ = mounted_imus(s.recording, s.robot, s.stage)
+    imus = mounted_imus(s.recording, s.robot, s.stage)
     placed = [
         replace(
             read(x, s.recording, slice(None)),

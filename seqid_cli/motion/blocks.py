@@ -56,14 +56,10 @@ class Plan:
         return self.rate_hz / self.factor
 
 
-def make_plan(
-    rate_hz: float,
-    cutoff: Cutoff,
-    step: Array,
-    *,
-    samples_per_cutoff: float,
-    least_block: int = 32768,
-) -> Plan:
+LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as long
+
+
+def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float) -> Plan:
     """Plan the blocks.
 
     `step` (n,): position changes [rad] that are more than noise. `samples_per_cutoff`: samples that
@@ -75,7 +71,7 @@ def make_plan(
         factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
     margin = max(2 * lowpass.memory + SIDE, 2 * lowpass.settling, motion_reach(rate_hz))
     margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
-    least = least_block if factor == 1 else 2 * least_block  # thinned ones need less memory
+    least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK
     rows = -(-max(least, 2 * margin) // factor) * factor
     return Plan(rate_hz, cutoff, step, factor, rows, margin)
 

@@ -136,9 +136,7 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
         return np.asarray(np.linalg.lstsq(stacked, y.ravel(), rcond=None)[0])
 
     def ours_job() -> Array:
-        joints = [
-            _accumulated(rows[j], y[j], loaded=columns_of) for j, columns_of in enumerate(loaded)
-        ]
+        joints = [_accumulated(rows[j], y[j]) for j in range(len(loaded))]
         return triangular(np.vstack([joint.total for joint in joints]))
 
     theirs, ours = _cpu([theirs_job, ours_job], max(1, rounds // 3))
@@ -161,12 +159,12 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
     return found
 
 
-def _accumulated(H: Array, y: Array, *, loaded: NDArray[np.bool_] | None = None) -> Accumulator:
+def _accumulated(H: Array, y: Array) -> Accumulator:
     """Rows added in blocks of a second."""
     joint = Accumulator(H.shape[1])
     for start in range(0, len(y), 1000):
         part = slice(start, start + 1000)
-        joint.add(H[part], y[part], loaded=loaded)
+        joint.add(H[part], y[part])
     return joint
 
 

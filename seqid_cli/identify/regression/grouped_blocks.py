@@ -22,10 +22,9 @@ Chunk = tuple[Array, Array, Mask]  # H (N, n, p), y (N, n), which rows to use (N
 class GroupedBlocks:
     """Hands the rows of all joints, block by block, to their accumulators."""
 
-    def __init__(self, joints: Sequence[Accumulator], loaded: Mask | None = None) -> None:
-        """Take accumulators, and which columns (n, p) of a joint can differ from zero."""
+    def __init__(self, joints: Sequence[Accumulator]) -> None:
+        """Take accumulators."""
         self._joints = joints
-        self._loaded = loaded
         self._group = 1
         self._held: list[Chunk] = []
         self._filled = 0  # blocks of what is held
@@ -57,8 +56,7 @@ class GroupedBlocks:
                 for parts in zip(*self._held, strict=True)
             )
             for j, joint in enumerate(self._joints):
-                loaded = None if self._loaded is None else self._loaded[j]
-                joint.add(H[:, j], y[:, j], used[:, j], loaded=loaded)
+                joint.add(H[:, j], y[:, j], used[:, j])
         self._held, self._filled = [], 0
 
 

@@ -26,8 +26,6 @@ from seqid_cli.identify.regression.qr_factors import (
     by_reflections,
     merged,
     merged_pairs,
-    not_zero,
-    spans_of,
     triangular,
 )
 from seqid_cli.typing import Array, Mask
@@ -50,38 +48,23 @@ class Accumulator:
     filled: int = 1
     _total: Array | None = field(default=None, repr=False, compare=False)
 
-    def add(
-        self,
-        H: Array,
-        y: Array,
-        where: Mask | None = None,
-        *,
-        loaded: Mask | None = None,
-        least_span: int = 64,
-    ) -> None:
+    def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
         """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true.
 
         An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
-        next to each other, and if `loaded` (p,) tells which columns can differ from zero.
+        next to each other.
         """
         self._total = None
-        spans = None
-        if where is not None and not where.all():
-            spans = spans_of(where) if H.strides[0] < H.strides[1] else []
-            y = y[where]
-            if len(spans) * least_span > len(y) or not spans:
-                H, spans = np.compress(where, H.T, axis=1).T, None
+        factor, count = by_reflections(H, y, where), len(y) if where is None else int(where.sum())
         goes_on = bool(self.blocks) and self.filled < self.span
-        if len(y) or not goes_on:
-            factor = by_reflections(H, y, not_zero(H, y, loaded, spans), spans)
         if goes_on:
-            if len(y):
+            if count:
                 self.blocks[-1] = merged(self.blocks[-1], factor)
-            self.rows[-1] += len(y)
+            self.rows[-1] += count
             self.filled += 1
             return
         self.blocks.append(factor)
-        self.rows.append(len(y))
+        self.rows.append(count)
         self.filled = 1
         self._bound()
 

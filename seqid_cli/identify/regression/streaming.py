@@ -44,6 +44,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 LONG = 200_000  # samples from which on a log is better passed over than held
+LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
 
 
 class Equations(Protocol):
@@ -94,12 +95,7 @@ def open_if_long(
 
 
 def pass_over(
-    log: Recording | SurveyedLog,
-    equations: Equations,
-    *,
-    forgotten: float = 0.8,
-    least_chunks: int = 2,
-    most_chunks: int = 6,
+    log: Recording | SurveyedLog, equations: Equations, *, forgotten: float = 0.8
 ) -> Motion:
     """Add the rows of one log.
 
@@ -114,7 +110,7 @@ def pass_over(
     else:
         parts, lowpass, samples = _streamed(log, equations)
     reach = int(forgotten * lowpass.memory) + lowpass.settling
-    rows = CHUNK * int(np.clip(-(-24 * reach // CHUNK), least_chunks, most_chunks))
+    rows = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     columns = FilteredColumns(
         equations.robot, equations.basis, min(rows, samples), reach, equations.coupling_column
     )

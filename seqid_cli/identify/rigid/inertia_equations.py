@@ -41,7 +41,7 @@ from seqid_cli.model.torque import friction_surfaces, known_rotors
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
 from seqid_cli.params.schema import MotionUse, Stages
-from seqid_cli.robot.base_parameters import Basis, gear_ratios, loaded_columns
+from seqid_cli.robot.base_parameters import Basis, gear_ratios
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -89,10 +89,8 @@ class InertiaEquations:
         self.rotors = known_rotors(robot)
         scaled = robot.torque_constant_errors > 0.0
         self._rotor_torque = np.where(scaled, gear_ratios(robot) ** 2 * self.rotors, 0.0)
-        coupling = np.full((robot.n, 1), bool(self.rotors.any()))
-        self._loaded = np.hstack([loaded_columns(robot, basis), coupling])
         self.rows = InertiaRows.none(basis.size + 1, robot.n)
-        self._grouped = GroupedBlocks(self.rows.joints, self._loaded)
+        self._grouped = GroupedBlocks(self.rows.joints)
 
     @property
     def joints(self) -> list[Accumulator]:
@@ -102,7 +100,7 @@ class InertiaEquations:
     def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
         """The rows of one log alone; these equations stay as they are."""
         fresh = self.with_rows(InertiaRows.none(self.basis.size + 1, self.robot.n))
-        fresh._grouped = GroupedBlocks(fresh.joints, self._loaded)
+        fresh._grouped = GroupedBlocks(fresh.joints)
         motion = pass_over(log, fresh)
         fresh.rows.cutoffs.append(motion.cutoff.hz)
         fresh.rows.uses.append(motion_use(log.path, self.robot, motion))

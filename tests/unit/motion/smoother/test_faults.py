@@ -59,8 +59,8 @@ def coverage(rig: Rig) -> Array:
 def test_a_late_clock_is_found(joints: int, late: float) -> None:
     right = Rig(joints, COARSE)
     off = replace(right, fault=Fault(delay_s=late))
-    for name, found in fused(off).time_offset.items():
-        assert abs(found - late) < 1e-4, name
+    for name, found in fused(off).mounted.items():
+        assert abs(found.delay - late) < 1e-4, name
     # Between samples, where accelerations jump, readings tell less.
     assert (error(off) < 2.0 * error(right)).all()
     assert (error(off) < 0.1 * alone(right)).all()
@@ -68,8 +68,8 @@ def test_a_late_clock_is_found(joints: int, late: float) -> None:
 
 def test_a_late_clock_of_six_joints_is_found() -> None:
     right, off = Rig(6), Rig(6, fault=Fault(delay_s=0.02))
-    for found in fused(off).time_offset.values():
-        assert abs(found - 0.02) < 2e-4
+    for found in fused(off).mounted.values():
+        assert abs(found.delay - 0.02) < 2e-4
     assert (error(off) < 1.2 * error(right)).all()
 
 

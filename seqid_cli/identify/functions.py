@@ -107,12 +107,12 @@ def imu_calib(
         where = str(inputs.robot.source)
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
-    from seqid_cli.motion.imu.array import layout_report
+    from seqid_cli.motion.imu.array import layout_statements
     from seqid_cli.motion.options import MotionOptions
 
     def identify(given: LogSet) -> Stages:
         for imu in inputs.robot.imus:
-            for text in layout_report(imu).statements:
+            for text in layout_statements(imu):
                 given.tell("note", text=f"{imu.name}: {text}")
         filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
         return Stages(imu=calibrate_imus(given, inputs.robot, options=filtering))

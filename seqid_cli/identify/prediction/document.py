@@ -70,26 +70,6 @@ class ErrorSums:
             np.maximum(self.max_abs, other.max_abs),
         )
 
-    def samples(self, joint: int) -> int:
-        """Return how many samples count."""
-        return int(self.count[joint])
-
-    def rmse(self, joint: int) -> float | None:
-        """Return the RMS error in N m; None without samples."""
-        if self.count[joint] == 0:
-            return None
-        return math.sqrt(self.squared_error[joint] / self.count[joint])
-
-    def relative_rmse(self, joint: int) -> float | None:
-        """Return the RMS error over the RMS torque; None without torque."""
-        if self.squared_torque[joint] == 0.0:
-            return None
-        return math.sqrt(self.squared_error[joint] / self.squared_torque[joint])
-
-    def largest(self, joint: int) -> float | None:
-        """Return the largest error in N m; None without samples."""
-        return float(self.max_abs[joint]) if self.count[joint] else None
-
 
 def prediction_file(
     inputs: Inputs,
@@ -166,20 +146,20 @@ def _log_error(log: LogPrediction, joints: dict[str, JointError]) -> LogPredicti
 def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
     return {
         name: JointError(
-            rmse=sliding.rmse(index),
-            relative_rmse=sliding.relative_rmse(index),
-            max_abs=sliding.largest(index),
-            samples=sliding.samples(index),
-            rmse_all=sums.rmse(index),
-            samples_all=sums.samples(index),
-            share_sliding=_share(sliding.samples(index), sums.samples(index)),
+            rmse=_root(sliding.squared_error[j], sliding.count[j]),
+            relative_rmse=_root(sliding.squared_error[j], sliding.squared_torque[j]),
+            max_abs=float(sliding.max_abs[j]) if sliding.count[j] else None,
+            samples=int(sliding.count[j]),
+            rmse_all=_root(sums.squared_error[j], sums.count[j]),
+            samples_all=int(sums.count[j]),
+            share_sliding=float(sliding.count[j] / sums.count[j]) if sums.count[j] else None,
         )
-        for index, name in enumerate(names)
+        for j, name in enumerate(names)
     }
 
 
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
+def _root(squares: float, over: float) -> float | None:
+    return math.sqrt(squares / over) if over else None
 
 
 def _notes(joints: dict[str, JointError]) -> list[str]:

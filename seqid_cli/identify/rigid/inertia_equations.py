@@ -29,10 +29,9 @@ from seqid_cli.identify.regression.streaming import pass_over
 from seqid_cli.identify.rigid.parameters import imu_moves
 from seqid_cli.identify.rigid.posterior import (
     Posterior,
+    by_joint,
     constant_moves,
     gravity_prior,
-    moves_of,
-    sensitivity_of,
 )
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
@@ -175,11 +174,12 @@ class InertiaEquations:
         free = joints[0].size > self.basis.size
         prior, through, inherited = gravity_prior(self.stages.gravity, self.basis), {}, {}
         if prior is not None and self.stages.gravity is not None:
-            to_friction = sensitivity_of(self.stages.gravity, self.robot.joint_names)
-            rows = whitened(np.array(self.stages.gravity.covariance))
-            through = {j: rows @ S for j, S in to_friction.items()}
-            known_moves = moves_of(self.stages.gravity, self.robot.joint_names)
-            inherited = {j: rows @ M for j, M in known_moves.items()}
+            before, names = self.stages.gravity, self.robot.joint_names
+            rows = whitened(np.array(before.covariance))
+            through, inherited = (
+                {j: rows @ values for j, values in by_joint(known, names).items()}
+                for known in (before.friction_sensitivity, before.torque_constant_moves)
+            )
         if free and prior is not None:
             prior = _wider(prior)
         share = self.independent_share

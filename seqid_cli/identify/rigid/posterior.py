@@ -53,15 +53,8 @@ def friction_covariance(
     return total
 
 
-def sensitivity_of(stage: RigidStage | None, names: Sequence[str]) -> Sensitivity:
-    """Sensitivity (p, K_j) of a stage's parameters to friction, by joint, as its file has it."""
-    known = stage.friction_sensitivity if stage is not None else {}
-    return {j: np.array(known[name]) for j, name in enumerate(names) if known.get(name)}
-
-
-def moves_of(stage: RigidStage | None, names: Sequence[str]) -> Moves:
-    """Moves (p,) of a stage's parameters per error of a torque constant, as its file has it."""
-    known = stage.torque_constant_moves if stage is not None else {}
+def by_joint(known: Mapping[str, Sequence[object]], names: Sequence[str]) -> dict[int, Array]:
+    """Entries of a stage's `friction_sensitivity` or `torque_constant_moves` by joint."""
     return {j: np.array(known[name]) for j, name in enumerate(names) if known.get(name)}
 
 
@@ -124,7 +117,9 @@ class Posterior:
         right side. `through`: of the prior's right side (k, K_j) to friction.
         """
         inherited = friction_covariance(through, surfaces, gain.shape[1])
-        total = combined(direct, gain, through)
+        total = dict(direct)
+        for j, inner in through.items():
+            total[j] = total.get(j, 0.0) + gain @ inner
         covariance = solution.covariance - gain @ inherited @ gain.T
         covariance += friction_covariance(total, surfaces, len(covariance))
         return cls((covariance + covariance.T) / 2, total)
@@ -132,15 +127,6 @@ class Posterior:
     def with_error(self, directions: Array) -> Posterior:
         """Add an error along directions (p, d), one standard deviation each."""
         return replace(self, covariance=self.covariance + directions @ directions.T)
-
-
-def combined(direct: Sensitivity, gain: Array, through: Sensitivity) -> Sensitivity:
-    """Total sensitivity to friction: direct, and through what has a gain (p, k) on the result."""
-    total = dict(direct)
-    for j, inner in through.items():
-        moved = gain @ inner
-        total[j] = total[j] + moved if j in total else moved
-    return total
 
 
 def as_matrices(

@@ -22,30 +22,46 @@ from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array, Mask
 
+QUANTITIES = (
+    *(f"specific force along {a}" for a in "xyz"),
+    *(f"angular acceleration about {a}" for a in "xyz"),
+    *(f"angular velocity product {a}" for a in ("xx", "yy", "zz", "xy", "xz", "yz")),
+)
+
 
 @dataclass(frozen=True)
 class AngularReading:
-    """What an IMU says, in its own frame.
+    """What an IMU says, in its own frame: `dw` (N, 3) rad/s^2, `products` (N, 3, 3) rad^2/s^2.
 
-    `dw` (N, 3) rad/s^2; `products` (N, 3, 3) rad^2/s^2 is w w'; `force` (N, 3) m/s^2;
-    `speed_known` is False where the layout does not show the products (then `products` is zero).
-    `covariance` (12, 12) of force, dw and products, per raw sample, where the noise was given.
+    These are w w'; zero where the layout does not show them.
     """
 
     dw: Array
     products: Array
-    force: Array
-    speed_known: bool
-    covariance: Array | None = None
 
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """What a layout can see: `condition` of the unknowns it determines, by group."""
+    """What the accelerometers of an IMU can see, before any data.
 
+    `condition` is that of the unknowns that they determine; `errors` (12,) are standard errors of
+    force [m/s^2], angular acceleration [rad/s^2] and products [rad^2/s^2] per 1 m/s^2 of white
+    noise on each accelerometer, infinite where not seen.
+    """
+
+    rank: int
     condition: float
-    acceleration: bool
-    products: bool
+    errors: Array
+
+    @property
+    def acceleration(self) -> bool:
+        """Whether the angular acceleration is seen."""
+        return bool(np.isfinite(self.errors[3:6]).all())
+
+    @property
+    def products(self) -> bool:
+        """Whether all products of the angular velocity are seen."""
+        return bool(np.isfinite(self.errors[6:]).all())
 
 
 def array_matrix(imu: Imu) -> Array:
@@ -63,15 +79,8 @@ def array_matrix(imu: Imu) -> Array:
     return np.hstack([s, np.cross(r, s), squares, mixed])
 
 
-def layout(imu: Imu) -> ArrayLayout:
-    """Judge a layout before any data: which unknowns it determines, and how well."""
-    _, condition, errors = _resolved(imu)
-    seen = np.isfinite(errors)
-    return ArrayLayout(condition, bool(seen[3:6].all()), bool(seen[6:].all()))
-
-
-def _resolved(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> tuple[int, float, Array]:
-    """Rank and condition of an array, and standard errors (12,) of what it sees, else infinite.
+def layout(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> ArrayLayout:
+    """Judge a layout of accelerometers.
 
     An unknown is seen where the readings resolve at least `min_resolution` of it.
     """
@@ -82,56 +91,13 @@ def _resolved(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> tuple[int, float
     variance = np.sum((own / s[kept, None]) ** 2, axis=0) / scale**2
     seen = np.sum(own**2, axis=0) > min_resolution
     errors = np.where(seen, np.sqrt(variance), np.inf)
-    return int(kept.sum()), float(s[0] / s[kept][-1]), errors
+    return ArrayLayout(int(kept.sum()), float(s[0] / s[kept][-1]), errors)
 
 
-@dataclass(frozen=True)
-class LayoutReport:
-    """What an array of a given layout can and cannot tell, before any data.
-
-    `statements` are plain sentences, empty where it sees everything. `errors` are standard errors
-    per 1 m/s^2 of white noise on each accelerometer: of the specific force [m/s^2] (3,), the
-    angular acceleration [rad/s^2] (3,) and the products of angular velocity [rad^2/s^2] (6,),
-    infinite where not seen.
-    """
-
-    accelerometers: int
-    rank: int
-    condition: float
-    force: bool
-    acceleration: bool
-    products: bool
-    errors: Array
-    statements: tuple[str, ...]
-
-
-QUANTITIES = (
-    *(f"specific force along {a}" for a in "xyz"),
-    *(f"angular acceleration about {a}" for a in "xyz"),
-    *(f"angular velocity product {a}" for a in ("xx", "yy", "zz", "xy", "xz", "yz")),
-)
-
-
-def layout_report(imu: Imu) -> LayoutReport:
-    """Say what a layout of accelerometers, and its gyro, can see.
-
-    Returns: with one sentence for each thing that it cannot see.
-    """
-    rank, condition, errors = _resolved(imu)
-    seen = np.isfinite(errors)
-    acceleration = bool(seen[3:6].all()) or imu.gyro
-    products = bool(seen[6:].all()) or imu.gyro
-    said = tuple(_statements(imu, seen, rank, condition))
-    force = bool(seen[:3].all())
-    return LayoutReport(len(imu.axes), rank, condition, force, acceleration, products, errors, said)
-
-
-def _statements(
-    imu: Imu, seen: Mask, rank: int, condition: float, *, poor_condition: float = 1000.0
-) -> list[str]:
-    """What cannot be seen, and what would mend it."""
-    said = []
-    hidden = np.array([not x for x in seen])
+def layout_statements(imu: Imu, *, poor_condition: float = 1000.0) -> list[str]:
+    """Say what a layout of accelerometers, and its gyro, cannot see, and what would mend it."""
+    found, said = layout(imu), []
+    hidden = np.isinf(found.errors)
     if imu.gyro:
         hidden[3:] = False
     for group, what in (
@@ -144,13 +110,14 @@ def _statements(
         elif hidden[group].any():
             names = [n for n, h in zip(QUANTITIES[group], hidden[group], strict=True) if h]
             said.append(f"not told from the rest: {', '.join(names)}")
-    if said and rank < len(imu.axes):
-        spare = len(imu.axes) - rank
+    spare = len(imu.axes) - found.rank
+    if said and spare > 0:
         said.append(f"{spare} of its {len(imu.axes)} accelerometers repeat what others say")
     if hidden[3:].any():
         said.append(_remedy(imu))
-    elif condition > poor_condition and not imu.gyro:
-        said.append(f"its accelerometers are too close or too alike (condition {condition:.3g})")
+    elif found.condition > poor_condition and not imu.gyro:
+        near = "its accelerometers are too close or too alike"
+        said.append(f"{near} (condition {found.condition:.3g})")
     return said
 
 
@@ -203,50 +170,29 @@ def entries(values: Sequence[float | None], count: int, default: float) -> Array
 
 
 def read_angular(
-    imu: Imu,
-    accelerations: Array,
-    gyro: Array | None,
-    lowpass: Lowpass,
-    valid: Mask,
-    *,
-    noise: Array | None = None,
+    imu: Imu, accelerations: Array, gyro: Array | None, lowpass: Lowpass, valid: Mask
 ) -> AngularReading:
     """Solve the array for angular acceleration and products of angular velocity.
 
-    `accelerations` (N, K): readings [m/s^2]. `gyro` (N, 3): angular velocity [rad/s]; used instead
-    of the array where it is there. `valid` (N,): false in gaps. `noise` (K,): standard deviation of
-    each accelerometer [m/s^2]; they weigh alike without it.
+    `accelerations` (N, K) [m/s^2]. `gyro` (N, 3) [rad/s] is used instead of the array where it is
+    there. `valid` (N,): false in gaps. The low-pass is applied once.
     """
-    filtered = lowpass(accelerations, valid)
     if gyro is not None:
         w = lowpass(gyro, valid)
         dw, _ = differentiate(w, lowpass.rate_hz, valid)
-        force = filtered @ np.linalg.pinv(imu.axes).T
-        return AngularReading(dw, w[:, :, None] * w[:, None, :], force, True)
-    inverse, covariance = array_inverse(imu, noise)
-    unknowns = filtered @ inverse.T
-    known = layout(imu).products
-    products = _symmetric(unknowns[:, 6:]) if known else np.zeros((len(filtered), 3, 3))
-    told = None if noise is None else covariance
-    return AngularReading(unknowns[:, 3:6], products, unknowns[:, :3], known, told)
+        return AngularReading(dw, w[:, :, None] * w[:, None, :])
+    unknowns = lowpass(accelerations, valid) @ array_inverse(imu).T
+    pairs = [[6, 9, 10], [9, 7, 11], [10, 11, 8]]
+    return AngularReading(unknowns[:, 3:6], unknowns[:, pairs] * float(layout(imu).products))
 
 
-def array_inverse(imu: Imu, noise: Array | None = None) -> tuple[Array, Array]:
-    """Weighted least squares of the array: unknowns (12,) from readings, and their covariance.
+def array_inverse(imu: Imu) -> Array:
+    """Map (12, K) from readings to f, dw and the products xx, yy, zz, xy, xz, yz.
 
-    `noise` (K,): standard deviations of the readings [m/s^2], one each without it. Returns (12, K)
-    (12, 12): the map to f, dw and the products xx, yy, zz, xy, xz, yz, and their covariance. What
-    the layout does not see has the least possible size and no variance: see `layout_report`.
+    What the layout does not see has the least possible size: see `layout_statements`.
     """
-    sigma = np.ones(len(imu.axes)) if noise is None else noise
-    A, scale = _scaled(array_matrix(imu) / sigma[:, None])
-    inverse = np.linalg.pinv(A, rcond=1e-6) / scale[:, None]
-    return inverse / sigma, inverse @ inverse.T
-
-
-def _symmetric(p: Array) -> Array:
-    rows = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
-    return np.asarray(p[:, rows])
+    A, scale = _scaled(array_matrix(imu))
+    return np.asarray(np.linalg.pinv(A, rcond=1e-6) / scale[:, None])
 
 
 def speed_about(products: Array, axis: Array) -> Array:

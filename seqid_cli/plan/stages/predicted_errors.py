@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import RANK_TOLERANCE, whitened
-from seqid_cli.identify.rigid.posterior import gravity_prior, sensitivity_of
+from seqid_cli.identify.rigid.posterior import by_joint, gravity_prior
 from seqid_cli.params.results.plan import PlanGrowth, PlannedStage, PredictedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
@@ -37,7 +37,8 @@ def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Ar
     step = float(some.t[1] - some.t[0])
     slide = some.dq**2 / (some.dq**2 + belief.slow**2)
     prior = gravity_prior(stages.gravity, belief.basis)
-    sensitivity = sensitivity_of(stages.gravity, belief.robot.joint_names) if stages.gravity else {}
+    known = stages.gravity.friction_sensitivity if stages.gravity else {}
+    sensitivity = by_joint(known, belief.robot.joint_names)
     for j, surface in enumerate(belief.surfaces):
         if surface is None:
             continue

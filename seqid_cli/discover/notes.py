@@ -11,7 +11,7 @@ from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.identify.imu_calibration.result import deflecting, unit_of
-from seqid_cli.identify.prediction.log_prediction import OUTSIDE_NOTE
+from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent

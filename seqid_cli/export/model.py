@@ -11,8 +11,7 @@ from seqid_cli.export.effects import absorbed_effects
 from seqid_cli.export.friction_fit import SimpleFriction, simple_friction
 from seqid_cli.export.urdf_tree import UrdfBody
 from seqid_cli.model.bodies.demand import Deviation, Identified, identified
-from seqid_cli.model.bodies.nearest import nearest_bodies
-from seqid_cli.model.bodies.prior import Expected
+from seqid_cli.model.bodies.nearest import Expected, nearest_bodies
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import Stages

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import LogPrediction, slides_from
-from seqid_cli.identify.prediction.predict import predicted
+from seqid_cli.identify.prediction.predict import LogPrediction, predicted, slides_from
 from seqid_cli.identify.regression.equations import blocks, filtered_regressor
 from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.logs.recording import Recording

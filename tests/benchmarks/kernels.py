@@ -16,8 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from seqid_cli.identify.regression.least_squares import Accumulator
-from seqid_cli.identify.regression.qr_factors import triangular
+from seqid_cli.identify.regression.least_squares import Accumulator, triangular
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA

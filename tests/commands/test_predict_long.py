@@ -13,8 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict import LongPrediction
+from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
 from seqid_cli.identify.prediction.torques_mcap import TOPICS
 from seqid_cli.identify.regression import streaming
 from seqid_cli.motion import blocks

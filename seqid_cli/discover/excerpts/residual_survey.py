@@ -18,8 +18,7 @@ from seqid_cli.discover.survey.event_windows import Track, windows_of
 from seqid_cli.discover.survey.events import LENGTHS_S, Interval, standing_out
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict import LongPrediction, predict
+from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, predict
 from seqid_cli.logs.pieces import whole_of
 from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.model.effects.fitted import fitted_effects

@@ -24,8 +24,7 @@ from scipy.stats import t as student_t
 
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict import local_effects, predict
+from seqid_cli.identify.prediction.predict import LogPrediction, local_effects, predict
 from seqid_cli.identify.regression.streaming import LONG, open_if_long, streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.long import likely_rows

@@ -32,7 +32,7 @@ from seqid_cli.discover.select.results import Options, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
-from seqid_cli.identify.prediction.log_prediction import slides_from
+from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
 from seqid_cli.model.torque import TorqueModel

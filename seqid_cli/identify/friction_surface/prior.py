@@ -1,6 +1,6 @@
 """Sizes of the terms of a friction surface and of the errors of its trials, from the data.
 
-Slices of trial k, reduced (`surface_data`), are
+Slices of trial k, reduced (`reduction`), are
 
     z_k = R_k (D phi(u_k) + e_k) + n_k,
 

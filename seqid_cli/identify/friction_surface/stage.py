@@ -9,16 +9,24 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.friction_surface.errors import joined, left_out_errors
 from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
-from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData, edges_of, reduce_trials
+from seqid_cli.identify.friction_surface.reduction import (
+    Orders,
+    SpeedData,
+    around_medians,
+    edges_of,
+    reduce_trials,
+    weighted,
+)
 from seqid_cli.identify.friction_surface.summary import (
     DEFAULT_BETA,
     Fit,
     JointFit,
     constants_note,
+    joined,
+    left_out_errors,
     summarise,
 )
 from seqid_cli.identify.friction_surface.trials import (
@@ -27,7 +35,6 @@ from seqid_cli.identify.friction_surface.trials import (
     collect_trials,
     speed_levels,
 )
-from seqid_cli.identify.friction_surface.weights import around_medians, weighted
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface

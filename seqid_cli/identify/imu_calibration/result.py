@@ -8,9 +8,9 @@ import numpy as np
 
 from seqid_cli.identify.imu_calibration.axis_pairs import Pair
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
-from seqid_cli.identify.imu_calibration.priors import FEW
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import (
+    FEW,
     MOTION,
     channels_of,
     design,

@@ -34,9 +34,12 @@ from seqid_cli.identify.imu_calibration.normal_equations import (
     reduced,
     residual,
 )
-from seqid_cli.identify.imu_calibration.priors import (
+from seqid_cli.identify.imu_calibration.segments import REACH, Segment
+from seqid_cli.identify.imu_calibration.sensor_model import (
     FEW,
+    Constants,
     Widths,
+    channels_of,
     first_widths,
     gauge_information,
     next_width,
@@ -44,8 +47,6 @@ from seqid_cli.identify.imu_calibration.priors import (
     prior_of,
     values_of,
 )
-from seqid_cli.identify.imu_calibration.segments import REACH, Segment
-from seqid_cli.identify.imu_calibration.sensor_model import Constants, channels_of
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.judging import as_a_whole, physics_verdicts
 from seqid_cli.identify.log_set import LogSet
-from seqid_cli.identify.prediction.log_prediction import LogPrediction, lacking
+from seqid_cli.identify.prediction.predict import LogPrediction, lacking
 from seqid_cli.identify.prediction.torques_mcap import McapTorqueWriter
 from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
 from seqid_cli.model.effects.fitted import effect_notes

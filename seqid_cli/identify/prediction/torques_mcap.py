@@ -26,7 +26,7 @@ from seqid_cli.params.files import replacing, writing
 from seqid_cli.typing import Array
 
 if TYPE_CHECKING:
-    from seqid_cli.identify.prediction.log_prediction import LogPrediction
+    from seqid_cli.identify.prediction.predict import LogPrediction
 
 
 TOPICS = ("/seqid/measured", "/seqid/predicted", "/seqid/residual", "/seqid/low", "/seqid/high")

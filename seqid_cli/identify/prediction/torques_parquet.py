@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.files import replacing, writing
 
 _KINDS = ("torque", "predicted", "residual")

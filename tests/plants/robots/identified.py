@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.prediction.predict import LogPrediction, predict
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.regression.least_squares import Accumulator
-from seqid_cli.identify.regression.qr_factors import by_reflections
+from seqid_cli.identify.regression.least_squares import Accumulator, by_reflections
 
 Array = NDArray[np.float64]
 WIDTH, ROWS, BLOCKS = 24, 400, 12

@@ -11,8 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict import LongPrediction, predict
+from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, predict
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.prediction.predict import LogPrediction, predict
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, FrictionStage, Stages

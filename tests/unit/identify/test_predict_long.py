@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
-from seqid_cli.identify.prediction.predict import LongPrediction, local_effects, predict
+from seqid_cli.identify.prediction.predict import (
+    LogPrediction,
+    LongPrediction,
+    local_effects,
+    predict,
+)
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.apply import scene_of_log
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import approx_fprime
 
-from seqid_cli.identify.friction_surface.errors import fitted_errors, left_out_errors
 from seqid_cli.identify.friction_surface.fit import (
     DEVIATION,
     SurfaceFit,
@@ -22,10 +21,12 @@ from seqid_cli.identify.friction_surface.reduction import (
     MAX_POSITION_ORDER,
     Orders,
     SpeedData,
+    around_medians,
     edges_of,
     reduce_trials,
+    weighted,
 )
-from seqid_cli.identify.friction_surface.weights import around_medians, weighted
+from seqid_cli.identify.friction_surface.summary import fitted_errors, left_out_errors
 from seqid_cli.model.friction_basis import Scaling
 
 Array = NDArray[np.float64]

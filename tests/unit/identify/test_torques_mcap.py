@@ -16,7 +16,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_typestore
 
 from seqid_cli.errors import UsageError
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torques_mcap import TOPICS, McapTorqueWriter
 from tests import ROOT
 

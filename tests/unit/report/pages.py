@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.prediction.log_prediction import LogPrediction
+from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.schema import Parameter
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint

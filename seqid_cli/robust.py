@@ -11,7 +11,6 @@ Mask = NDArray[np.bool_]
 PER_MEDIAN = 1.4826  # standard deviation of Gaussian values per median of their magnitudes
 DIFFERENCES = 4
 DIFFERENCES_GAIN = 70.0**0.5  # by which fourth differences raise white noise
-FEWEST = 9  # samples that tell their noise
 
 
 def gaussian_spread(values: Array) -> Array:
@@ -19,13 +18,13 @@ def gaussian_spread(values: Array) -> Array:
     return np.asarray(PER_MEDIAN * np.median(np.abs(values), axis=0))
 
 
-def white_noise(values: Array, known: Mask | None = None) -> Array:
+def white_noise(values: Array, known: Mask | None = None, *, fewest: int = 9) -> Array:
     """Return the standard deviation (...) of the white part of signals (N, ...).
 
     Fourth differences keep the noise and drop the motion; the median drops jolts. Only those within
     stretches that are `known` (N,) count; zero where there are too few.
     """
-    if len(values) < FEWEST:
+    if len(values) < fewest:
         return np.zeros(values.shape[1:])
     columns = np.abs(np.diff(np.ascontiguousarray(values.T), DIFFERENCES))
     if known is not None and not known.all():

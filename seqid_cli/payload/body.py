@@ -24,7 +24,6 @@ from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 Array = NDArray[np.float64]
 
 _LOWER = np.tril_indices(4)
-SMALLEST = 1e-9  # of the largest parameter: no error is smaller
 
 
 @dataclass(frozen=True)
@@ -75,11 +74,11 @@ def _symmetric(upper: Array) -> Array:
     return matrix + np.triu(matrix, 1).T
 
 
-def _nearest(phi: Array, covariance: Array) -> tuple[Array, float]:
+def _nearest(phi: Array, covariance: Array, *, smallest: float = 1e-09) -> tuple[Array, float]:
     J = pseudo_inertia(phi)
     if np.linalg.eigvalsh(J)[0] >= 0.0:
         return phi, 0.0
-    W = whitening(covariance, SMALLEST * float(np.abs(phi).max()))
+    W = whitening(covariance, smallest * float(np.abs(phi).max()))
     eigen, axes = np.linalg.eigh(J)
     inside = axes * np.sqrt(np.maximum(eigen, 1e-6 * eigen[-1]))
     factor = np.asarray(np.linalg.qr(inside.T, mode="r"), dtype=np.float64)

@@ -28,8 +28,6 @@ from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 
-ROUNDS = 3  # with effects that depend on the load; without any, one is exact
-
 
 @dataclass(frozen=True)
 class PayloadFit:
@@ -58,6 +56,7 @@ def fit_payload(
     *,
     options: InertiaOptions,
     friction_change: float,
+    rounds: int = 3,
 ) -> PayloadFit:
     """Identify what the logs carry beyond a model.
 
@@ -84,7 +83,7 @@ def fit_payload(
     logs = [(log, _motion(log, robot, stages, options)) for log in recordings]
     first, solution = _solved(logs, plain, friction_change)
     rows, phi = first, solution.theta[:PER_LINK]
-    for _ in range(ROUNDS - 1 if plain.effects else 0):
+    for _ in range(rounds - 1 if plain.effects else 0):
         rows, solution = _solved(logs, plain.with_body(phi), friction_change)
         phi = phi + solution.theta[:PER_LINK]
     after = np.array(

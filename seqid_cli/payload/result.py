@@ -30,9 +30,6 @@ from seqid_cli.shares import percent
 Array = NDArray[np.float64]
 
 MASS, FIRST_MOMENT = 0, slice(1, 4)
-POOR_LEFT = 0.3  # of a joint's torque, that the model with the body leaves
-NEGATIVE = 3.0  # standard errors below zero, from which a mass is one that was taken off
-FAR = 3.0  # standard errors between the estimate and any body
 
 
 def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
@@ -128,7 +125,14 @@ def _joint(fit: PayloadFit, j: int) -> JointWithPayload:
 
 
 def _verdicts(
-    fit: PayloadFit, entry: CarriedBodyEntry, names: tuple[str, ...], good_error: float
+    fit: PayloadFit,
+    entry: CarriedBodyEntry,
+    names: tuple[str, ...],
+    good_error: float,
+    *,
+    poor_left: float = 0.3,
+    negative: float = 3.0,
+    far: float = 3.0,
 ) -> Iterator[Verdict]:
     mass, error = entry.mass.value, entry.mass.std_error
     if mass is None or error is None:
@@ -141,10 +145,10 @@ def _verdicts(
     good = error < good_error * abs(mass)
     if not good:
         reason += f", above {percent(good_error)} of it: record more moves with more of the arm"
-    if mass < -NEGATIVE * error:
+    if mass < -negative * error:
         good = False
         reason += "; the model holds a body that these logs do not carry: swap the two"
-    if entry.distance > FAR:
+    if entry.distance > far:
         good = False
         reason += (
             f"; the estimate is {entry.distance:.2g} standard errors from any body that can exist: "
@@ -153,7 +157,7 @@ def _verdicts(
     yield Verdict(good=good, reason=reason)
     for j, name in enumerate(names):
         left = float(fit.after[j]) / max(float(fit.measured[j]), 1e-300)
-        if fit.samples[j] and left > POOR_LEFT:
+        if fit.samples[j] and left > poor_left:
             yield Verdict(
                 joint=name,
                 good=False,

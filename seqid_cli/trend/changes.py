@@ -4,11 +4,11 @@ The values x_t of one quantity, with standard errors s_t at times t, are
 
     x_t = m + b (T_t - T) + d c_t + c s_t e_t,
 
-T_t the temperature where it is known, b known to be about zero within `PER_KELVIN` of m, and c_t
+T_t the temperature where it is known, b known to be about zero within `per_kelvin` of m, and c_t
 either a step between two dates or a line over time. Results of separate recordings scatter more
 than their standard errors say, by what is the same within a recording; the inflation c >= 1 is the
 median of the differences of neighbouring dates over their errors, of all robots and quantities of
-one stage together: few that change do not move it. With less than `ENOUGH` differences the
+one stage together: few that change do not move it. With less than `enough` differences the
 standard errors are taken as they are.
 
 The z-score of d is held against Student's distribution, all steps and lines of all quantities
@@ -28,9 +28,6 @@ from seqid_cli.robust import gaussian_spread
 from seqid_cli.trend.series import Series
 
 Array = NDArray[np.float64]
-
-PER_KELVIN = 0.02  # of friction: the standard deviation of its change per kelvin
-ENOUGH = 30  # differences of neighbouring dates that tell the errors' inflation
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ class Scatter:
     differences: int
 
 
-def scatter_of(series: Iterable[Series]) -> Scatter:
+def scatter_of(series: Iterable[Series], *, enough: int = 30) -> Scatter:
     """Inflation of the standard errors of quantities of one stage."""
     ratios = [
         np.diff(own.values) / np.hypot(own.errors[1:], own.errors[:-1])
@@ -76,7 +73,7 @@ def scatter_of(series: Iterable[Series]) -> Scatter:
         if (own.errors > 0.0).all()
     ]
     every = np.concatenate(ratios) if ratios else np.zeros(0)
-    if len(every) < ENOUGH:
+    if len(every) < enough:
         return Scatter(1.0, 0)
     return Scatter(max(float(gaussian_spread(every)), 1.0), len(every))
 
@@ -99,7 +96,9 @@ def best_change(series: Series, inflation: float) -> Change:
     return max(found, key=lambda change: change.sigmas)
 
 
-def _fitted(series: Series, inflation: float, kind: str, at: int, column: Array) -> Change:
+def _fitted(
+    series: Series, inflation: float, kind: str, at: int, column: Array, *, per_kelvin: float = 0.02
+) -> Change:
     """Generalised least squares for one hypothesis."""
     errors = inflation * series.errors
     least = 1e-12 * max(float(np.abs(series.values).max()), 1e-300)
@@ -109,7 +108,7 @@ def _fitted(series: Series, inflation: float, kind: str, at: int, column: Array)
     warmer = warmth - warmth.mean() if known else np.zeros(len(column))
     A = np.column_stack([np.ones(len(column)), column, warmer]) * root[:, None]
     size = max(float(np.abs(series.values).mean()), least)
-    rows = np.vstack([A, [0.0, 0.0, 1.0 / (PER_KELVIN * size)]])
+    rows = np.vstack([A, [0.0, 0.0, 1.0 / (per_kelvin * size)]])
     y = np.append(series.values * root, 0.0)
     covariance = np.linalg.pinv(rows.T @ rows, hermitian=True, rcond=1e-14)
     theta = covariance @ (rows.T @ y)

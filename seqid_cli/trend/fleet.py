@@ -34,9 +34,6 @@ from seqid_cli.trend.quantities import Quantity, quantities, speeds_of
 
 Array = NDArray[np.float64]
 
-LEAST_ROBOTS = 4
-LEAST_CHANGE = 0.01  # of a parameter's size: less is of no use to anybody
-
 
 @dataclass(frozen=True)
 class Deviation:
@@ -71,7 +68,9 @@ class Fleet:
         return tuple(found.robot for found in self.deviations if found.drifts)
 
 
-def judge_fleet(robots: Mapping[str, ParameterFile], *, alpha: float = 0.01) -> Fleet:
+def judge_fleet(
+    robots: Mapping[str, ParameterFile], *, alpha: float = 0.01, least_change: float = 0.01
+) -> Fleet:
     """Compare the robots of a fleet with each other.
 
     Parameters
@@ -105,7 +104,7 @@ def judge_fleet(robots: Mapping[str, ParameterFile], *, alpha: float = 0.01) -> 
     limit = _limit(len(names), len(shared), alpha)
     center, spread, z = robust_scores(values, errors)
     size = np.maximum(np.abs(values), np.abs(center))
-    drifts = (np.abs(z) > limit) & (np.abs(values - center) > LEAST_CHANGE * size)
+    drifts = (np.abs(z) > limit) & (np.abs(values - center) > least_change * size)
     # What drifts comes before what is merely odd.
     worst = np.argmax(np.abs(z) + np.where(drifts, 1e6, 0.0), axis=1)
     found = [
@@ -143,10 +142,10 @@ def _limit(robots: int, quantities: int, alpha: float) -> float:
     return float(stats.t.isf(alpha / (2 * robots * quantities), freedom))
 
 
-def _check(robots: Mapping[str, ParameterFile], alpha: float) -> None:
-    if len(robots) < LEAST_ROBOTS:
+def _check(robots: Mapping[str, ParameterFile], alpha: float, *, least_robots: int = 4) -> None:
+    if len(robots) < least_robots:
         raise UsageError(
-            f"{len(robots)} robots are no fleet to compare with, {LEAST_ROBOTS} are",
+            f"{len(robots)} robots are no fleet to compare with, {least_robots} are",
             hint="Compare two results of one robot with seqid compare.",
         )
     if not 0.0 < alpha < 1.0:

@@ -13,9 +13,6 @@ from seqid_cli.params.schema import FrictionJoint, ParameterFile, Stages
 
 Array = NDArray[np.float64]
 
-POSITIONS = 25
-SPEEDS = 3
-
 
 @dataclass(frozen=True)
 class Quantity:
@@ -40,7 +37,7 @@ def quantities(
             yield Quantity(name, p.joint, p.name, p.unit), (p.value, p.std_error)
 
 
-def speeds_of(files: Iterable[ParameterFile]) -> dict[str, Array]:
+def speeds_of(files: Iterable[ParameterFile], *, speeds: int = 3) -> dict[str, Array]:
     """Speeds of each joint that the friction of all files is known at, by joint."""
     found: dict[str, list[tuple[float, float]]] = {}
     for file in files:
@@ -48,15 +45,17 @@ def speeds_of(files: Iterable[ParameterFile]) -> dict[str, Array]:
             low, high = surface.speed_range
             found.setdefault(joint, []).append((max(low, SLIDES * surface.sign_width), high))
     ends = {j: (max(r[0] for r in own), min(r[1] for r in own)) for j, own in found.items()}
-    return {j: np.linspace(low, high, SPEEDS) for j, (low, high) in ends.items() if low < high}
+    return {j: np.linspace(low, high, speeds) for j, (low, high) in ends.items() if low < high}
 
 
-def _mean_friction(joint: FrictionJoint, speed: float) -> tuple[float, float]:
+def _mean_friction(
+    joint: FrictionJoint, speed: float, *, positions: int = 25
+) -> tuple[float, float]:
     """Mean friction over positions and both directions at a speed, and its standard error."""
     surface = FrictionSurface.from_stage(joint)
     low, high = joint.position_range
-    q = np.tile(np.linspace(low, high, POSITIONS), 2)
-    v = np.repeat([speed, -speed], POSITIONS)
+    q = np.tile(np.linspace(low, high, positions), 2)
+    v = np.repeat([speed, -speed], positions)
     mean = float(np.mean(np.sign(v) * surface.torque(q, v)))
     row = np.mean(np.sign(v)[:, None] * surface.columns(q, v), axis=0)
     if surface.covariance.shape != (len(row), len(row)):

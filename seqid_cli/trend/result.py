@@ -19,8 +19,6 @@ from seqid_cli.trend.changes import Change, best_change, limit_of, scatter_of
 from seqid_cli.trend.options import TrendOptions
 from seqid_cli.trend.series import Dated, Series, robots_of, series_of
 
-LEAST_SIZE = 1e-3  # of the largest quantity of the same unit and stage of a robot
-
 
 def trend_file(
     models: Sequence[tuple[str, ParameterFile]], ids: list[FileId], options: TrendOptions
@@ -61,11 +59,13 @@ def _group(series: Series) -> tuple[str, str, str]:
     return series.robot, series.quantity.stage, series.quantity.unit
 
 
-def _sizes(series: Sequence[Series]) -> Mapping[tuple[str, str, str], float]:
+def _sizes(
+    series: Sequence[Series], *, least_size: float = 0.001
+) -> Mapping[tuple[str, str, str], float]:
     """Least size of quantities, by robot, stage and unit."""
     found: dict[tuple[str, str, str], float] = {}
     for own in series:
-        size = LEAST_SIZE * float(np.abs(own.values).max())
+        size = least_size * float(np.abs(own.values).max())
         found[_group(own)] = max(found.get(_group(own), 0.0), size)
     return found
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -30,40 +29,6 @@ from seqid_cli.robot.types import Array
 Mask = NDArray[np.bool_]
 
 FADE = 0.1  # of the position range: the distance over which a surface forgets its edge
-
-
-class PositionBasis(Protocol):
-    """Functions of the joint position.
-
-    An order is the highest degree of a polynomial, the highest harmonic of a Fourier series.
-    """
-
-    def size(self, order: int) -> int:
-        """Return the number of functions."""
-
-    def order(self, size: int) -> int:
-        """Return the order of so many functions."""
-
-    def values(self, q: Array, order: int) -> Array:
-        """Return the functions (N, size) at positions q (N,), continued beyond the range."""
-
-    def degrees(self, order: int) -> Array:
-        """Return how fast each function (size,) varies, in degrees of a polynomial."""
-
-    def mean(self, order: int) -> Array:
-        """Return the mean of each function (size,) over the range."""
-
-    def novelty(self, q: Array) -> Array:
-        """Return (N, 2): sqrt(1 - rho^2) below and above the range, 0 inside."""
-
-    def outside(self, q: Array) -> Mask:
-        """Return where positions (N,) left the range."""
-
-    def share(self, q: Array) -> Array:
-        """Return where in the range positions (N,) are: 0 at its lower end, 1 at its upper."""
-
-    def at(self, share: Array) -> Array:
-        """Return the positions (N,) at shares of the range."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +56,7 @@ class Polynomial:
         return found
 
     def degrees(self, order: int) -> Array:
-        """Return 0 ... order."""
+        """Return 0 ... order: how fast each function varies."""
         return np.arange(order + 1.0)
 
     def mean(self, order: int) -> Array:
@@ -101,7 +66,7 @@ class Polynomial:
         return np.where(even, 1.0 / np.where(even, 1.0 - j**2, 1.0), 0.0)
 
     def novelty(self, q: Array) -> Array:
-        """Return what part of the spread over position the edges do not tell."""
+        """Return (N, 2): sqrt(1 - rho^2) below and above the range, 0 inside."""
         new = np.sqrt(1.0 - self._kept(q) ** 2)
         return np.stack([np.where(q < self.low, new, 0.0), np.where(q > self.high, new, 0.0)], 1)
 
@@ -170,6 +135,10 @@ class Fourier:
     def at(self, share: Array) -> Array:
         """Return angles from shares of a turn."""
         return 2.0 * np.pi * share
+
+
+# An order is the highest degree of a polynomial, the highest harmonic of a Fourier series.
+PositionBasis = Polynomial | Fourier
 
 
 @dataclass(frozen=True)

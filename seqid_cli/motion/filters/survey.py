@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from scipy.fft import rfft
-from scipy.signal import get_window, welch
+from scipy.signal import get_window
 
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion.filters import bandwidth
@@ -45,20 +45,9 @@ class Welch:
         self.length = length
         self._differences = differences  # that are taken of the samples first
         self._window = get_window("hann", length)
-        self._left: Array | None = None
         self._sum: Array | None = None
         self._segments = 0
         self._start = 0  # of the next segment
-        self._begin = 0  # of what is left
-
-    def push(self, values: Array) -> None:
-        """Take the next samples (M, c)."""
-        left = values
-        if self._left is not None and len(self._left):
-            left = np.concatenate([self._left, values])
-        begin, end = self._begin, self._begin + len(left)
-        self._begin = min(self.look(left, begin), end)
-        self._left = left[self._begin - begin :].copy(order="K")
 
     def look(self, samples: Array, begin: int, *, dense: int = 262144, sparse: int = 4) -> int:
         """Take what is new in samples of which `begin` is the number of the first.
@@ -81,15 +70,12 @@ class Welch:
 
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
-        if self._sum is None:  # shorter than a segment
-            assert self._left is not None
-            length = len(self._left)
-            _, density = welch(self._left, rate_hz, nperseg=length, detrend=False, axis=0)
-            return _frequencies(length, rate_hz), np.ascontiguousarray(density.T)
+        assert self._sum is not None  # there was a segment
         scale = rate_hz * np.sum(self._window**2) * self._segments
         density = self._sum / scale
         density[:, 1 : None if self.length % 2 else -1] *= 2
-        return _frequencies(self.length, rate_hz), density
+        frequency = np.arange(self.length // 2 + 1) * (rate_hz / self.length)
+        return np.asarray(frequency, dtype=np.float64), density
 
 
 class Survey:
@@ -254,10 +240,6 @@ class Survey:
                 int(j),
                 *acceleration_powers(frequency, density[j], self.rate_hz, step[j], cutoffs),
             )
-
-
-def _frequencies(length: int, rate_hz: float) -> Array:
-    return np.asarray(np.arange(length // 2 + 1) * (rate_hz / length), dtype=np.float64)
 
 
 def _lengths(

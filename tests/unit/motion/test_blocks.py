@@ -90,15 +90,15 @@ def test_the_bits_do_not_tell_how_the_samples_came(monkeypatch: pytest.MonkeyPat
             np.testing.assert_array_equal(getattr(first, name), getattr(other, name))
 
 
-@pytest.mark.parametrize("samples", [100, 256, 1_000, 4_001])
+@pytest.mark.parametrize("samples", [256, 1_000, 4_001])
 def test_the_spectrum_is_welchs(samples: int) -> None:
     values = np.random.default_rng(9).normal(size=(samples, 2))
     spectrum = Welch(256)
-    for start in range(0, samples, 37):
-        spectrum.push(values[start : start + 37])
+    wanted = 0
+    for end in [*range(37, samples, 37), samples]:
+        wanted = spectrum.look(values[wanted:end], wanted)
     frequency, density = spectrum.density(100.0)
-    length = min(256, samples)
-    expected_frequency, expected = welch(values.T, 100.0, nperseg=length, detrend=False)
+    expected_frequency, expected = welch(values.T, 100.0, nperseg=256, detrend=False)
     np.testing.assert_allclose(frequency, expected_frequency)
     np.testing.assert_allclose(density, expected, rtol=1e-10, atol=1e-14)
 

@@ -171,21 +171,3 @@ def test_what_is_not_a_number_does_not_go_unseen() -> None:
     H, y = rng.normal(size=(ROWS * 3, WIDTH)), rng.normal(size=ROWS * 3)
     H[ROWS + 5, 3] = np.nan
     assert np.isnan(accumulated(H, y).blocks[1]).any()
-
-
-@pytest.mark.parametrize("starts", [True, False])
-def test_stretches_of_rows_are_picked_as_single_rows_are(starts: bool) -> None:
-    rng = np.random.default_rng(11)
-    where = np.repeat(np.arange(10) % 2 == int(starts), 150)
-    memory = rng.normal(size=(WIDTH, len(where)))
-    memory[2] = 0.0
-    memory[3] = np.where(where, 0.0, 1.0)
-    H, y = memory.T, rng.normal(size=len(where))
-    across, along = Accumulator(WIDTH), Accumulator(WIDTH)
-    for _ in range(2):
-        along.add(H, y, where)
-        across.add(np.ascontiguousarray(H), y, where)
-    assert along.rows == across.rows
-    for a, b in zip(along.blocks, across.blocks, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-10)
-        assert not a[:, 2:4].any()

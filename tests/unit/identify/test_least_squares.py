@@ -260,38 +260,14 @@ def test_whitened_rows_carry_the_inverse_covariance() -> None:
     np.testing.assert_allclose(singular.T @ singular, np.diag([0.25, 0.0]), atol=1e-12)
 
 
-def test_nearly_dependent_columns_cost_no_more_digits_than_lstsq_does() -> None:
-    rng = np.random.default_rng(21)
-    spread = np.logspace(0, -7, 64)
-    mixing = np.linalg.qr(rng.normal(size=(64, 64)))[0]
-    H = rng.normal(size=(8_000, 64)) * spread @ mixing
-    theta = rng.normal(size=64)
-    joint = Accumulator(64)
-    for start in range(0, len(H), 1_000):
-        joint.add(H[start : start + 1_000], H[start : start + 1_000] @ theta)
-    R = joint.total
-    found = np.linalg.solve(R[:-1, :-1], R[:-1, -1])
-    reference = np.linalg.lstsq(H, H @ theta, rcond=None)[0]
-    size = np.linalg.norm(theta)
-    expected = max(float(np.linalg.norm(reference - theta) / size), 1e-12)
-    assert np.linalg.norm(found - theta) / size < 10 * expected
-
-
-@pytest.mark.parametrize("rows", [5, 40, 700])
-def test_columns_of_zeros_stay_columns_of_zeros(rows: int) -> None:
+def test_a_column_of_zeros_can_be_taken_out() -> None:
     rng = np.random.default_rng(22)
-    H, y = rng.normal(size=(rows, 30)), rng.normal(size=rows)
-    H[:, [0, 7, 29]] = 0.0
+    full = rng.normal(size=(40, 31))
+    full[:, [0, 7, 29]] = 0.0
     joint = Accumulator(30)
-    joint.add(H, y)
-    R = joint.blocks[0]
-    full = np.column_stack([H, y])
-    np.testing.assert_allclose(R.T @ R, full.T @ full, atol=1e-12 * rows)
-    assert not R[:, [0, 7, 29]].any()
-    assert not np.tril(R, -1).any()
-    kept = joint.with_fixed(7, 0.0).blocks[0]
-    less = np.delete(full, 7, axis=1)
-    np.testing.assert_allclose(kept.T @ kept, less.T @ less, atol=1e-12 * rows)
+    joint.add(full[:, :-1], full[:, -1])
+    kept, less = joint.with_fixed(7, 0.0).blocks[0], np.delete(full, 7, axis=1)
+    np.testing.assert_allclose(kept.T @ kept, less.T @ less, atol=1e-11)
 
 
 def test_rows_can_be_chosen_by_a_mask() -> None:

@@ -301,7 +301,7 @@ def _add_smooth(loop: Loop, found: Investigation) -> None:
 def _told_smooth(loop: Loop, taken: Taken) -> RefinementRound:
     told, joint = taken.one.predicted, taken.term.joint
     assert joint is not None
-    change = gain_of(told.loss, told.loss - told.squares)
+    change = gain_of(told.rows + 2.0 * told.density, told.rows)
     return RefinementRound(
         effect="unexplained",
         joint=loop.material.robot.joint_names[joint],

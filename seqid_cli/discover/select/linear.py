@@ -213,26 +213,25 @@ class Linear:
         crossed = _Crossed.of(terms, self.size, 1)
         for c, (index, B) in enumerate(self._own):
             crossed.add(0, c, index, B, self._y[c], self._root[c])
-        return self._given(self._whole, terms, crossed)[0]
+        return self._given(self._whole, terms, crossed)
 
     def _given(
         self,
         solved: tuple[tuple[Array, bool], Array],
         terms: Sequence[Part],
         crossed: _Crossed,
-    ) -> tuple[list[Gained], list[Array]]:
-        """What each term by itself does to a solved model, and how parameters (p,) move."""
+    ) -> list[Gained]:
+        """What each term by itself does to a solved model."""
         (factor, theta), C, d = solved, crossed.C.sum(axis=0), crossed.d.sum(axis=0)
         Z, left = self._solved(factor, C), d - C.T @ theta
-        found, moved = [], []
+        found = []
         for term, at, blocks in zip(terms, crossed.where, crossed.D, strict=True):
             D = blocks.sum(axis=0)
             S = D - C[:, at].T @ Z[:, at]
             value, a, covariance = bayes_factor(S, left[at], term.precision)
             visible = float(np.trace(S) / max(float(np.trace(D)), 1e-300))
             found.append(Gained(value, a, covariance, max(visible, 0.0)))
-            moved.append(-Z[:, at] @ a)
-        return found, moved
+        return found
 
     def predicted(self, terms: Sequence[Part]) -> list[Predicted]:
         """Try each term by itself on every block, all fitted to the other blocks."""
@@ -243,46 +242,21 @@ class Linear:
         for c, (index, B) in enumerate(self._own):
             for k, here in enumerate(self.rows.at[c]):
                 crossed.add(k, c, index, B[here], self._y[c][here], self._root[c][here], here)
-        found, moved = self._given(self._whole, terms, crossed)
-        alone = self._given(self._without_file, terms, crossed)[0]
-        every = [one.evidence for one in found]
-        density, squares = np.zeros((2, len(terms), blocks))
-        C, d, (A, b) = crossed.C.sum(axis=0), crossed.d.sum(axis=0), self._products
+        every = [one.evidence for one in self._given(self._whole, terms, crossed)]
+        alone = [one.evidence for one in self._given(self._without_file, terms, crossed)]
+        density = np.zeros((len(terms), blocks))
+        C, d = crossed.C.sum(axis=0), crossed.d.sum(axis=0)
         for k, (factor, theta) in enumerate(self._without):
-            Ck = crossed.C[k]
-            rest = C - Ck
+            rest = C - crossed.C[k]
             Z, left = self._solved(factor, rest), d - crossed.d[k] - rest.T @ theta
-            score = b[k] - A[k] @ theta
-            AZ = A[k] @ Z
             for i, (term, at) in enumerate(zip(terms, crossed.where, strict=True)):
-                own, z = crossed.D[i][k], Z[:, at]
-                S = crossed.D[i].sum(axis=0) - own - rest[:, at].T @ z
-                value, a, _ = bayes_factor(S, left[at], term.precision)
-                slope = crossed.d[k][at] - Ck[:, at].T @ theta - z.T @ score
-                cross = Ck[:, at].T @ z
-                density[i, k] = every[i] - value
-                squares[i, k] = 2 * a @ slope - a @ (own - cross - cross.T + z.T @ AZ[:, at]) @ a
-        loss, P = self._loss, self._of_file
+                S = crossed.D[i].sum(axis=0) - crossed.D[i][k] - rest[:, at].T @ Z[:, at]
+                density[i, k] = every[i] - bayes_factor(S, left[at], term.precision)[0]
+        rows = self.rows.independent
         return [
-            Predicted(
-                density[i],
-                squares[i],
-                loss[:, sorted(term.columns)].sum(axis=1),
-                every[i] - alone[i].evidence,
-                float(-moved[i] @ P @ (2.0 * self.theta + moved[i])),
-            )
+            Predicted(density[i], rows[sorted(term.columns)].sum(axis=0), every[i] - alone[i])
             for i, term in enumerate(terms)
         ]
-
-    @cached_property
-    def _loss(self) -> Array:
-        """Weighted squared error (blocks, channels) of blocks that were left out."""
-        left = [x * root for x, root in zip(self.left_out, self._root, strict=True)]
-        sums = [
-            np.bincount(block, weights=x**2, minlength=self.rows.blocks)
-            for x, block in zip(left, self.rows.block, strict=True)
-        ]
-        return np.stack(sums, axis=1)
 
 
 @dataclass(frozen=True)

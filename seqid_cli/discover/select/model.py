@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
 SCALES = (1.0, 3.0, 10.0, FAR)  # of which the evidence chooses
+WRONG = 0.8  # of standard errors: spread of the logarithm of how many times too small they are
 OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
 
 
@@ -43,10 +44,10 @@ class Hold:
     def doubt(self, joints: int) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
 
-        A scale s is believed as 1 / s. Zero where all is held as the file says.
+        ln s of a scale s is normal, with `WRONG`. Zero where all is held as the file says.
         """
         scales = (self.rigid, *map(self.of, range(joints)))
-        return float(sum(np.log(max(scale, 1.0)) for scale in scales))
+        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (2.0 * WRONG**2)
 
 
 HELD = Hold("held")
@@ -134,23 +135,40 @@ class Model:
 
         Returns whether anything changes.
         """
-        n, first = self.ground.n, self.hold
-        best, most = first, self.linear.evidence - first.doubt(n)
+        first = self.hold
+        best, _ = self._best_hold(self.linear)
+        self.hold = best if best.doubt(self.ground.n) else HELD
+        self.settle()
+        return best is not first
+
+    def margin(self, term: Term) -> float:
+        """Log evidence for a term against a base that is held as loosely as explains it best."""
+        own = self.linear.evidence - self.hold.doubt(self.ground.n)
+        return own - self._best_hold(self.beside(term))[1]
+
+    def _best_hold(self, linear: Linear) -> tuple[Hold, float]:
+        """The hold that the evidence prefers, part by part, and its evidence less its doubt."""
+        n = self.ground.n
+        best, most = self.hold, linear.evidence - self.hold.doubt(n)
         for number in range(1 + n):
             for scale in SCALES:
                 own = [best.of(j) for j in range(n)]
                 if number:
                     own[number - 1] = scale
-                rigid = best.rigid if number else scale
-                hold = replace(best, rigid=rigid, own=tuple(own))
+                hold = replace(best, rigid=best.rigid if number else scale, own=tuple(own))
                 parts = self.ground.parts(hold, self.timed)
-                evidence = self.linear.evidence_under([part.precision for part in parts])
-                evidence -= hold.doubt(n)
-                if evidence > most:
-                    best, most = hold, evidence
-        self.hold = best if best.doubt(n) else HELD
-        self.settle()
-        return best is not first
+                worth = linear.evidence_under([p.precision for p in parts]) - hold.doubt(n)
+                if worth > most:
+                    best, most = hold, worth
+        return best, most
+
+    @property
+    def freed(self) -> int:
+        """Parameters of the base that are not held as the file says."""
+        base, hold = self.ground.base, self.hold
+        own = [X.shape[1] for j, X in enumerate(base.friction) if hold.of(j) > 1.0]
+        rigid: int = base.basis.size if hold.rigid > 1.0 else 0
+        return rigid + sum(own)
 
     @property
     def offsets(self) -> list[float]:
@@ -167,9 +185,9 @@ class Model:
         """The model under another noise."""
         return self._with(self.terms, noise)
 
-    def beside(self, term: Term) -> Linear:
-        """The model without one term, the noise as it is."""
-        return self._with([one for one in self.terms if one is not term], self.noise)
+    def beside(self, *terms: Term) -> Linear:
+        """The model without some terms, the noise as it is."""
+        return self._with([one for one in self.terms if one not in terms], self.noise)
 
     def _with(self, terms: Sequence[Term], noise: Noise) -> Linear:
         parts = [*self._base, *(term.part for term in terms), *noise.slow(self.ground.stage)]

@@ -42,11 +42,15 @@ class Named:
     others: tuple[str, ...] = ()
 
 
-def reality(told: Predicted) -> float:
-    """Probability that a term is more than the errors of a model that lacks nothing."""
+def reality(told: Predicted, margin: float) -> float:
+    """Probability that a term is more than the errors of a model that lacks nothing.
+
+    `margin` is the log evidence for it against a base that may leave the file instead.
+    """
     share = float(np.clip(told.share, 1e-3, 1.0 - 1e-3))
     odds = CONSTANT + OF_SHARE * np.log(share / (1.0 - share))
-    return float(1.0 / (1.0 + np.exp(-odds - OF_GAIN * np.log10(max(told.total, 1.0)))))
+    odds += OF_GAIN * np.log10(max(min(told.total, margin), 1.0))
+    return float(1.0 / (1.0 + np.exp(-odds)))
 
 
 def named(taken: Taken) -> Named:
@@ -54,7 +58,7 @@ def named(taken: Taken) -> Named:
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > SELDOM}
-    there = reality(taken.one.predicted)
+    there = reality(taken.one.predicted, taken.margin)
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
     return Named(there * (own + sum(others.values())), by_itself, every)

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.rows import Part, Rows
+from seqid_cli.discover.select.rows import ALIKE, Part, Rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-ALIKE = 2.5
 NU = 4.0
 WINDOW_S = 0.3
 ROUNDS = 3

@@ -15,10 +15,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
+
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Channels = Mapping[int, Array]  # channel -> its rows of some columns (M_c, k)
 
+ALIKE = 0.5 * SAMPLES_PER_CUTOFF  # rows of low-passed signals that tell as much as one
 DRAWS, SEED = 400, 0  # of weights of the blocks
 
 
@@ -39,6 +42,12 @@ class Rows:
     y: tuple[Array, ...]
     block: tuple[Index, ...]
     blocks: int
+
+    @cached_property
+    def independent(self) -> Array:
+        """Number (channels, blocks) of independent rows."""
+        counts = [np.bincount(block, minlength=self.blocks) for block in self.block]
+        return np.stack(counts) / ALIKE
 
     @cached_property
     def at(self) -> tuple[tuple[slice, ...], ...]:
@@ -83,17 +92,13 @@ class Gained:
 class Predicted:
     """What one term does to blocks that were left out, (blocks,) each.
 
-    `density` is the gain in log predictive density, `squares` the weighted squared error that it
-    takes away at its channels, `loss` what there was. `file` is the gain in the density of what the
-    parameter file says, `strain` the squares, in standard errors, by which the base comes nearer to
-    the file.
+    `density` is the gain in log predictive density, `rows` the number of independent rows at its
+    channels; `file` is the gain in the density of what the parameter file says.
     """
 
     density: Array
-    squares: Array
-    loss: Array
+    rows: Array
     file: float = 0.0
-    strain: float = 0.0
 
     @property
     def total(self) -> float:
@@ -112,9 +117,12 @@ class Predicted:
 
     @property
     def share(self) -> float:
-        """Share of the squared error that goes, the file's strain for want of the term in it."""
-        there = float(self.loss.sum()) + abs(self.strain)
-        return (float(self.squares.sum()) + self.strain) / max(there, 1e-300)
+        """Share of the squared error that goes, where noise of unit variance remains.
+
+        By the density, which knows what other blocks do not tell of a block; squared errors of
+        blocks that were left out do not.
+        """
+        return 2.0 * self.total / (2.0 * max(self.total, 0.0) + max(float(self.rows.sum()), 1.0))
 
 
 @lru_cache

@@ -19,6 +19,7 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
+from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
@@ -68,16 +69,20 @@ def select(
     if catalogue is None:
         catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
     options = options or Options()
-    every = [Selection(Model(ground, hold), options, catalogue) for hold in HOLDS]
-    for one in every:
-        one.finish()
+    every = []
+    for hold in HOLDS:
+        every.append(Selection(Model(ground, hold), options, catalogue))
+        every[-1].finish()
+        if every[-1].explained:
+            return every[-1]
     best = _best_of_all(every)
     if best.model.hold.doubt(ground.n):
         held = Selection(Model(ground, HELD), options, catalogue)
-        held.model.terms = list(best.model.terms)
+        held.model.terms, held._tied = list(best.model.terms), dict(best._tied)
         held.model.settle()
         held.finish()
         best = _best_of_all([held, *every])
+    best.merge()
     return best
 
 
@@ -119,11 +124,17 @@ class Selection:
         self._visible: dict[Key, float] = {}
         self._grid: dict[int | None, list[Candidate]] = {}
         self._tried: list[Ranked] = []
+        self._tied: dict[Key, list[Term]] = {}
+
+    @property
+    def explained(self) -> bool:
+        """Whether the file explains the logs with nothing added, held as it says."""
+        return not self.model.terms and self.model.hold == HELD
 
     @property
     def freedom(self) -> int:
-        """Parameters of all terms."""
-        return sum(term.freedom for term in self.model.terms)
+        """Parameters of all terms, and of the parts of the base that are not held."""
+        return sum(term.freedom for term in self.model.terms) + self.model.freed
 
     def worth(self, noise: Noise) -> float:
         """Evidence under a noise, less what simpler models are granted.
@@ -143,6 +154,29 @@ class Selection:
         if self.model.rescale():
             self.eliminate()
             self.run()
+
+    def merge(self) -> None:
+        """Put one term in the place of two at one joint where it explains as much."""
+        model = self.model
+        for a, b in combinations(model.terms, 2):
+            there = a in model.terms and b in model.terms
+            one = self._instead(a, b) if there and a.channels & b.channels else None
+            if one is not None:
+                self._changed(a)
+                model.terms[model.terms.index(a)] = one
+                model.terms.remove(b)
+                model.settle()
+                model.polish()
+
+    def _instead(self, a: Term, b: Term) -> Term | None:
+        """What was as good as one of two terms, and explains as much as both."""
+        model, keys = self.model, {term.key for term in self.model.terms}
+        tied = [c for one in (a, b) for c in self._tied.get(one.key, ()) if c.key not in keys]
+        linear = model.beside(a, b)
+        least = model.linear.evidence - linear.evidence - self.options.chance
+        gained = linear.gained([c.part for c in tied])
+        able = [c for c, g in zip(tied, gained, strict=True) if g.evidence >= least]
+        return min(able, key=lambda term: term.freedom, default=None)
 
     def run(self) -> None:
         """Forward, and backward after each step."""
@@ -164,8 +198,14 @@ class Selection:
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
         ranked = self._tried = self._ranked(self.model.linear, self._everywhere(), refused)
-        best = self._simplest([one for one in ranked if self._passes(one)])
-        return best.term if best else None
+        able = [one for one in ranked if self._passes(one)]
+        best = self._simplest(able)
+        if best is None:
+            return None
+        self._tied[best.term.key] = [
+            one.term for one in able if not one.term.smooth and self._as_good(one, able[0])
+        ]
+        return best.term
 
     def _simplest(self, ranked: Sequence[Ranked]) -> Ranked | None:
         """Of the best and those that are as good the one with the fewest parameters."""
@@ -185,13 +225,12 @@ class Selection:
         less = best.predicted.total - one.predicted.total
         return bool(one.term.channels & best.term.channels) and less <= least
 
-    def eliminate(self, worth: Callable[[Ranked], bool] | None = None) -> set[Key]:
+    def eliminate(self) -> set[Key]:
         """Take back, the weakest first, what is not worth it beside all others."""
-        worth = worth or self._passes
         model, gone = self.model, set[Key]()
         while model.terms:
             every = [_again(term, model.beside(term)) for term in model.terms]
-            weak = [one for one in every if not worth(one)]
+            weak = [one for one in every if not self._passes(one)]
             if not weak:
                 break
             weakest = min(weak, key=lambda one: one.predicted.total)
@@ -271,30 +310,41 @@ class Selection:
     def told(self, least: float = TOLD) -> Selected:
         """What was taken, each term with its rivals.
 
-        Without what is less likely than `least` to be more than an error of the model's laws. A
-        simpler rival that does as well takes a term's place.
+        Without what is less likely than `least` to be there. What may be the error of another
+        term's law stays in the model, for that term's sake, and is not told. A simpler rival that
+        does as well takes a term's place.
         """
-        self.eliminate(
-            lambda one: (
-                self._passes(one) and reality(one.predicted) >= least and not self._of_a_law(one)
-            )
-        )
-        told = self._all_taken()
+        told = self._all_taken(least)
         taken = {term.key for term in self.model.terms}
         hidden = {key: share for key, share in self._visible.items() if key not in taken}
         tried = tuple(one for one in self._tried if one.term.key not in taken)
         return Selected(self.model, told, hidden, tried)
 
-    def _all_taken(self) -> tuple[Taken, ...]:
-        """All terms with their rivals; they give way to simpler ones until none is left."""
-        for number, term in enumerate(self.model.terms):
-            taken = {one.key for one in self.model.terms if one is not term and not is_wide(one)}
-            free = [r for r in self._taken(term).rivals if r.term.key not in taken]
-            best = self._simplest([r for r in free if self._passes(r)])
-            if best is not None and best.term is not term:
-                self.model.terms[number] = best.term
-                self.model.settle()
-        return tuple(self._taken(term) for term in self.model.terms)
+    def _is_told(self, term: Term, least: float) -> bool:
+        one = _again(term, self.model.beside(term))
+        there = reality(one.predicted, self.model.margin(term)) >= least
+        return there and self._passes(one) and not self._of_a_law(one)
+
+    def _all_taken(self, least: float) -> tuple[Taken, ...]:
+        """Terms that are told, with their rivals; they give way to simpler ones."""
+        model = self.model
+        told = {t: self._taken(t) for t in model.terms if self._is_told(t, least)}
+        better = dict[Term, Term]()
+        for term, one in told.items():
+            better[term] = self._better(one, {other.key for other in better.values()})
+        if all(best is term for term, best in better.items()):
+            return tuple(told.values())
+        model.terms = [better.get(term, term) for term in model.terms]
+        model.settle()
+        return tuple(self._taken(term) for term in better.values())
+
+    def _better(self, taken: Taken, gone: set[Key]) -> Term:
+        """The simplest of a term and of its rivals that do as well."""
+        terms = self.model.terms
+        keys = gone | {one.key for one in terms if one is not taken.term and not is_wide(one)}
+        free = [r for r in taken.rivals if r.term.key not in keys and self._passes(r)]
+        best = self._simplest(free)
+        return best.term if best else taken.term
 
     def _taken(self, term: Term) -> Taken:
         """A term and its rivals."""
@@ -305,7 +355,7 @@ class Selection:
         others = self._ranked(linear, candidates, [term.key], term.channels)
         near = [x for x in others if x.term.channels & term.channels]
         ranked = tuple(sorted([one, *near], key=_by_gain))
-        return Taken(one, ranked, linear.left_out, self._untried(term))
+        return Taken(one, ranked, linear.left_out, self.model.margin(term), self._untried(term))
 
     def _untried(self, term: Term) -> tuple[str, ...]:
         """Effects that look like a term and cannot be looked for at its joint."""
@@ -319,10 +369,9 @@ class Selection:
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it takes away no more than the error of a taken term's law may leave."""
         least = self.options.law**2
-        squares = float(one.predicted.squares.sum()) + one.predicted.strain
         channels = one.term.channels
         return any(
-            squares < least * self._torque(other, channels)
+            2.0 * one.predicted.total < least * self._torque(other, channels)
             for other in self.model.terms
             if other.channels & channels and other is not one.term
         )

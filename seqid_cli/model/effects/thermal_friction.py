@@ -25,7 +25,6 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 
 LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
-LEAST_SESSION_S, LEAST_LOG_S = 60.0, 120.0
 SHORTEST_S, LONGEST_S = 5.0, 1e5
 TIME_CONSTANTS = 8
 
@@ -49,13 +48,8 @@ class ThermalFriction(Effect):
     )
 
     def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask for a temperature that changes, or for logs that last long enough for a warm-up."""
-        if joint is None or not moves(scenes, joint):
-            return False
-        if _logged(scenes, joint):
-            return True
-        shared = all(scene.shared_clock for scene in scenes)
-        return session(scenes) >= (LEAST_SESSION_S if shared else LEAST_LOG_S)
+        """Ask for a joint that moves."""
+        return joint is not None and moves(scenes, joint)
 
     def possible(self, scenes: Sequence[Scene], joint: int | None) -> bool:
         """Not where logs and file know the temperature, and it is the same."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.rows import Part, Rows
+from seqid_cli.discover.select.rows import ALIKE, Part, Predicted, Rows
 
 Array = NDArray[np.float64]
 
@@ -101,33 +101,15 @@ def test_gain_of_the_file_is_what_the_term_gains_less_without_it(
     assert told.total == pytest.approx(told.density.sum() + told.file)
 
 
-def test_strain_is_how_far_the_base_comes_back_to_the_file(
-    rows: Rows, base: list[Part], term: Part, weight: list[Array]
-) -> None:
-    held = [Part(p.columns, p.precision, np.zeros_like(p.precision)) for p in base]
-    size = sum(part.size for part in base)
-    before, after = (Linear(rows, parts, weight) for parts in (held, [*held, term]))
-    P = after.prior[:size, :size]
-    moved = [x.theta[:size] @ P @ x.theta[:size] for x in (before, after)]
-    told = before.predicted([term])[0]
-    assert told.strain == pytest.approx(moved[0] - moved[1])
-
-
-def test_squares_are_those_of_fits_without_the_block(
+def test_share_is_of_the_squares_beside_as_many_as_independent_rows(
     rows: Rows, base: list[Part], term: Part, weight: list[Array]
 ) -> None:
     told = Linear(rows, base, weight).predicted([term])[0]
-    before, after = (Linear(rows, parts, weight).left_out for parts in (base, [*base, term]))
-    for b in range(BLOCKS):
-        squares = [
-            sum(
-                float(w[at == b] @ r[at == b] ** 2)
-                for w, r, at in zip(weight, left, rows.block, strict=True)
-            )
-            for left in (before, after)
-        ]
-        assert told.loss[b] == pytest.approx(squares[0], rel=1e-7)
-        assert told.squares[b] == pytest.approx(squares[0] - squares[1], rel=1e-6, abs=1e-7)
+    touched = sum(len(rows.y[c]) for c in term.columns)
+    assert told.rows.sum() == pytest.approx(touched / ALIKE)
+    gains = Predicted(np.abs(told.density), told.rows)
+    assert gains.share == pytest.approx(2 * gains.total / (2 * gains.total + touched / ALIKE))
+    assert Predicted(-gains.density, told.rows).share < 0.0
 
 
 def test_coefficients_and_errors_are_the_models_own(

@@ -166,9 +166,8 @@ class Model:
     def freed(self) -> int:
         """Parameters of the base that are not held as the file says."""
         base, hold = self.ground.base, self.hold
-        own = [X.shape[1] for j, X in enumerate(base.friction) if hold.of(j) > 1.0]
-        rigid: int = base.basis.size if hold.rigid > 1.0 else 0
-        return rigid + sum(own)
+        sizes = [X.shape[1] for j, X in enumerate(base.friction) if hold.of(j) > 1.0]
+        return int(sum(sizes) + base.basis.size * (hold.rigid > 1.0))
 
     @property
     def offsets(self) -> list[float]:

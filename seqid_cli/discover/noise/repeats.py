@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 ALIKE = 0.02  # of a joint's travel (RMS) that positions may differ by and still repeat
 LEAST_REPEATED = 0.8  # of the moving samples that must repeat
@@ -39,7 +39,7 @@ class Repeat:
     first: int
     second: int
     lag: float
-    at: NDArray[np.intp]
+    at: Index
     then: Array
 
 
@@ -127,7 +127,7 @@ def _candidates(p: Array, q: Array, *, alone: bool) -> list[int]:
     return sorted((int(lags[i]) for i in best), key=abs)
 
 
-def _likeness(p: Array, q: Array, lags: NDArray[np.intp]) -> Array:
+def _likeness(p: Array, q: Array, lags: Index) -> Array:
     """One minus half the mean square difference of p(t) and q(t + lag), per lag."""
     length = len(p) + len(q)
     cross = np.zeros(length)

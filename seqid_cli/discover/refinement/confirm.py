@@ -80,10 +80,7 @@ def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[Refine
             change = gain(errors[number], errors[number + 1], joints)
             number += 1
             told = structs.replace(
-                told,
-                held_out_gain=change.value,
-                interval=change.limits,
-                confirmed=change.certain,
+                told, held_out_gain=change.value, interval=change.limits, confirmed=change.certain
             )
         rounds.append(told)
     return rounds

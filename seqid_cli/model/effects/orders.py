@@ -163,8 +163,8 @@ def _floor(power: Array) -> Array:
 
 def _refined(profile: Profile, order: float, width: float) -> float:
     """Best order within `width` of a peak."""
-    near, options = (order - width, order + width), {"xatol": XATOL * width}
+    near = (order - width, order + width)
     found = minimize_scalar(
-        lambda x: -profile.gain(x), bounds=near, method="bounded", options=options
+        lambda x: -profile.gain(x), bounds=near, method="bounded", options={"xatol": XATOL * width}
     )
     return float(found.x)

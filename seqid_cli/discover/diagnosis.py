@@ -59,11 +59,7 @@ HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
 def diagnose(
-    recordings: Iterable[Recording],
-    robot: Robot,
-    stages: Stages,
-    *,
-    options: DiscoverOptions,
+    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
 ) -> DiagnosisFile:
     """Find what a model lacks on these logs.
 
@@ -310,9 +306,7 @@ def _residual(
 def _hidden(found: Investigation, robot: Robot) -> list[HiddenEntry]:
     return [
         HiddenEntry(
-            effect=name,
-            joint=None if joint is None else robot.joint_names[joint],
-            visible=share,
+            effect=name, joint=None if joint is None else robot.joint_names[joint], visible=share
         )
         for (name, joint), share in sorted(found.found.visible.items(), key=lambda item: item[1])
         if share < HIDDEN

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
@@ -24,9 +23,8 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all logs
 What = Candidate | SmoothFunction
 

@@ -165,11 +165,7 @@ def _refined(
     clock = inputs.options.time_source
     whole = WholeLogs(tuple(files), robot, clock) if unseen.surveys else None
     loop = confirm(decided, unseen.recordings, whole)
-    verdicts = [
-        *physics_verdicts(inputs.stages, robot),
-        *training.verdicts(),
-        *kept_out.verdicts(),
-    ]
+    verdicts = [*physics_verdicts(inputs.stages, robot), *training.verdicts(), *kept_out.verdicts()]
     both = [*one_each(fitted), *one_each(unseen)]
     loop = structs.replace(
         loop,

@@ -90,18 +90,18 @@ def investigate(
     if not all(map(np.array_equal, sure.used, rows.used)):
         found = select_again(_ground(sure, stages), found)
     told = found.told(least)
-    return Investigation(tuple(logs), told, floor_of(logs, told.model, events), tuple(events))
+    return Investigation(tuple(logs), told, floor_of(logs, told.model), tuple(events))
 
 
 def _ground(rows: Rows, stages: Stages) -> Ground:
     return Ground.of(Stage(rows), base_of(rows, stages))
 
 
-def floor_of(logs: Sequence[Recording], model: Model, events: Sequence[Interval]) -> NoiseFloor:
+def floor_of(logs: Sequence[Recording], model: Model) -> NoiseFloor:
     """Noise floor with all that was found taken out."""
     rows = model.ground.stage.rows
-    echo = encoder_residuals(logs, rows.scenes, model.deviation(), event_masks(rows, events))
-    return noise_floor(logs, rows.scenes, rows, model.left(), echo)
+    echo = encoder_residuals(logs, rows.scenes)
+    return noise_floor(logs, rows.scenes, model.left(), echo, rows=rows)
 
 
 def guessed(model: Model) -> list[Mask]:

@@ -6,24 +6,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.pieces import by_log, whole_of
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.model.effects.scene import (
-    LONGEST_SESSION_S,
-    Scene,
-    sign_widths,
-    temperature_at,
-)
+from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths, temperature_at
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
 
 SAMPLES_PER_CUTOFF = 24  # enough for steps of friction, whose time is known to half a sample
 

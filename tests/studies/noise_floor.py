@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import noise_floor, rms
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.effects.scene import Scene
 from tests import ROOT
@@ -106,7 +105,7 @@ def outcome(case: Case) -> Outcome:
         np.where(scene.motion.usable[:, None], perfect(plant, log, scene), 0.0)
         for log, scene in zip(experiment.logs["validation"], scenes, strict=True)
     ]
-    rows, echo = rows_of(scenes), encoder_residuals(logs, scenes)
+    echo = encoder_residuals(logs, scenes)
     truth = np.array(
         [
             rms(np.concatenate([e[s.slides[:, j], j] for e, s in zip(left, scenes, strict=True)]))
@@ -115,8 +114,7 @@ def outcome(case: Case) -> Outcome:
     )
     effect = [MISSED * truth * np.cos(3.0 * s.motion.q) for s in scenes]
     more = [np.where(e != 0.0, e + x, 0.0) for e, x in zip(left, effect, strict=True)]
-    every = range(len(scenes))
-    floors = [noise_floor(logs, scenes, rows, given, echo, every) for given in (left, more)]
+    floors = [noise_floor(logs, scenes, given, echo) for given in (left, more)]
     inside = [(floor.low <= truth) & (truth <= floor.high) for floor in floors]
     reach = floors[0].high / floors[0].rms
     ratios = [floor.rms / truth for floor in floors]

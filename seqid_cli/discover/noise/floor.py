@@ -1,33 +1,27 @@
 """How small the residual could become: noise in the band, that no model explains.
 
-It is torque noise and what the encoder's noise makes of the motion. The latter is drawn: logs whose
-true motion and model are known go through the same filters. Torque noise is a property of a joint's
-drive, white and 1/f^a, looked for in all logs together; how much of it passes a log's low-pass
-depends on the log. Three ways, the best that a joint's logs allow:
+It is torque noise and what the encoder's noise makes of the motion. The latter is drawn (see
+`encoder`). Torque noise is a property of a joint's drive, white and 1/f^a, looked for in all logs
+together; how much of it passes a log's low-pass depends on the log. Two ways, the better first:
 
-repeats
-    Motion that comes back with a period, or in another log: half the mean square of the residual's
-    differences, which no model of the motion can take away. Where the motion comes back to a part
-    of a count, errors of counting come back as well: between none and all of the encoder's part is
-    to be added, which the other ways decide.
 rests
-    All joints stand for several periods of the cut-off: the spectrum of the raw torque there, white
-    noise and 1/f^a. A controller that hunts between two counts of its encoder shows more than
-    noise; that is seen where a rest shows more than motion does at the same frequencies.
+    All joints stand for several periods of the cut-off: the spectrum of the raw torque there. A
+    controller that hunts between two counts of its encoder shows more than noise; that is seen
+    where a rest shows more than motion does at the same frequencies.
 spectrum
     What the raw torque shows above the cut-off while the joint slides, and what is left of it at
     the top of the band, where there is no motion, as white noise and 1/f noise that goes on below.
-    Control and steps of the motion show there as well, and only add to it: of all that the logs
-    show the least counts, with what agrees with it. What colour the noise has below stays open: the
-    interval reaches from white noise of the density at the top up to all that is left.
+    Control and steps of the motion only add to it: of all that the logs show the least counts, with
+    what agrees with it. What colour the noise has below stays open: the interval reaches from white
+    noise of the density at the top up to all that is left.
 
-The estimate is one of its own: what a model leaves of the torque does not bound it. A way whose
-interval lies above all that is left is refuted, and the next one is asked.
+The estimate is one of its own: what a model leaves of the torque does not bound it. Rests whose
+interval lies above all that is left are refuted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Literal
@@ -35,8 +29,7 @@ from typing import Literal
 import numpy as np
 from scipy.signal import detrend
 
-from seqid_cli.discover.noise.level import Level, Spectrum, level_of, passed
-from seqid_cli.discover.noise.repeats import repeats_of
+from seqid_cli.discover.noise.level import Level, Spectrum, level_of
 from seqid_cli.discover.noise.spectra import (
     LEAST_SHARE,
     median_spectrum,
@@ -47,16 +40,15 @@ from seqid_cli.discover.noise.spectra import (
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH, encoder_step
+from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
-Way = Literal["repeats", "rests", "spectrum"]
+Way = Literal["rests", "spectrum"]
 
 SEED = 0  # of the draws behind the interval
-FEWEST_REPEATED = 20.0  # periods of the cut-off that must repeat
 SHORTEST_REST = 4.0  # periods of the cut-off
 FEWEST_RESTED = 20.0  # periods of the cut-off, over all rests
 SETTLING = 1.2  # periods of the cut-off at both ends of a rest, in which a move dies away
@@ -72,9 +64,10 @@ BAND_STRETCH = 4.0  # periods of the cut-off per spectrum of it
 FEWEST_STRETCHES = 2
 HANN = 1.5  # bins of a tapered spectrum that count as one
 MEDIAN = 2.08  # variance of a median of periodograms over that of their mean
-ENCODER_ERROR = 0.15  # relative standard error of the encoder's part
+ENCODER_ERROR = 0.25  # relative standard error of the encoder's part
 ENCODER_SPREAD = np.exp(ENCODER_ERROR * np.array([0.0, -1.96, 1.96]))  # estimate and its ends
 AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
+NOTHING = Spectrum(np.zeros(0), np.zeros(0), np.zeros(0))
 EXCEEDS = 4.0  # standard errors above what shows in motion: a rest that is more than noise
 
 
@@ -107,8 +100,8 @@ class NoiseFloor:
         """
         return tuple(
             f"joint {name}: {rest:.3g} N m is left, less than the noise floor's interval, "
-            f"{low:.3g} to {high:.3g} N m: the floor's estimate is doubtful there; a log that "
-            "repeats a motion gives a better one"
+            f"{low:.3g} to {high:.3g} N m: the floor's estimate is doubtful there; a log with "
+            "rests of several seconds gives a better one"
             for name, rest, low, high in zip(names, left, self.low, self.high, strict=True)
             if rest < low
         )
@@ -117,12 +110,13 @@ class NoiseFloor:
 def noise_floor(
     recordings: Sequence[Recording],
     scenes: Sequence[Scene],
-    rows: Rows,
     residual: Sequence[Array],
     echo: Sequence[Array],
-    judged: Collection[int] | None = None,
+    *,
+    rows: Rows | None = None,
+    judged: int | None = None,
 ) -> NoiseFloor:
-    """Find the noise floor of every joint.
+    """Find the noise floor of every joint where it slides; an estimate of its own.
 
     Parameters
     ----------
@@ -130,75 +124,51 @@ def noise_floor(
         With torque.
     `scenes` : sequence of `Scene`
         Of the same logs.
-    rows : Rows
-        Of the same data sets.
     residual : sequence of (N, n) arrays
         Low-passed residual [N m] at the data sets' samples after all that was found has been taken
         out; zero where it does not count.
     echo : sequence of (N, n) arrays
         The part of it that the encoder's noise makes [N m], see `encoder_residuals`.
-    judged : collection of int, optional
-        The logs whose floor is wanted, by number, over all samples in which a joint slides; the
-        others only help to find the noise. By default all, over the rows as they count.
-
-    Returns
-    -------
-    NoiseFloor
-        An estimate of its own: the RMS of `residual` does not bound it.
+    rows : Rows, optional
+        Those that the floor is of; by default all samples at which a joint slides.
+    judged : int, optional
+        How many of the logs the floor is of, the first ones; the others only help to find the
+        noise. By default all.
     """
-    wanted = range(len(scenes)) if judged is None else sorted(judged)
-    moving = _in_motion(recordings, scenes, residual, echo)
-    rested = [
-        [one for one in own if not _exceeds(one, others)]
-        for own, others in zip(_at_rest(recordings, scenes), moving, strict=True)
-    ]
-    repeats, rng = _repeats(scenes, residual), np.random.default_rng(SEED)
-    ways, found = [], []
-    for j in range(rows.n):
-        moves = [(scenes[k].motion, scenes[k].slides[:, j]) for k in wanted]
-        slid = [(motion, float(m.sum()) / motion.rate_hz) for motion, m in moves if m.any()]
-        slides = np.concatenate([echo[k][scenes[k].slides[:, j], j] for k in wanted])
-        heard = rms(rows.torque(j, [e[:, j] for e in echo]) if judged is None else slides)
-        rest = np.concatenate([residual[k][scenes[k].slides[:, j], j] for k in wanted])
-        left = rms(rest[rest != 0.0])
-        levels = _levels(j, repeats, rested[j], moving[j])
-        torque = {way: np.array(level.rms(slid, rng)) for way, level in levels.items()}
-        torque["spectrum"][1] = min(
-            torque["spectrum"][1], Level.known(_top(moving[j])).rms(slid, rng)[1]
-        )
-        each = {way: np.hypot(known, heard * ENCODER_SPREAD) for way, known in torque.items()}
-        if "repeats" in each:
-            # The encoder's part comes back with the motion, or does not: other ways decide.
-            other = each.get("rests", each["spectrum"])
-            each["repeats"] = np.median([torque["repeats"], each["repeats"], other], axis=0)
+    moving, rng = _in_motion(recordings, scenes, residual, echo), np.random.default_rng(SEED)
+    ways, found = list[Way](), []
+    for j, (rests, others) in enumerate(zip(_at_rest(recordings, scenes), moving, strict=True)):
+        of = [(scene, scene.slides[:, j]) for scene in scenes[:judged]]
+        slid = [(x.motion, float(m.sum()) / x.motion.rate_hz) for x, m in of if m.any()]
+        heard, left = (_rms_of(values, of, j) for values in (echo, residual))
+        heard = heard if rows is None else rms(rows.torque(j, [e[:, j] for e in echo]))
+        quiet = [one for one in rests if not _exceeds(one, others)]
+        way: Way = "rests"
+        middle, low, high = _floor(level_of(_together(quiet), EXPONENTS), slid, heard, rng)
         # Of noise no more can be there than is left of the torque in all.
-        way = next(way for way in each if way == "spectrum" or each[way][1] <= left)
-        middle, low, high = each[way]
+        if not quiet or low > left:
+            way = "spectrum"
+            level = level_of(_agreeing(others), FLICKER)
+            middle, low, high = _floor(level, slid, heard, rng)
+            white = _floor(Level.known(_top(others)), slid, heard, rng)
+            low, high = min(low, white[1]), max(high, left)
         ways.append(way)
-        found.append((middle, low, max(high, left) if way == "spectrum" else high))
-    floor, low, high = np.array(found).T
-    return NoiseFloor(floor, low, high, tuple(ways))
+        found.append((middle, low, high))
+    middle, low, high = np.array(found).T
+    return NoiseFloor(middle, low, high, tuple(ways))
 
 
-def _levels(
-    joint: int, repeats: Repeats, rested: Sequence[Spectrum], moving: Sequence[Spectrum]
-) -> dict[Way, Level]:
-    """Noise of one joint by every way that there is, the best one first."""
-    at_rest = _at_rest_level(rested)
-    in_motion = level_of(_agreeing(moving), FLICKER, 0.0) if moving else Level.known(0.0)
-    found: dict[Way, Level] = {}
-    if repeats.periods[joint] >= FEWEST_REPEATED:
-        known = [level.white for level in (at_rest, in_motion) if level and level.white > 0.0]
-        found["repeats"] = repeats.level(joint, min(known, default=np.inf))
-    if at_rest is not None:
-        found["rests"] = at_rest
-    return {**found, "spectrum": in_motion}
+def _floor(
+    level: Level, slid: Sequence[tuple[Motion, float]], heard: float, rng: np.random.Generator
+) -> Array:
+    """Estimate of torque noise and the encoder's part, and the ends of its interval, N m."""
+    return np.hypot(level.rms(slid, rng), heard * ENCODER_SPREAD)
 
 
-def _at_rest_level(spectra: Sequence[Spectrum]) -> Level | None:
-    if not spectra:
-        return None
-    return level_of(reduce(Spectrum.beside, spectra), EXPONENTS, 0.0)
+def _rms_of(values: Sequence[Array], of: Sequence[tuple[Scene, Mask]], joint: int) -> float:
+    """RMS of a joint's values where it slides and they count."""
+    own = np.concatenate([x[m, joint] for x, (_, m) in zip(values, of, strict=False)])
+    return rms(own[own != 0.0])
 
 
 def _exceeds(rest: Spectrum, spectra: Sequence[Spectrum]) -> bool:
@@ -219,69 +189,28 @@ def _agrees(one: Spectrum, other: Spectrum, errors: float = AGREE) -> bool:
     return one.mean[0] - other.mean[0] <= errors * other.mean[0] * error
 
 
+def _together(spectra: Sequence[Spectrum]) -> Spectrum:
+    return reduce(Spectrum.beside, spectra, NOTHING)
+
+
 def _agreeing(spectra: Sequence[Spectrum]) -> Spectrum:
     """The least of the spectra together with those that agree with it.
 
     What a log shows beside noise only adds to it; the least alone would be the luckiest.
     """
-    least = min(spectra, key=lambda one: one.mean[0])
-    kept = [one for one in spectra if _agrees(one, least)]
-    return reduce(Spectrum.beside, kept)
+    least = min(spectra, key=lambda one: one.mean[0], default=NOTHING)
+    return _together([one for one in spectra if _agrees(one, least)])
 
 
 def _top(spectra: Sequence[Spectrum]) -> float:
     """Density of the upper half of the frequencies: noise that does not rise is no less below."""
-    if not spectra:
-        return 0.0
     one = _agreeing(spectra)
-    middle = float(np.median(one.frequency))
-    return one.within(middle, np.inf).mean[0]
+    return one.within(float(np.median(one.frequency)), np.inf).mean[0] if spectra else 0.0
 
 
 def rms(values: Array) -> float:
     """Root of the mean square; zero of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-
-
-@dataclass(frozen=True)
-class Repeats:
-    """What differs between repeats: squares (S, n) and samples (S, n) by log, periods (n,)."""
-
-    squares: Array
-    samples: Array
-    periods: Array
-    motions: tuple[Motion, ...]
-
-    def level(self, joint: int, white: float) -> Level:
-        """The joint's noise: as white as can be, the rest 1/f."""
-        at = np.flatnonzero(self.samples[:, joint])
-        weight = self.samples[at, joint] / self.samples[at, joint].sum()
-        total = 0.5 * float(self.squares[at, joint].sum() / self.samples[at, joint].sum())
-        of_white, of_flicker = weight @ np.array([passed(self.motions[k], 1.0) for k in at])
-        white = min(white, total / float(of_white))
-        flicker = (total - white * float(of_white)) / float(of_flicker)
-        # Two independent values per period of the noise's bandwidth.
-        relative = 2.0 / (2.0 * NOISE_BANDWIDTH * self.periods[joint])
-        return Level.known(white, flicker, error=np.sqrt(relative) * total / float(of_flicker))
-
-
-def _repeats(scenes: Sequence[Scene], residual: Sequence[Array]) -> Repeats:
-    shape = (len(scenes), scenes[0].robot.n)
-    square, count, periods = np.zeros(shape), np.zeros(shape), np.zeros(shape[1])
-    for repeat in repeats_of(scenes):
-        then = scenes[repeat.second].motion
-        own = residual[repeat.first][repeat.at]
-        at = repeat.then * then.rate_hz
-        low = np.clip(np.floor(at).astype(int), 0, then.samples - 2)
-        share = (at - low)[:, None]
-        before, after = residual[repeat.second][low], residual[repeat.second][low + 1]
-        counts = (own != 0) & (before != 0) & (after != 0)
-        # Straight lines between two samples take away a share of what is near the cut-off.
-        off = before * (1 - share) + after * share - own
-        square[repeat.first] += np.sum(np.where(counts, off**2, 0.0), axis=0)
-        count[repeat.first] += counts.sum(axis=0)
-        periods += counts.sum(axis=0) / then.rate_hz * then.lowpass.cutoff_hz
-    return Repeats(square, count, periods, tuple(scene.motion for scene in scenes))
 
 
 def _at_rest(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[list[Spectrum]]:

@@ -65,7 +65,7 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Shape:
-    """Density w + c f^-a, constant below `least` Hz.
+    """Density w + c f^-a.
 
     `middle` (2,) are w and c as they are most likely without regard to their sign, `covariance`
     (2, 2) of these.
@@ -76,22 +76,14 @@ class Shape:
     middle: Array
     covariance: Array
     exponent: float = 1.0
-    least: float = 0.0
 
     def over(self, slid: Slid) -> tuple[Array, float]:
-        """What two passes of the logs' low-pass leave of w and c, and how much it scatters.
-
-        Returns
-        -------
-        tuple of (2,) array and float
-            Mean square per w and per c, over all logs; relative variance of the mean square of
-            noise of this shape in so short a time.
-        """
+        """Mean squares (2,) per w and c, low-passed twice; relative variance in so short a time."""
         total = sum(seconds for _, seconds in slid)
         passed, scatter = np.zeros(2), 0.0
         for motion, seconds in slid:
             frequency, gain = _band(motion)
-            colour = np.maximum(frequency, self.least) ** -self.exponent
+            colour = frequency**-self.exponent
             shapes = np.stack([gain, gain * colour])
             passed += seconds / total * np.trapezoid(shapes, frequency, axis=1)
             both = np.array([self.white, self.flicker]) @ shapes
@@ -114,16 +106,10 @@ class Level:
     weights: Array
 
     @classmethod
-    def known(cls, white: float, flicker: float = 0.0, *, error: float = 0.0) -> Level:
-        """Noise whose density at 1 Hz is known to a standard error."""
-        middle = np.array([white, flicker])
-        covariance = np.diag([0.0, error**2])
-        return cls((Shape(white, flicker, middle, covariance),), np.ones(1))
-
-    @property
-    def white(self) -> float:
-        """Density of the white part, N^2 m^2 / Hz."""
-        return self.shapes[0].white
+    def known(cls, white: float) -> Level:
+        """White noise of a known density, N^2 m^2 / Hz."""
+        shape = Shape(white, 0.0, np.array([white, 0.0]), np.zeros((2, 2)))
+        return cls((shape,), np.ones(1))
 
     def rms(self, slid: Slid, rng: np.random.Generator) -> tuple[float, float, float]:
         """RMS of the low-passed noise of some logs, and the ends of its 95 % interval, N m."""
@@ -141,7 +127,7 @@ class Level:
         return middle, min(float(low), middle), max(float(high), middle)
 
 
-def level_of(spectrum: Spectrum, exponents: Sequence[float], below: float) -> Level:
+def level_of(spectrum: Spectrum, exponents: Sequence[float]) -> Level:
     """White noise w and 1/f^a noise c f^-a by Whittle's likelihood.
 
     Parameters
@@ -149,12 +135,10 @@ def level_of(spectrum: Spectrum, exponents: Sequence[float], below: float) -> Le
     spectrum : Spectrum
     exponents : sequence of float
         Values of a that may be; another than the first must be clearly better to come first.
-    below : float
-        Frequency, Hz, below which the density is taken as constant.
     """
     if not spectrum.density.any():
         return Level.known(spectrum.least)
-    found = [_fitted(spectrum, None, below), *(_fitted(spectrum, a, below) for a in exponents)]
+    found = [_fitted(spectrum, a) for a in (None, *exponents)]
     lost = np.array([one for one, _ in found]) + FLICKER_COSTS * (np.arange(len(found)) > 0)
     best = 0
     for k in range(1, len(found)):
@@ -164,7 +148,7 @@ def level_of(spectrum: Spectrum, exponents: Sequence[float], below: float) -> Le
     return Level(tuple(found[k][1] for k in order), weights / weights.sum())
 
 
-def _fitted(spectrum: Spectrum, exponent: float | None, below: float) -> tuple[float, Shape]:
+def _fitted(spectrum: Spectrum, exponent: float | None) -> tuple[float, Shape]:
     """Negative log-likelihood of white and 1/f^a noise, or of white noise alone; and the noise."""
     f, density, averaged = spectrum.frequency, spectrum.density, spectrum.averaged
     coloured = np.zeros_like(f) if exponent is None else f**-exponent
@@ -176,7 +160,7 @@ def _fitted(spectrum: Spectrum, exponent: float | None, below: float) -> tuple[f
     middle = covariance @ ((scale * columns).T @ (scale[:, 0] * density))
     lost = float(averaged @ (np.log(fitted) + density / fitted))
     white = max(float(c[0]), spectrum.least)
-    return lost, Shape(white, float(c[1]), middle, covariance, exponent or 0.0, below)
+    return lost, Shape(white, float(c[1]), middle, covariance, exponent or 0.0)
 
 
 def _whittle(columns: Array, density: Array, averaged: Array) -> tuple[Array, Array]:
@@ -188,13 +172,6 @@ def _whittle(columns: Array, density: Array, averaged: Array) -> tuple[Array, Ar
         c, _rest = nnls(columns * scale[:, None], density * scale)
         shape = np.maximum(columns @ c, tiny)
     return c, shape
-
-
-def passed(motion: Motion, exponent: float) -> tuple[float, float]:
-    """Mean squares after two passes of white noise and of 1/f^a noise of unit density."""
-    frequency, gain = _band(motion)
-    coloured = gain * frequency**-exponent
-    return float(np.trapezoid(gain, frequency)), float(np.trapezoid(coloured, frequency))
 
 
 def _band(motion: Motion) -> tuple[Array, Array]:

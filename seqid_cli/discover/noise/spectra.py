@@ -53,7 +53,6 @@ def stretches(mask: Mask, length: int) -> list[int]:
 
 
 def nearest(mask: Mask, samples: int) -> Mask:
-    """A mask (M, n) of a data set at the log's own `samples`."""
-    at = np.linspace(0, len(mask) - 1, samples).round().astype(int)
-    spread: Mask = mask[at]
+    """A mask (M, ...) of a data set at the log's own `samples`."""
+    spread: Mask = mask[np.linspace(0, len(mask) - 1, samples).round().astype(int)]
     return spread

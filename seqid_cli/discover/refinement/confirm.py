@@ -14,7 +14,6 @@ from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain
 from seqid_cli.discover.refinement.loop import joints_of, key_of_round, with_effects
 from seqid_cli.discover.refinement.rounds import Refinement
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
@@ -80,10 +79,7 @@ def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[Refine
             change = gain(errors[number], errors[number + 1], joints)
             number += 1
             told = structs.replace(
-                told,
-                held_out_gain=change.value,
-                interval=change.limits,
-                confirmed=change.certain,
+                told, held_out_gain=change.value, interval=change.limits, confirmed=change.certain
             )
         rounds.append(told)
     return rounds
@@ -152,8 +148,5 @@ def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:
     logs = [*held_out, *material.training]
     freed = material.freed(logs, model.stages, model.effects)
     scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
-    rows = rows_of(scenes)
-    left = [residual_of(scene) for scene in scenes]
-    return noise_floor(
-        freed, scenes, rows, left, encoder_residuals(freed, scenes), range(len(held_out))
-    )
+    left, echo = [residual_of(scene) for scene in scenes], encoder_residuals(freed, scenes)
+    return noise_floor(freed, scenes, left, echo, judged=len(held_out))

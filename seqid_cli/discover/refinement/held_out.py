@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student_t
 
 from seqid_cli.discover.survey.rows import BLOCK_S
@@ -36,7 +35,7 @@ from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
@@ -180,7 +179,7 @@ def joined(sums: Sequence[BlockSums]) -> HeldOutError:
     return HeldOutError(*map(np.vstack, zip(*(own.error.parts for own in sums), strict=True)))
 
 
-def _by_block(block: NDArray[np.intp], count: int, values: Array) -> Array:
+def _by_block(block: Index, count: int, values: Array) -> Array:
     columns = [np.bincount(block, weights=v, minlength=count) for v in values.T]
     return np.stack(columns, axis=1)
 

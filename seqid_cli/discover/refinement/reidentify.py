@@ -81,10 +81,7 @@ def refitted(
 
 
 def _in_turns(
-    material: Material,
-    stages: Stages,
-    candidates: Sequence[Candidate],
-    late: frozenset[Key],
+    material: Material, stages: Stages, candidates: Sequence[Candidate], late: frozenset[Key]
 ) -> tuple[Stages, Sequence[Candidate]]:
     """Fit effects, then identify the stages without them, until the effects settle."""
     before, effects, step = list[FittedEffect](), list[FittedEffect](), np.inf

@@ -2,7 +2,7 @@
 
 The residual's mean over a short window is compared with what such windows show elsewhere: with
 windows of like speed, with all those in which a joint reverses, and with the nearest ones in state
-(same place, same motion of this joint, same motion of all joints). What the model does not know of
+(same place, same motion of this joint, same state of all joints). What the model does not know of
 friction, gears or load recurs there and so is no event; a push does not. A push on link k moves the
 joints up to k, so their evidence is taken together.
 
@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from seqid_cli.discover.survey.event_windows import (
@@ -31,7 +30,7 @@ from seqid_cli.discover.survey.event_windows import (
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.robust import PER_MEDIAN, gaussian_spread
+from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array, Index, Mask
 
 LENGTHS_S = (0.15, 0.3, 0.6)
@@ -78,38 +77,37 @@ class Interval:
 
 
 def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
-    """Find what stands out against the rest of the logs.
+    """Find what stands out against the rest of the logs, by data set and time.
+
+    What fills more than a small share of a log is no event but something that the model lacks.
 
     Parameters
     ----------
     rows : Rows
     left_out : sequence of (M_j,) arrays
         Scaled residual of each joint's rows.
-
-    Returns
-    -------
-    list of Interval
-        By data set and time.
     """
-    found: list[Interval] = []
-    scored = [(windows, scores(windows)) for windows in _all_windows(rows, left_out)]
+    tracks, found = tracks_of(rows, residual_series(rows, left_out)), list[Interval]()
+    every = [windows_of(tracks, length) for length in LENGTHS_S]
+    scored = [(windows, scores(windows)) for windows in every]
     for number in range(len(rows.scenes)):
-        found += _events_of_scene(number, scored)
+        events = _places(number, scored)
+        length = max(w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every)
+        taken = sum(event.end - event.start for event in events)
+        few = len(events) <= max(FEW, length / RARE_S)
+        found += events if few and taken <= max(MOST_TIME * length, LONGEST_S) else []
     return found
 
 
 def standing_out(all_windows: Sequence[Windows]) -> list[Interval]:
-    """Places of one log that stand out against the rest of it, however many there are.
+    """Places of one log (number 0) that stand out against the rest of it, however many.
 
     Parameters
     ----------
     all_windows : sequence of Windows
-        Of one log (number 0), by length.
+        Of the log, by length.
     """
-    found: list[Interval] = []
-    for windows in all_windows:
-        found += _joined(0, windows, scores(windows), windows.centre)
-    return _merged(found)
+    return _places(0, [(windows, scores(windows)) for windows in all_windows])
 
 
 def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
@@ -125,11 +123,6 @@ def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
     return masks
 
 
-def _all_windows(rows: Rows, left_out: Sequence[Array]) -> list[Windows]:
-    tracks = tracks_of(rows, residual_series(rows, left_out))
-    return [windows_of(tracks, length) for length in LENGTHS_S]
-
-
 def scores(windows: Windows) -> Array:
     """Robust sigmas (W, n), signed, by which every window stands out; zero where unknown."""
     n = windows.mean.shape[1]
@@ -138,18 +131,12 @@ def scores(windows: Windows) -> Array:
     looked = np.flatnonzero(combined(z) > LOOKED_AT)
     if len(looked) == 0:
         return z
-    shared = [_neighbours(windows, looked, columns)[0] for columns in _shared_states(n)]
-    places = [_neighbours(windows, looked, [j]) for j in range(n)]
-    motions = [_neighbours(windows, looked, [n + j, 2 * n + j]) for j in range(n)]
-    turning = [
-        np.where(windows.reverses[looked, k, None], index, -1)
-        for k, (index, _) in enumerate(motions)
-    ]
+    whole = _neighbours(windows, looked, [*range(2 * n)])[0]
     for j in range(n):
-        remote = np.maximum(places[j][1], motions[j][1])
-        others = [turning[k] for k in range(n) if k != j]
-        likes = [*shared, places[j][0], motions[j][0], *others]
-        z[looked, j] = _compared(windows.mean[:, j], sizes[looked, j] * remote, looked, likes)
+        place, far = _neighbours(windows, looked, [j])
+        motion, farther = _neighbours(windows, looked, [n + j, 2 * n + j])
+        size = sizes[looked, j] * np.maximum(far, farther)
+        z[looked, j] = _compared(windows.mean[:, j], size, looked, [whole, place, motion])
     return z
 
 
@@ -180,11 +167,6 @@ def gaussian(square: Array, k: int) -> Array:
     spread = 2.0 / (9.0 * k)
     deviate: Array = (np.cbrt(square / k) - 1.0 + spread) / np.sqrt(spread)
     return deviate
-
-
-def _shared_states(n: int) -> list[list[int]]:
-    """Columns of the state by which windows are compared for all joints: full, and velocities."""
-    return [list(range(2 * n)), list(range(n, 2 * n))]
 
 
 def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:
@@ -231,21 +213,16 @@ def _medians(values: Array, count: Index) -> Array:
 
 def _class_size(windows: Windows, j: int) -> Array:
     """Robust size (W,) of the means of joint j in windows of like speed and like reversals."""
-    m = windows.mean[:, j]
-    known = np.isfinite(m)
+    m, known = windows.mean[:, j], np.isfinite(windows.mean[:, j])
     if np.count_nonzero(known) < FEWEST:
         return np.full(len(m), np.inf)
-    size = np.full(len(m), float(gaussian_spread(m[known])))
     edges = np.quantile(windows.speed[known, j], np.linspace(0, 1, SPEEDS + 1)[1:-1])
-    speed = np.searchsorted(edges, windows.speed[:, j])
-    classes = [speed == k for k in range(SPEEDS)]
-    classes += list(windows.reverses.T)
-    for members in classes:
+    speed, size = np.searchsorted(edges, windows.speed[:, j]), np.zeros(len(m))
+    for members in (*(speed == k for k in range(SPEEDS)), *windows.reverses.T):
         inside = np.abs(m[members & known])
-        if len(inside) >= FEWEST:
-            size[members] = np.maximum(size[members], _robust_size(inside))
-        elif len(inside):
-            size[members] = np.maximum(size[members], float(np.max(inside)))
+        if len(inside):
+            own = _robust_size(inside) if len(inside) >= FEWEST else float(np.max(inside))
+            size[members] = np.maximum(size[members], own)
     return size
 
 
@@ -255,72 +232,47 @@ def _robust_size(values: Array) -> float:
     return float(max(PER_MEDIAN * median, most / MOST))
 
 
-def _events_of_scene(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
-    """Events of one data set: windows above the gate and what belongs to them, joined.
-
-    What fills more than a small share of a log is no event but something that the model lacks.
-    """
-    found: list[Interval] = []
-    length = 0.0
+def _places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
+    """Windows of one data set above the gate and what belongs to them, joined over all lengths."""
+    found = list[Interval]()
     for windows, z in scored:
         here = windows.scene == number
-        length = max(length, windows.length_s * np.count_nonzero(here) / OVERLAP)
-        found += _joined(number, windows, z[here], windows.centre[here])
-    events = _merged(found)
-    taken = sum(event.end - event.start for event in events)
-    few = len(events) <= max(FEW, length / RARE_S)
-    return events if few and taken <= max(MOST_TIME * length, LONGEST_S) else []
+        found += _joined(number, windows.length_s, z[here], windows.centre[here])
+    return _merged(found)
 
 
-def _joined(number: int, windows: Windows, z: Array, centre: Array) -> list[Interval]:
-    score = combined(z)
-    found = []
-    half = 0.5 * windows.length_s
+def _joined(number: int, length_s: float, z: Array, centre: Array) -> list[Interval]:
+    """Peaks above the gate with the windows around that reach a share of their height."""
+    score, found, margin = combined(z), list[Interval](), 0.25 * length_s
     while len(score) and float(np.max(score)) > GATE:
         peak = int(np.argmax(score))
         top = float(score[peak])
         along = score * (np.abs(centre - centre[peak]) < LONGEST_S) > EDGE_SHARE * top
-        first, last = next((a, b - 1) for a, b in runs(along, len(along)) if a <= peak < b)
-        weight = np.abs(z[first : last + 1]).max(axis=0)
-        joints = tuple(int(j) for j in np.flatnonzero(weight > 0.5 * max(GATE, weight.max())))
-        start, end = centre[first] - 0.5 * half, centre[last] + 0.5 * half
+        first, stop = next((a, b) for a, b in runs(along, len(along)) if a <= peak < b)
+        weight = np.abs(z[first:stop]).max(axis=0)
+        joints = np.flatnonzero(weight > 0.5 * max(GATE, weight.max())).tolist()
+        start, end = max(float(centre[first]) - margin, 0.0), float(centre[stop - 1]) + margin
         if end - start <= LONGEST_S:
-            chosen = joints or (int(np.argmax(weight)),)
-            found.append(Interval(number, float(max(start, 0.0)), float(end), chosen, top))
-        score = np.where(binary_dilation(_range(len(score), first, last), iterations=2), 0.0, score)
+            found.append(
+                Interval(number, start, end, tuple(joints or [int(np.argmax(weight))]), top)
+            )
+        score[max(first - 2, 0) : stop + 2] = 0.0
     return found
 
 
-def _range(length: int, first: int, last: int) -> Mask:
-    mask = np.zeros(length, dtype=bool)
-    mask[first : last + 1] = True
-    return mask
-
-
 def _merged(found: Sequence[Interval]) -> list[Interval]:
-    """Join what overlaps; the interval of the higher score stands."""
+    """Join what overlaps, to the interval of the higher score, and what nearly touches."""
     kept: list[Interval] = []
     for event in sorted(found, key=lambda e: -e.score):
-        overlaps = [k for k, e in enumerate(kept) if event.start < e.end and e.start < event.end]
-        if not overlaps:
+        apart = [max(event.start - e.end, e.start - event.end) for e in kept]
+        k = int(np.argmin(apart)) if kept else 0
+        if not kept or apart[k] >= TOUCH_S:
             kept.append(event)
             continue
-        k = overlaps[0]
-        joints = tuple(sorted(set(kept[k].joints) | set(event.joints)))
-        kept[k] = Interval(event.scene, kept[k].start, kept[k].end, joints, kept[k].score)
-    return _bridged(kept)
-
-
-def _bridged(events: Sequence[Interval]) -> list[Interval]:
-    """Join what nearly touches: one push, whose flanks are lower than its peak."""
-    joined: list[Interval] = []
-    for event in sorted(events, key=lambda e: e.start):
-        if joined and event.start - joined[-1].end < TOUCH_S:
-            last = joined[-1]
-            if event.end - last.start <= LONGEST_S:
-                joints = tuple(sorted(set(last.joints) | set(event.joints)))
-                score = max(last.score, event.score)
-                joined[-1] = Interval(event.scene, last.start, event.end, joints, score)
-                continue
-        joined.append(event)
-    return joined
+        old, start, end = kept[k], kept[k].start, kept[k].end
+        wide = min(start, event.start), max(end, event.end)
+        if apart[k] >= 0.0 and wide[1] - wide[0] <= LONGEST_S:
+            start, end = wide
+        joints = tuple(sorted({*old.joints, *event.joints}))
+        kept[k] = Interval(event.scene, start, end, joints, old.score)
+    return sorted(kept, key=lambda e: e.start)

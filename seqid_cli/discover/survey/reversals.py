@@ -9,7 +9,8 @@ step, times that, passes the low-pass and reaches samples that count:
 D being the step, h the low-pass's response to a pulse, dt how far off the step is and T how long it
 takes, other ones at every reversal. Near the ends of a longer rest friction may be anything up to
 its size. Rows are whitened for both: what such errors look like counts for less, the more so the
-larger friction is over torque noise, and all else for as much as it did (generalised least squares;
+larger friction is over torque noise, and all else for as much as it did (generalised least squares,
+one reversal after the other;
 Aitken, Proceedings of the Royal Society of Edinburgh 55, 1935).
 """
 
@@ -35,7 +36,6 @@ EDGE = 3  # such times that are felt from either end of a rest
 FREE = 0.5  # of friction: standard error of what it is at rest
 SEEN = 1e-3  # of the largest, below which a row does not feel a reversal
 LEAST = 0.05  # of torque noise, from which an uncertainty matters
-MOST = 60  # directions that are whitened together
 PASSES = 2
 GRID = 400
 THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise of unit size
@@ -84,7 +84,7 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
     """
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
     uncertain = [(start, pulses / noise) for start, pulses in _uncertain(scene, joint)]
-    found: list[tuple[int, Array]] = []
+    found: list[Reversal] = []
     for row, every in low_passed(scene.motion, picked, uncertain):
         counts = np.flatnonzero(used[row : row + len(every)])
         seen = every[counts]
@@ -93,8 +93,8 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
         )
         if len(felt) and np.linalg.norm(seen) > LEAST:
             low, high = felt[0], felt[-1] + 1
-            found.append((int(number[row + counts[low]]), seen[low:high]))
-    return list(_together(sorted(found, key=lambda one: one[0])))
+            found.append(Reversal.of(int(number[row + counts[low]]), seen[low:high]))
+    return sorted(found, key=lambda one: one.first)
 
 
 def low_passed(
@@ -195,25 +195,3 @@ def _noise(scene: Scene, joint: int) -> float:
     torque = scene.motion.tau[scene.motion.usable, joint]
     detail = DETAIL * float(np.linalg.norm(torque)) / np.sqrt(max(len(torque), 1))
     return max(float(np.hypot(white * passed, detail)), 1e-12)
-
-
-def _together(found: list[tuple[int, Array]]) -> Iterator[Reversal]:
-    """Whiten rows together that feel the same, as far as these are not too many."""
-    group: list[tuple[int, Array]] = []
-    end = size = 0
-    for first, seen in found:
-        if group and (first >= end or size + seen.shape[1] > MOST):
-            yield _joined(group, end)
-            group, end, size = [], 0, 0
-        group.append((first, seen))
-        end, size = max(end, first + len(seen)), size + seen.shape[1]
-    if group:
-        yield _joined(group, end)
-
-
-def _joined(group: list[tuple[int, Array]], end: int) -> Reversal:
-    start = group[0][0]
-    wide = [np.zeros((end - start, seen.shape[1])) for _, seen in group]
-    for values, (first, seen) in zip(wide, group, strict=True):
-        values[first - start : first - start + len(seen)] = seen
-    return Reversal.of(start, np.hstack(wide))

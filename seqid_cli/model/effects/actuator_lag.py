@@ -9,15 +9,13 @@ T. Khalil, Dombre, "Modeling, identification and control of robots", 2002.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.motion.filters.differentiation import differentiate
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 class ActuatorLag(TorqueMeasurement):
@@ -27,17 +25,14 @@ class ActuatorLag(TorqueMeasurement):
     family = "measurement"
     timing = True
     shared = True
+    linear = (Coefficient("time_constant", "s", low=0.0, high=0.2),)
     alike = ("time_skew", "joint_elasticity")
     separate_by = (
         "log the measured current beside the commanded one; or chirps of torque up to the "
         "frequency 1/(2 pi T), where a lag attenuates and a delay does not"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the time constant."""
-        return (Coefficient("time_constant", "s", low=0.0, high=0.2),)
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Time derivative of the modelled torque."""
         rate, valid = scene.motion.rate_hz, scene.motion.valid
         return of_modelled(scene, joint, lambda tau: differentiate(tau, rate, valid)[0])

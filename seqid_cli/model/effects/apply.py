@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
@@ -23,8 +22,7 @@ from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectSession, Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 def session_of(

@@ -11,13 +11,10 @@ RA-L 4(4), 2019; Bona, Indri, "Friction compensation in robotics: an overview", 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.excitation import moves
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene
 
 
 class AsymmetricFriction(Effect):
@@ -26,6 +23,11 @@ class AsymmetricFriction(Effect):
     name = "asymmetric_friction"
     family = "friction"
     over = "velocity"
+    linear = (
+        Coefficient("coulomb_asymmetry", "N m"),
+        Coefficient("viscous_asymmetry", "N m s/rad"),
+    )
+    needs = ("motion",)
     alike = ("torque_bias", "spring", "drift", "gear_efficiency")
     separate_by = (
         "10 s with the brakes on or the motors off before and after (an offset of the channel "
@@ -33,18 +35,7 @@ class AsymmetricFriction(Effect):
         "three speeds"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask that the joint moves."""
-        return joint is not None and moves(scenes, joint)
-
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return half the differences between the directions."""
-        return (
-            Coefficient("coulomb_asymmetry", "N m"),
-            Coefficient("viscous_asymmetry", "N m s/rad"),
-        )
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Whether the joint moves, and its speed."""
         assert joint is not None
         moving, speed = np.abs(scene.sign[:, joint]), np.abs(scene.motion.dq[:, joint])

@@ -14,24 +14,16 @@ a survey", Automatica 38(10), 2002.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.model.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    Setting,
-    Settings,
-)
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.motion.motion import Motion
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 SMALLEST, LARGEST = 2e-4, 2e-2  # rad
 GAPS = tuple(float(gap) for gap in np.geomspace(SMALLEST, LARGEST, 7))
@@ -44,7 +36,9 @@ class Backlash(Effect):
     name = "backlash"
     family = "transmission"
     settings = (Setting("trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False),)
+    needs = ("load",)
     apart = True
+    linear = (Coefficient("gap", "rad", low=0.0, high=0.1),)
     alike = ("presliding_hysteresis", "joint_elasticity", "time_skew")
     separate_by = (
         "slow and fast moves in which the load of this joint changes its sign while it moves, and "
@@ -55,20 +49,13 @@ class Backlash(Effect):
         """No: where the gap stands was decided when it was last crossed."""
         return False
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the gap."""
-        return (Coefficient("gap", "rad", low=0.0, high=0.1),)
-
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
         """The model must know the load, and the load must change its sign."""
         assert joint is not None
-        if scenes[0].model.phi is None:
-            return False
-        return any(np.ptp(np.sign(scene.load[:, joint])) > 1.0 for scene in scenes)
+        changes = any(np.ptp(np.sign(scene.load[:, joint])) > 1.0 for scene in scenes)
+        return changes and super().available(scenes, joint)
 
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
+    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
         """Yield the gap whose flights fit the joint's own residual best."""
         assert joint is not None
         y = np.concatenate([r[:, joint] for r in residual])
@@ -101,7 +88,7 @@ class Backlash(Effect):
         flown = -inertia * differentiate(lead, motion.rate_hz, motion.valid)[1]
         return motion.filtered(flown, times=self.passes)
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Torque per unit gap, on all joints."""
         assert joint is not None
         gap = settings["trial_gap"]
@@ -110,9 +97,7 @@ class Backlash(Effect):
         torque = link_deviation(scene, joint, deviation)
         return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """The gap agrees with the one that shaped the flights, as far as the band shows shapes."""
         ratio = float(c[0]) / settings["trial_gap"]
         return super().plausible(scenes, joint, settings, c) and (

@@ -14,15 +14,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.regressor import gravity_regressor, inverse_dynamics
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 LARGEST_RAD = 0.35
 MOST_MOMENT = 10.0  # of the first link, over the largest torque that a gear passes on
@@ -52,17 +50,15 @@ class BaseTilt(Effect):
         moments = tuple(Coefficient(f"moment_{k}", "N m") for k in (1, 2))
         return (*rotations, *moments) if settings["upright"] else rotations
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Gravity parameters are needed."""
         return scenes[0].model.phi is not None and bool(scenes[0].robot.gravity.any())
 
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Whether the first joint turns about gravity."""
         return {"upright": [float(first_joint_upright(scenes[0].robot))]}
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask that a tilt comes with the first link's moments, where other joints would show it.
 
         Moments alone are any function of the first joint's angle.
@@ -73,7 +69,7 @@ class BaseTilt(Effect):
         tilted = alone or moments <= MOST_MOMENT * largest * tilt
         return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Gravity torque of two directions square to gravity."""
         q, phi = scene.motion.q, scene.model.phi
         new = int(settings["upright"])

@@ -14,7 +14,7 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.measurement import touched
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 
 
 class Drift(Effect):
@@ -26,21 +26,18 @@ class Drift(Effect):
     passes = 1
     settings = (Setting("duration", "s", low=0.0, continuous=False),)
     over = "session_time"
+    linear = (Coefficient("offset", "N m"), Coefficient("rate", "N m/s"))
     alike = ("torque_bias", "thermal_friction")
     separate_by = (
         "ten seconds at rest with the brakes on at the start and at the end of the session, and "
         "the first log repeated as the last"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the offset at the start and its rate."""
-        return (Coefficient("offset", "N m"), Coefficient("rate", "N m/s"))
-
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """The session's end."""
         return {"duration": [max(float(scene.time[-1]) for scene in scenes)]}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """One and time."""
         t = np.clip(scene.time, 0.0, settings["duration"])
         ramp = np.column_stack([np.ones_like(t), t])

@@ -18,16 +18,16 @@ from itertools import product
 from typing import Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.model.effects.apart import rotor_lacking
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.excitation import has_rigid_body, moves
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
-from seqid_cli.model.effects.units import unit_of
+from seqid_cli.model.effects.units import Value, unit_of
+from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Grid = Iterator[dict[str, float]]
 Settings = Mapping[str, float]
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
 
@@ -69,16 +69,6 @@ class Setting:
     then: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True)
-class Value:
-    """A parameter of an effect as it is reported: value, standard error, unit."""
-
-    name: str
-    value: float
-    std_error: float
-    unit: str
-
-
 class Effect(abc.ABC):
     """A physical effect; subclasses are stateless and live in one file each.
 
@@ -93,6 +83,10 @@ class Effect(abc.ABC):
         Whether an effect of a joint can be one of all joints as well, with the same coefficients:
         its joint is then None.
     settings : tuple of Setting
+    linear : tuple of Coefficient
+        The linear parameters, where they are the same whatever the settings.
+    needs : tuple of str
+        `motion`: the joint must move; `load`: the model must know the load of its gear.
     passes : int
         How many times the log's low-pass is to be applied to the columns: 1 for smooth terms in
         the filtered motion's derivatives, 2 for all that has steps or is finer than the filter.
@@ -130,6 +124,8 @@ class Effect(abc.ABC):
     arm: bool = False
     shared: bool = False
     settings: tuple[Setting, ...] = ()
+    linear: tuple[Coefficient, ...] = ()
+    needs: tuple[Literal["motion", "load"], ...] = ()
     passes: int = 2
     wide: bool = False
     timing: bool = False
@@ -158,12 +154,12 @@ class Effect(abc.ABC):
         """How many parameters are searched beside the coefficients: the continuous settings."""
         return sum(setting.continuous or bool(setting.then) for setting in self.settings)
 
-    @abc.abstractmethod
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the linear parameters, in the order of the columns."""
+        """Return the linear parameters, in the order of the columns; by default `linear`."""
+        return self.linear
 
     @abc.abstractmethod
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Compute the torque per unit coefficient.
 
         Parameters
@@ -180,17 +176,16 @@ class Effect(abc.ABC):
             For every joint whose torque is touched; unfiltered.
         """
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Return whether robot file and channels allow to look for the effect at this joint."""
-        return True
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
+        """Return whether robot file and channels allow to look for it; by default `needs`."""
+        moving = "motion" not in self.needs or (joint is not None and moves(scenes, joint))
+        return moving and ("load" not in self.needs or has_rigid_body(scenes))
 
-    def possible(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def possible(self, scenes: Scenes, joint: Joint) -> bool:
         """Return whether it may be there though it cannot be looked for: a channel is lacking."""
         return not self.available(scenes, joint)
 
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
+    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
         """Yield the settings to try.
 
         Parameters
@@ -205,7 +200,7 @@ class Effect(abc.ABC):
         for values in product(*axes.values()):
             yield dict(zip(axes, values, strict=True))
 
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {}
 
@@ -216,24 +211,7 @@ class Effect(abc.ABC):
         """
         return None
 
-    def seen_from_partner(
-        self, joint: int | None, settings: Settings
-    ) -> tuple[int, dict[str, float]] | None:
-        """Return joint and settings that make the same of an effect between two joints.
-
-        None for one that is of its joint alone.
-        """
-        return None
-
-    def one_line(self, settings: Settings, others: Settings) -> bool:
-        """Return whether two lines of a `wide` effect at one joint are the same."""
-        return True
-
-    def one_source(self, settings: Settings, others: Settings) -> bool:
-        """Return whether the same effect at two joints, with these settings, may be one thing."""
-        return False
-
-    def guessed(self, scene: Scene, joint: int | None, settings: Settings) -> Mapping[int, Mask]:
+    def guessed(self, scene: Scene, joint: Joint, settings: Settings) -> Mapping[int, Mask]:
         """Return, by joint, samples (N,) at which nobody can say what torque the effect has.
 
         Where something sticks that slides only with this effect, say.
@@ -241,7 +219,7 @@ class Effect(abc.ABC):
         return {}
 
     def reported(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the `values`, or none where something is `lacking` that they stand on."""
         if self.lacking(robot, joint):
@@ -249,7 +227,7 @@ class Effect(abc.ABC):
         return self.values(robot, joint, settings, c, covariance)
 
     def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the physical parameters of coefficients c (k,) with their covariance (k, k)."""
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -259,13 +237,18 @@ class Effect(abc.ABC):
             for spec, x, e in zip(self.coefficients(settings), c, errors, strict=True)
         ]
 
-    def lacking(self, robot: Robot, joint: int | None) -> str:
+    def lacking(self, robot: Robot, joint: Joint) -> str:
         """Return why the parameters do not follow from what is found; empty where they do."""
-        return rotor_lacking(robot, joint) if self.apart and joint is not None else ""
+        if not self.apart or joint is None or robot.joints[joint].rotor_inertia is not None:
+            return ""
+        if f"Ia_{joint + 1}" in free_basis(robot).names:
+            return ""
+        return (
+            "no motion tells the rotor's inertia from the link's here, and the parameters take the "
+            f"link's alone: give rotor_inertia of {robot.joint_names[joint]} in the robot file"
+        )
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Return whether coefficients c (k,) are physical; the default asks their bounds."""
         specs = self.coefficients(settings)
         return all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))

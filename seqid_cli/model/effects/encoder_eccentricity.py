@@ -17,25 +17,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.effect import (
-    Coefficient,
-    Columns,
-    Setting,
-    Settings,
-    Value,
-)
+from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
 from seqid_cli.model.effects.measurement import MeasurementEffect
-from seqid_cli.model.effects.periodic import amplitude_and_phase
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.sensitivity import modelled_slopes
-from seqid_cli.model.effects.units import unit_of
+from seqid_cli.model.effects.units import Value, amplitude_and_phase, unit_of
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 ORDERS = (1.0, 2.0)
 FINE_GEAR = 5.0  # below it an order of the joint and one of the motor are the same thing
@@ -48,27 +39,24 @@ class EncoderEccentricity(MeasurementEffect):
     name = "encoder_eccentricity"
     family = "measurement"
     settings = (Setting("order", "cycles per motor turn", low=0.0, continuous=False),)
+    linear = (
+        Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),
+        Coefficient("error_cos", "rad", -LARGEST_RAD, LARGEST_RAD),
+    )
     alike = ("torque_ripple", "joint_elasticity")
     separate_by = (
         "one slow and one fast pass at constant speed: torque from a wrong angle grows with the "
         "square of the speed, ripple does not"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return sine and cosine parts of the error."""
-        return (
-            Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),
-            Coefficient("error_cos", "rad", -LARGEST_RAD, LARGEST_RAD),
-        )
-
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Orders 1 and 2 of the motor, and of the joint where that is something else."""
         assert joint is not None
         gear = abs(float(scenes[0].gear[joint]))
         slow = [order / gear for order in ORDERS] if gear > FINE_GEAR else []
         return {"order": [*ORDERS, *slow]}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Minus the derivative of the modelled torque along the error and its derivatives."""
         assert joint is not None
         motion = scene.motion
@@ -91,12 +79,7 @@ class EncoderEccentricity(MeasurementEffect):
         return {j: np.ascontiguousarray(torque[:, j]) for j in range(scene.robot.n)}
 
     def restored(
-        self,
-        recording: Recording,
-        robot: Robot,
-        joint: int | None,
-        settings: Settings,
-        c: Array,
+        self, recording: Recording, robot: Robot, joint: Joint, settings: Settings, c: Array
     ) -> Recording:
         """Take the error off the measured angle."""
         assert joint is not None
@@ -106,7 +89,7 @@ class EncoderEccentricity(MeasurementEffect):
         return replace(recording, q=q)
 
     def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return amplitude and phase of the error."""
         unit = unit_of("rad", bool(robot.chain.prismatic[joint or 0]))

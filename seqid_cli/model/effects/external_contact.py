@@ -8,15 +8,8 @@ and that no other period of the motion shows, and are left out. Haddadin, De Luc
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
-
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.scene import Scene
-
-Array = NDArray[np.float64]
+from seqid_cli.model.effects.effect import Columns, Effect, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 
 
 class ExternalContact(Effect):
@@ -30,20 +23,10 @@ class ExternalContact(Effect):
         "not repeat"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Nothing is fitted."""
-        return ()
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """No torque is touched."""
         return {}
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Never: it is no column to be screened."""
         return False
-
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
-        """Nothing to try."""
-        return iter(())

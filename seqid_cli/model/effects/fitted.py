@@ -6,18 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.model.effects.unexplained import NAME as UNEXPLAINED
 from seqid_cli.model.effects.unexplained import SmoothTerm
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, Parameter, Stages
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class FittedEffect:
     """
 
     effect: Effect
-    joint: int | None
+    joint: Joint
     settings: Mapping[str, float]
     coefficients: Array
     covariance: Array
@@ -39,11 +37,6 @@ class FittedEffect:
     def passes(self) -> int:
         """How many times the low-pass is to be applied."""
         return self.effect.passes
-
-    @property
-    def rubs(self) -> bool:
-        """Whether it is friction, which at rest is an interval."""
-        return self.effect.family == "friction"
 
     @property
     def local(self) -> bool:
@@ -67,11 +60,6 @@ class FittedTerm:
     def passes(self) -> int:
         """How many times the low-pass is to be applied."""
         return self.term.passes
-
-    @property
-    def rubs(self) -> bool:
-        """Whether it is friction, which at rest is an interval."""
-        return self.term.factor == "direction"
 
     @property
     def local(self) -> bool:

@@ -11,13 +11,12 @@ uncertainties based on friction data", IEEE/ASME Trans. Mechatronics 19(5), 2014
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
 from seqid_cli.model.effects.excitation import moves
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.typing import Array
 
 
 class FrictionChange(Effect):
@@ -28,13 +27,14 @@ class FrictionChange(Effect):
     change = True
     over = "speed"
     sided = True
+    linear = (Coefficient("coulomb_change", "N m"), Coefficient("viscous_change", "N m s/rad"))
     alike = ("thermal_friction", "load_dependent_friction", "nonlinear_viscous", "torque_constant")
     separate_by = (
         "the recordings of the friction stage again, at the temperature of the first time: at "
         "once after a cold start and once after ten minutes of motion"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Ask that the joint moves and that its friction was known."""
         if joint is None or not moves(scenes, joint):
             return False
@@ -44,21 +44,12 @@ class FrictionChange(Effect):
         """Return 1: when it happened, which no channel tells; laws with a cause do without."""
         return 1
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the changes."""
-        return (
-            Coefficient("coulomb_change", "N m"),
-            Coefficient("viscous_change", "N m s/rad"),
-        )
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Direction and velocity."""
         assert joint is not None
         return {joint: np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)}
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask that friction, the change included, still takes power from the motion."""
         assert joint is not None
         power = 0.0

@@ -12,21 +12,13 @@ mechanical efficiency of epicyclic gear trains", J. Mech. Des. 115(3), 1993; Duc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import (
-    Array,
-    Coefficient,
-    Columns,
-    Effect,
-    Settings,
-    Value,
-)
-from seqid_cli.model.effects.excitation import has_rigid_body, moves
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
+from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 
 
 class GearEfficiency(Effect):
@@ -36,24 +28,18 @@ class GearEfficiency(Effect):
     family = "friction"
     over = "driving_load"
     sided = True
+    linear = (
+        Coefficient("driving_loss", "1", low=0.0, high=1.5),
+        Coefficient("backdriving_loss", "1", low=0.0, high=1.0),
+    )
+    needs = ("motion", "load")
     alike = ("load_dependent_friction", "torque_saturation", "asymmetric_friction")
     separate_by = (
         "lift and lower the same load at the same constant speed, then with another payload: the "
         "half-sum of both torques keeps a share of the load only where the two losses differ"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask that the joint moves and that the model knows its load."""
-        return joint is not None and moves(scenes, joint) and has_rigid_body(scenes)
-
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return both losses; the bounds are efficiencies of 0.4 and 0."""
-        return (
-            Coefficient("driving_loss", "1", low=0.0, high=1.5),
-            Coefficient("backdriving_loss", "1", low=0.0, high=1.0),
-        )
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Magnitude of the load times direction, where the gear drives and where it is driven."""
         assert joint is not None
         load, sign = scene.load[:, joint], scene.sign[:, joint]
@@ -62,7 +48,7 @@ class GearEfficiency(Effect):
         return {joint: np.stack([np.where(drives, loss, 0.0), np.where(drives, 0.0, loss)], axis=1)}
 
     def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the losses and, behind them, the efficiencies that they stand for."""
         losses = super().values(robot, joint, settings, c, covariance)

@@ -21,27 +21,18 @@ actual motor torque data", IROS 2013.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dtbsv
 
-from seqid_cli.model.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    Setting,
-    Settings,
-    Value,
-)
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
-from seqid_cli.model.effects.units import unit_of
+from seqid_cli.model.effects.units import Value, unit_of
 from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 BLUNT = 0.15  # damping, of critical
 SHARPER = (0.06, 0.03, 0.015)
@@ -61,9 +52,11 @@ class JointElasticity(Effect):
         Setting("encoder_side", "1", low=0.0, high=1.0, continuous=False),
         Setting("damping_ratio", "1", low=0.0, high=1.0, continuous=False, then=SHARPER),
     )
+    needs = ("load",)
     passes = 1
     timing = True
     apart = True
+    linear = (Coefficient("compliance", "rad/(N m)", low=0.0),)
     alike = ("time_skew", "actuator_lag", "encoder_eccentricity")
     separate_by = (
         "steps of acceleration without a reversal, and a chirp towards the resonance; a sensor on "
@@ -74,17 +67,7 @@ class JointElasticity(Effect):
         """Only where the encoder is on the link: a twist rings on."""
         return settings["encoder_side"] > 0.5
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the compliance."""
-        return (Coefficient("compliance", "rad/(N m)", low=0.0),)
-
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """The model must know what loads the joint."""
-        return scenes[0].model.phi is not None
-
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
+    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
         """Yield resonances around the cut-off for either side of the encoder."""
         assert joint is not None
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
@@ -93,13 +76,9 @@ class JointElasticity(Effect):
         stiffness = inertia * (2 * np.pi * cutoff * share) ** 2
         for side, some in ((0.0, stiffness), (1.0, stiffness[::2])):
             for k in some:
-                yield {
-                    "trial_stiffness": float(k),
-                    "encoder_side": side,
-                    "damping_ratio": BLUNT,
-                }
+                yield {"trial_stiffness": float(k), "encoder_side": side, "damping_ratio": BLUNT}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""
         assert joint is not None
         if settings["encoder_side"] > 0.5:
@@ -110,7 +89,7 @@ class JointElasticity(Effect):
         return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
 
     def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the stiffness 1 / c, its error by the delta method."""
         compliance = max(float(c[0]), 1e-12)
@@ -118,9 +97,7 @@ class JointElasticity(Effect):
         unit = unit_of("N m/rad", bool(robot.chain.prismatic[joint or 0]))
         return [Value("stiffness", 1.0 / compliance, error, unit)]
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """The compliance agrees with the stiffness that shaped it, where that shows in the band."""
         assert joint is not None
         if c[0] <= 0.0 or settings["encoder_side"] > 0.5:

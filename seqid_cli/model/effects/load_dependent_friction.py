@@ -10,13 +10,10 @@ multi-DOF robots", ICRA 2011.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.excitation import has_rigid_body, moves
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene
 
 
 class LoadDependentFriction(Effect):
@@ -26,21 +23,15 @@ class LoadDependentFriction(Effect):
     family = "friction"
     over = "load_size"
     sided = True
+    linear = (Coefficient("load_coefficient", "1", low=0.0, high=0.5),)
+    needs = ("motion", "load")
     alike = ("gear_efficiency", "torque_saturation")
     separate_by = (
         "the same speed, both ways, at different gravity loads or with two payloads: lift and "
         "lower each"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask that the joint moves and that the model knows its load."""
-        return joint is not None and moves(scenes, joint) and has_rigid_body(scenes)
-
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the share that is lost."""
-        return (Coefficient("load_coefficient", "1", low=0.0, high=0.5),)
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Magnitude of the load times direction."""
         assert joint is not None
         return {joint: (np.abs(scene.load[:, joint]) * scene.sign[:, joint])[:, None]}

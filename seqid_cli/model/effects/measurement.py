@@ -10,15 +10,11 @@ import abc
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.effect import Columns, Effect, Settings
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 class MeasurementEffect(Effect):
@@ -26,12 +22,7 @@ class MeasurementEffect(Effect):
 
     @abc.abstractmethod
     def restored(
-        self,
-        recording: Recording,
-        robot: Robot,
-        joint: int | None,
-        settings: Settings,
-        c: Array,
+        self, recording: Recording, robot: Robot, joint: Joint, settings: Settings, c: Array
     ) -> Recording:
         """Return the recording as it would be without the effect.
 
@@ -58,12 +49,7 @@ class TorqueMeasurement(MeasurementEffect):
         """Return the torque (N, k) N m that was measured as tau (N, k) at `rate_hz`."""
 
     def restored(
-        self,
-        recording: Recording,
-        robot: Robot,
-        joint: int | None,
-        settings: Settings,
-        c: Array,
+        self, recording: Recording, robot: Robot, joint: Joint, settings: Settings, c: Array
     ) -> Recording:
         """Replace the torque of the joint, or of all."""
         assert recording.tau is not None
@@ -73,12 +59,12 @@ class TorqueMeasurement(MeasurementEffect):
         return replace(recording, tau=tau)
 
 
-def touched(scene: Scene, joint: int | None) -> list[int]:
+def touched(scene: Scene, joint: Joint) -> list[int]:
     """Joints that an effect of one joint, or of all, touches."""
     return list(range(scene.robot.n)) if joint is None else [joint]
 
 
-def of_modelled(scene: Scene, joint: int | None, function: Callable[[Array], Array]) -> Columns:
+def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) -> Columns:
     """Columns function(tau) of the modelled torque, ready for one more low-pass.
 
     Rigid torque comes from motion that was low-passed once, friction has steps: what friction adds

@@ -16,9 +16,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.excitation import moves
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.typing import Array
 
 EXPONENTS = (0.5, 3.0)
 TAKEN = ((0.85, 1.15), (1.8, 2.2))  # exponents that go by other names
@@ -32,34 +32,29 @@ class NonlinearViscous(Effect):
     settings = (Setting("exponent", "1", low=0.3, high=4.0),)
     over = "speed"
     sided = True
+    needs = ("motion",)
     alike = ("quadratic_drag", "stribeck", "thermal_friction")
     separate_by = (
         "a ladder of eight constant speeds up and down again, both ways, from a fiftieth of the "
         "speed limit to the limit; repeated after ten minutes of motion"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask that the joint moves."""
-        return joint is not None and moves(scenes, joint)
-
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the torque at 1 rad/s; a negative root would be a Stribeck hump."""
         low = 0.0 if settings["exponent"] < 1.0 else -np.inf
         return (Coefficient("viscous_torque", "N m", low=low),)
 
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """A root and a cubic."""
         return {"exponent": EXPONENTS}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Power of the speed times direction."""
         assert joint is not None
         power = np.abs(scene.motion.dq[:, joint]) ** settings["exponent"]
         return {joint: (power * scene.sign[:, joint])[:, None]}
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for an exponent that is neither viscous friction's nor quadratic drag's."""
         taken = any(low < settings["exponent"] < high for low, high in TAKEN)
         return not taken and super().plausible(scenes, joint, settings, c)

@@ -8,17 +8,16 @@ from typing import Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 BINS_PER_CYCLE = 4
 MOST_BINS = 1 << 17
 PADDING = 4  # of the Fourier transform, so that a line cannot fall between two of its values
 TREND = 5  # terms of the smooth dependence on position that is taken out first
 FLOOR_WINDOW = 64  # values of the spectrum over which its level is taken
-GOLDEN = 0.5 * (5**0.5 - 1)
-REFINEMENTS = 16
+XATOL = 5e-4  # of the half width of a line, to which its order is refined
 
 
 @dataclass(frozen=True)
@@ -163,17 +162,9 @@ def _floor(power: Array) -> Array:
 
 
 def _refined(profile: Profile, order: float, width: float) -> float:
-    """Best order within `width` of a peak, by golden section."""
-    low, high = order - width, order + width
-    a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    gain_a, gain_b = profile.gain(a), profile.gain(b)
-    for _ in range(REFINEMENTS):
-        if gain_a > gain_b:
-            high, b, gain_b = b, a, gain_a
-            a = high - GOLDEN * (high - low)
-            gain_a = profile.gain(a)
-        else:
-            low, a, gain_a = a, b, gain_b
-            b = low + GOLDEN * (high - low)
-            gain_b = profile.gain(b)
-    return 0.5 * (low + high)
+    """Best order within `width` of a peak."""
+    near = (order - width, order + width)
+    found = minimize_scalar(
+        lambda x: -profile.gain(x), bounds=near, method="bounded", options={"xatol": XATOL * width}
+    )
+    return float(found.x)

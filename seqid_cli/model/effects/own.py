@@ -15,18 +15,11 @@ from importlib.metadata import entry_points
 import numpy as np
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.effects.effect import (
-    Array,
-    Coefficient,
-    Columns,
-    Effect,
-    Over,
-    Setting,
-    Settings,
-)
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Over, Setting, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.formula import Formula, Symbol, is_coefficient, symbol_of
 from seqid_cli.robot.types import OwnEffect, Robot
+from seqid_cli.typing import Array
 
 GROUP = "seqid.effects"  # of entry points
 GRID = 5  # values of a setting that are tried first
@@ -119,7 +112,7 @@ class FormulaEffect(Effect):
         """Not where it needs the session's clock or the temperature."""
         return not self._names & {"t", "temperature"}
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Ask for the channels and the model that it names."""
         warm = all(scene.temperature is not None for scene in scenes)
         return joint is not None and (warm or "temperature" not in self._names)
@@ -128,14 +121,14 @@ class FormulaEffect(Effect):
         """Return the formula's own; their units follow from its terms."""
         return tuple(Coefficient(name, "SI") for name in self.formula.coefficients)
 
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Values between the limits of each setting, evenly or by ratio."""
         return {
             s.name: (np.geomspace if s.logarithmic else np.linspace)(s.low, s.high, GRID).tolist()
             for s in self.settings
         }
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Evaluate every term.
 
         Raises

@@ -14,14 +14,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK, torque_regressor
-
-Array = NDArray[np.float64]
 
 
 class Payload(Effect):
@@ -33,23 +30,18 @@ class Payload(Effect):
     settings = (Setting("from_log", "1", low=0.0, continuous=False),)
     passes = 1
     change = True
+    linear = tuple(Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD)
     alike = ("base_tilt", "torque_constant", "spring")
     separate_by = (
         "the same motion with and without the payload, and poses that turn the last link against "
         "gravity"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return mass, first moments and inertias; of a body taken off they are negative."""
-        return tuple(
-            Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD
-        )
-
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """From any log on."""
         return {"from_log": sorted({float(scene.log) for scene in scenes})}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Last link's columns of the regressor, for every joint."""
         motion, n = scene.motion, scene.robot.n
         if scene.log < settings["from_log"]:

@@ -13,25 +13,16 @@ if its phase wanders, or if the modelled torque has a line there of comparable s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.model.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    Setting,
-    Settings,
-    Value,
-)
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.spectral_lines import Signal, amplitude, refined, strongest_lines
-from seqid_cli.model.effects.units import unit_of
+from seqid_cli.model.effects.units import Value, unit_of
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 LOWEST_HZ = 1.0
 LINES = 6  # looked at
@@ -69,9 +60,7 @@ class PeriodicDisturbance(Effect):
             for part in ("sine", "cosine")
         )
 
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
+    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
         """Lines of the residual that keep amplitude and phase and are not made by the motion."""
         assert joint is not None
         shared = all(scene.shared_clock for scene in scenes)
@@ -89,7 +78,7 @@ class PeriodicDisturbance(Effect):
             if coherence >= COHERENT and _of_time(signals, made, frequency):
                 yield {"frequency": frequency, **fixed}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Sine and cosine; zero for a log whose phase is not known."""
         assert joint is not None
         logs = round(settings["clocks"])
@@ -102,17 +91,8 @@ class PeriodicDisturbance(Effect):
             wide[:, 2 * scene.log : 2 * scene.log + 2] = line
         return {joint: wide}
 
-    def one_line(self, settings: Settings, others: Settings) -> bool:
-        """Whether the frequencies are one."""
-        return self.one_source(settings, others)
-
-    def one_source(self, settings: Settings, others: Settings) -> bool:
-        """Return whether the two frequencies are one, as far as the logs' length tells."""
-        apart = abs(settings["frequency"] - others["frequency"])
-        return bool(apart * max(settings["span"], others["span"]) < 1.0)
-
     def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Amplitude, and phase where all logs share it."""
         slides = joint is not None and robot.joints[joint].prismatic

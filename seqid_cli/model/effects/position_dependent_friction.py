@@ -14,9 +14,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.excitation import moves, travel
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import travel
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.typing import Array
 
 WAVES = (1.0, 2.0, 3.0, 5.0)  # per turn of the joint
 
@@ -32,15 +33,12 @@ class PositionDependentFriction(Effect):
     )
     over = "position"
     sided = True
+    needs = ("motion",)
     alike = ("friction_change", "torque_ripple", "load_dependent_friction")
     separate_by = (
         "constant speeds of this joint both ways over its whole range, at three speeds and with "
         "the load on it turned round: friction over the position stays, that of the load does not"
     )
-
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask that the joint moves."""
-        return joint is not None and moves(scenes, joint)
 
     def searched(self, settings: Settings) -> int:
         """Return 1: the number of waves."""
@@ -53,14 +51,14 @@ class PositionDependentFriction(Effect):
             Coefficient(f"{part}_{k}", "N m") for k in orders for part in ("cosine", "sine")
         )
 
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """A turn of the joint with one wave or more; twice the travel of a sliding joint."""
         assert joint is not None
         slides = scenes[0].robot.joints[joint].prismatic
         period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi
         return {"period": (period,), "waves": WAVES}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Direction of motion times cosines and sines."""
         assert joint is not None
         order = np.arange(1, round(settings["waves"]) + 1)

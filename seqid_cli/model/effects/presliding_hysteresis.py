@@ -20,9 +20,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.excitation import moves, travel
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import travel
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.typing import Array
 
 DISTANCES = 11
 SHORTEST, LONGEST = 1e-4, 0.2  # of the joint's travel, at most of 1 rad
@@ -35,6 +36,8 @@ class PreslidingHysteresis(Effect):
     name = "presliding_hysteresis"
     family = "friction"
     settings = (Setting("presliding_distance", "rad", low=1e-7, high=0.5, logarithmic=True),)
+    linear = (Coefficient("presliding_torque", "N m", low=0.0),)
+    needs = ("motion",)
     alike = ("stribeck", "joint_elasticity", "backlash", "actuator_lag")
     separate_by = (
         "small triangles of half to five presliding distances at three accelerations, at two "
@@ -42,34 +45,24 @@ class PreslidingHysteresis(Effect):
         "whatever the acceleration"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask that the joint moves."""
-        return joint is not None and moves(scenes, joint)
-
     def local(self, settings: Settings) -> bool:
         """No: the deflection remembers the last reversals, however long ago."""
         return False
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the friction that builds up so."""
-        return (Coefficient("presliding_torque", "N m", low=0.0),)
-
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Distances from a ten-thousandth to a fifth of the way, by ratios of about two."""
         assert joint is not None
         scale = min(travel(scenes, joint), 1.0)
         distances = np.maximum(np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale, 1e-7)
         return {"presliding_distance": [float(x) for x in distances]}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Deflection less the step that the base model has."""
         assert joint is not None
         x = deflection(scene.motion.q[:, joint], settings["presliding_distance"])
         return {joint: (x - scene.sign[:, joint])[:, None]}
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for friction that settles within the way: else it would be a spring."""
         assert joint is not None
         settles = settings["presliding_distance"] < 0.5 * travel(scenes, joint)

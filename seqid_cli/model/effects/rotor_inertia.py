@@ -12,16 +12,12 @@ Rotor1D.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Mapping, Sequence
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.regressor import rotor_regressor
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 class RotorInertia(Effect):
@@ -44,20 +40,13 @@ class RotorInertia(Effect):
             return (Coefficient("rotor_inertia", "kg m^2", low=0.0),)
         return (Coefficient("rotor_inertia_error", "kg m^2"),)
 
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """The diagonal term, and the coupling where the model lacks it."""
-        assert joint is not None
-        scene = scenes[0]
-        yield {"coupling": 0.0}
-        carried = joint > 0 and not scene.robot.chain.prismatic[joint]
-        if carried and scene.model.coupling == "diagonal":
-            yield {"coupling": 1.0}
+        carried = bool(joint) and not scenes[0].robot.chain.prismatic[joint]
+        lacks = carried and scenes[0].model.coupling == "diagonal"
+        return {"coupling": [0.0, 1.0] if lacks else [0.0]}
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """No rotor is left with a negative inertia; one that no file gives may have been any."""
         assert joint is not None
         known = scenes[0].robot.joints[joint].rotor_inertia
@@ -65,7 +54,7 @@ class RotorInertia(Effect):
             return bool(c[0] >= 0.0)
         return known is None or bool(c[0] >= -known)
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Acceleration times the square of the gear ratio, or the couplings alone."""
         assert joint is not None
         motion = scene.motion

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
@@ -15,8 +15,9 @@ from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
-Array = NDArray[np.float64]
+Joint = int | None  # index; None: of the whole arm, or of all joints alike
 
 LONGEST_SESSION_S = 30 * 86400.0
 DEFAULT_SIGN_SHARE = 0.004  # of a joint's top speed
@@ -88,7 +89,7 @@ class Scene:
         return self.start + self.motion.t
 
     @cached_property
-    def slides(self) -> NDArray[np.bool_]:
+    def slides(self) -> Mask:
         """Samples (N, n) at which a joint certainly slides."""
         return sliding(self.motion, SLIDES * self.sign_width)
 
@@ -141,6 +142,9 @@ class Scene:
         """Modelled torque (N, n), low-passed like the measured one."""
         motion = self.motion
         return motion.filtered(self.rigid) + motion.filtered(self.friction, times=2)
+
+
+Scenes = Sequence[Scene]
 
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:

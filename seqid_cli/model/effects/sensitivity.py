@@ -6,13 +6,12 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.typing import Array
 
-Array = NDArray[np.float64]
 Torque = Callable[[Array, Array, Array], Array]  # (q, dq, ddq), each (N, n) -> (N, n)
 
 STEPS = (1e-4, 1e-3, 1.0)  # rad, rad/s, rad/s^2, of central differences; the last is exact

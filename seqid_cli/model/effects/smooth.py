@@ -13,12 +13,10 @@ from functools import reduce
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from seqid_cli.model.effects.scene import Scene
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 Measure = Literal[
     "position",

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
+
 Complex = NDArray[np.complex128]
 
 PEAK = 12.0  # power over that of the neighbourhood, below which nothing is looked at

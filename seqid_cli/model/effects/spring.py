@@ -16,21 +16,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.model.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    Setting,
-    Settings,
-    Value,
-)
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.units import unit_of
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.units import Value, unit_of
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 class Spring(Effect):
@@ -56,11 +47,11 @@ class Spring(Effect):
             return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"), squared)
         return linear
 
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Try the linear and the cubic law."""
         return {"cubic": (0.0, 1.0)}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Position, one, its cube and its square."""
         assert joint is not None
         q = scene.motion.q[:, joint]
@@ -70,7 +61,7 @@ class Spring(Effect):
         return {joint: np.stack(terms, axis=1)}
 
     def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return stiffness, rest position -c_1 / c_0 (delta method), and the others."""
         found = super().values(robot, joint, settings, c, covariance)

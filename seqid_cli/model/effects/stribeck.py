@@ -14,10 +14,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.excitation import moves, top_speed
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.excitation import top_speed
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.friction import SLIDES
+from seqid_cli.typing import Array
 
 ABOVE = 1.5  # times the speed from which samples count
 EXPONENTS = (0.5, 1.0, 2.0)
@@ -36,6 +37,8 @@ class Stribeck(Effect):
     )
     over = "speed"
     sided = True
+    linear = (Coefficient("stribeck_torque", "N m", low=0.0),)
+    needs = ("motion",)
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (
         "constant speeds, both ways, from a third of the Stribeck speed up to the joint's limit, "
@@ -43,15 +46,7 @@ class Stribeck(Effect):
         "speeding up and slowing down must give the same torque at the same speed"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
-        """Ask that the joint moves."""
-        return joint is not None and moves(scenes, joint)
-
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the height of the hump."""
-        return (Coefficient("stribeck_torque", "N m", low=0.0),)
-
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Speeds from the sign's width to half the top speed, by ratios of about two."""
         assert joint is not None
         top = top_speed(scenes, joint)
@@ -59,16 +54,14 @@ class Stribeck(Effect):
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
         return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Hump times direction."""
         assert joint is not None
         ratio = np.abs(scene.motion.dq[:, joint]) / settings["stribeck_speed"]
         hump = np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint]
         return {joint: hump[:, None]}
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for more friction at low speed, and that the hump ends within the speeds seen.
 
         It must show mostly at speeds at which the joint certainly slides: of a narrower one little

@@ -15,14 +15,15 @@ modeling and identification of load and temperature effects", J. Dyn. Sys. Meas.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Array, Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.excitation import moves, session
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.smooth import Axis
+from seqid_cli.typing import Array
 
 LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
 SHORTEST_S, LONGEST_S = 5.0, 1e5
@@ -47,11 +48,11 @@ class ThermalFriction(Effect):
         "temperature logged if the drive offers it; payload and mounting untouched"
     )
 
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Ask for a joint that moves."""
         return joint is not None and moves(scenes, joint)
 
-    def possible(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def possible(self, scenes: Scenes, joint: Joint) -> bool:
         """Not where logs and file know the temperature, and it is the same."""
         surface = None if joint is None else scenes[0].model.surfaces[joint]
         logged = all(scene.temperature is not None for scene in scenes)
@@ -84,29 +85,18 @@ class ThermalFriction(Effect):
             Coefficient("viscous_when_cold", "N m s/rad"),
         )
 
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
-        """Time constants around the length of the session; one point where temperature is logged.
-
-        There `warm_up_time` does nothing.
-        """
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+        """Time constants around the session's length; with a temperature they do nothing."""
         assert joint is not None
-        span = session(scenes)
-        if _logged(scenes, joint):
-            reference = _reference(scenes, joint)
-            times, logged = [float(np.clip(span, SHORTEST_S, LONGEST_S))], 1.0
-        else:
-            times = [float(x) for x in np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)]
-            reference, logged = 0.0, 0.0
-        for time in times:
-            yield {
-                "warm_up_time": float(np.clip(time, SHORTEST_S, LONGEST_S)),
-                "logged": logged,
-                "reference_temperature": reference,
-            }
+        span, logged = session(scenes), _logged(scenes, joint)
+        times = [span] if logged else np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)
+        return {
+            "warm_up_time": [float(np.clip(time, SHORTEST_S, LONGEST_S)) for time in times],
+            "logged": [float(logged)],
+            "reference_temperature": [_reference(scenes, joint) if logged else 0.0],
+        }
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Direction and velocity, each times the temperature or the warm-up."""
         assert joint is not None
         if settings["logged"]:
@@ -124,7 +114,7 @@ def _celsius(scene: Scene, joint: int) -> Array:
     return np.nan_to_num(scene.temperature[:, joint], nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _logged(scenes: Sequence[Scene], joint: int) -> bool:
+def _logged(scenes: Scenes, joint: int) -> bool:
     """Whether every log has this joint's temperature, within reason, and it changes enough.
 
     Also against the temperature at which the file's friction was identified.
@@ -137,7 +127,7 @@ def _logged(scenes: Sequence[Scene], joint: int) -> bool:
     return float(np.ptp(np.append(logged, _reference(scenes, joint)))) >= LEAST_KELVIN
 
 
-def _reference(scenes: Sequence[Scene], joint: int) -> float:
+def _reference(scenes: Scenes, joint: int) -> float:
     """Temperature [degC] at which the file's friction was identified, else the mean of the logs."""
     surface = scenes[0].model.surfaces[joint]
     if surface is not None and surface.temperature is not None:

@@ -17,15 +17,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import shift
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.motion.filters.differentiation import differentiate
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 LARGEST_S = 0.1
 # Free base parameters take up part of a delay, so that the residual's own comes out too short.
@@ -42,17 +40,14 @@ class TimeSkew(TorqueMeasurement):
     timing = True
     first_order = True
     shared = True
+    linear = (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)
     alike = ("actuator_lag", "joint_elasticity")
     separate_by = (
         "fast reversals and steps of acceleration; stamp positions and torques with one clock, or "
         "log a common trigger"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the delay, positive where torque is late."""
-        return (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)
-
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Around none; `sharpened` does the rest."""
         return {"around": [0.0]}
 
@@ -60,7 +55,7 @@ class TimeSkew(TorqueMeasurement):
         """Around the delay that was found."""
         return {"around": float(np.clip(c[0], -LARGEST_S, LARGEST_S))}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Change of the modelled torque per second of delay."""
         rate, valid, around = scene.motion.rate_hz, scene.motion.valid, settings["around"]
         if abs(around) < SMALL_S:
@@ -71,9 +66,7 @@ class TimeSkew(TorqueMeasurement):
         """Shift back."""
         return delayed(tau, -float(c[0]), rate_hz)
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for a delay that its column belongs to; a lag is not to pass for a delay."""
         d, around = float(c[0]), settings["around"]
         if abs(d) > LARGEST_S:

@@ -9,13 +9,11 @@ same as a gravity parameter.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, touched
-from seqid_cli.model.effects.scene import Scene
-
-Array = NDArray[np.float64]
+from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.typing import Array
 
 
 class TorqueBias(TorqueMeasurement):
@@ -26,17 +24,14 @@ class TorqueBias(TorqueMeasurement):
     slow = True
     change = True
     over = "session_time"
+    linear = (Coefficient("offset", "N m"),)
     alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
     separate_by = (
         "ten seconds with the brakes on or the motors without current, before and after, and a "
         "slow sweep over the joint's whole range"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the offset."""
-        return (Coefficient("offset", "N m"),)
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Ones."""
         return {j: np.ones((scene.samples, 1)) for j in touched(scene, joint)}
 

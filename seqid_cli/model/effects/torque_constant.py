@@ -9,14 +9,10 @@ of the joint drive gains of robots using a known payload mass", IROS 2011.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
-from seqid_cli.model.effects.scene import Scene
-
-Array = NDArray[np.float64]
+from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.typing import Array
 
 
 class TorqueConstant(TorqueMeasurement):
@@ -25,17 +21,14 @@ class TorqueConstant(TorqueMeasurement):
     name = "torque_constant"
     family = "measurement"
     change = True
+    linear = (Coefficient("relative_error", "1", low=-0.5, high=1.0),)
     alike = ("payload", "torque_saturation", "load_dependent_friction")
     separate_by = (
         "the same motion with and without a payload of known mass, as far out as the arm reaches: "
         "the known mass fixes the absolute gain of each joint that carries it"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the relative error of the torque constant."""
-        return (Coefficient("relative_error", "1", low=-0.5, high=1.0),)
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Modelled torque."""
         return of_modelled(scene, joint, lambda tau: tau)
 

@@ -26,23 +26,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.model.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    Setting,
-    Settings,
-    Value,
-)
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.orders import Profile, clearest, clearness, peaks
-from seqid_cli.model.effects.periodic import amplitude_and_phase
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.units import unit_of
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.units import Value, amplitude_and_phase, unit_of
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 LAWS = ("constant", "torque", "direction", "load")
 PEAKS = 4  # per law
@@ -56,7 +46,6 @@ HIGHEST = 4000.0
 HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
 CYCLES_IN_RANGE = 2.0
 WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
-SAME_ORDER = 1e-3
 TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
 LAGS_S = (0.005, 0.01, 0.015, 0.02)
 CLEAR = (
@@ -92,9 +81,7 @@ class TorqueRipple(Effect):
         unit = "1" if settings["law"] in (1.0, 3.0) else "N m"
         return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
 
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
+    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
         """Yield the strongest and the clearest lines of every law, and of the best lag.
 
         And the usual ones: where logs are fast, the spectrum over position does not reach them.
@@ -125,11 +112,7 @@ class TorqueRipple(Effect):
             return whole
         return order
 
-    def one_line(self, settings: Settings, others: Settings) -> bool:
-        """Whether the orders are one."""
-        return bool(np.isclose(settings["order"], others["order"], rtol=SAME_ORDER))
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Sine and cosine of the angle, times the law's multiplier."""
         assert joint is not None
         p = settings["order"] * scene.gear[joint] * _angle(scene, joint, settings["lag"])
@@ -137,7 +120,7 @@ class TorqueRipple(Effect):
         return {joint: np.stack([m * np.sin(p), m * np.cos(p)], axis=1)}
 
     def values(
-        self, robot: Robot, joint: int | None, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return amplitude (N m; laws 1, 3: share of the torque) and phase."""
         unit = self.coefficients(settings)[0].unit
@@ -147,7 +130,7 @@ class TorqueRipple(Effect):
 
 
 def _profiles(
-    scenes: Sequence[Scene], joint: int, residual: Sequence[Array]
+    scenes: Scenes, joint: int, residual: Sequence[Array]
 ) -> Iterator[tuple[int, float, Profile]]:
     """Residual over the angle for every law without lag, and for law 0 at the clearest one's."""
     highest = highest_order(scenes, joint)
@@ -180,7 +163,7 @@ def multiplier(scene: Scene, joint: int, law: int) -> Array:
     return np.asarray(getattr(scene, every[law])[:, joint])
 
 
-def highest_order(scenes: Sequence[Scene], joint: int) -> float:
+def highest_order(scenes: Scenes, joint: int) -> float:
     """Most cycles per joint turn that speed, sampling rate and encoder can tell apart."""
     limits = [HIGHEST_OF_SLIDE if _slides(scenes[0], joint) else HIGHEST]
     for scene in scenes:

@@ -17,13 +17,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
-from seqid_cli.model.effects.scene import Scene
-
-Array = NDArray[np.float64]
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.typing import Array
 
 LOSSES_AT_PEAK = (0.0, 0.1)  # b_0 tau_peak^2
 CONSISTENT = 4.0  # ratio of b to b_0 beyond which the column does not belong to the coefficient
@@ -37,17 +35,14 @@ class TorqueSaturation(TorqueMeasurement):
     settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False),)
     first_order = True
     over = "load"
+    linear = (Coefficient("saturation", "1/(N m)^2", low=0.0),)
     alike = ("load_dependent_friction", "gear_efficiency", "torque_constant")
     separate_by = (
         "the same high torque at both directions of motion: hold or lift slowly the largest load "
         "and lower it again; saturation is the same both ways, gear losses change sign"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the share of torque lost per torque squared."""
-        return (Coefficient("saturation", "1/(N m)^2", low=0.0),)
-
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Up to a fifth of the modelled peak torque lost."""
         peak = max(_peak(scene, joint) for scene in scenes)
         return {"around": [loss / peak**2 for loss in LOSSES_AT_PEAK] if peak > 0.0 else [0.0]}
@@ -56,7 +51,7 @@ class TorqueSaturation(TorqueMeasurement):
         """Around the loss that was found."""
         return {"around": max(float(c[0]), 0.0)}
 
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Measured minus true torque per unit of b."""
         around = settings["around"]
         return of_modelled(scene, joint, lambda tau: _excess(tau, around))
@@ -69,9 +64,7 @@ class TorqueSaturation(TorqueMeasurement):
         true: Array = held * (1.0 - b * held**2)
         return true
 
-    def plausible(
-        self, scenes: Sequence[Scene], joint: int | None, settings: Settings, c: Array
-    ) -> bool:
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for a loss, and for a column that belongs to it."""
         b, around = float(c[0]), settings["around"]
         if around == 0.0:
@@ -79,7 +72,7 @@ class TorqueSaturation(TorqueMeasurement):
         return around / CONSISTENT <= b <= around * CONSISTENT
 
 
-def _peak(scene: Scene, joint: int | None) -> float:
+def _peak(scene: Scene, joint: Joint) -> float:
     usable = scene.motion.usable
     torque = np.abs(scene.modelled[usable] if joint is None else scene.modelled[usable, joint])
     return float(np.max(torque, initial=0.0))

@@ -19,20 +19,17 @@ s(u) - s(dq_j) and so on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.excitation import top_speed
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import slowest_near
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 RATIOS = (-1.0, -0.4, -0.15, 0.15, 0.4, 1.0)
 LARGEST_RATIO = 1e5  # of a thread of 0.06 mm a turn
@@ -51,32 +48,27 @@ class TransmissionCoupling(Effect):
         Setting("ratio", "1", low=-LARGEST_RATIO, high=LARGEST_RATIO, usual=(-1.0, 1.0)),
     )
     over = "acceleration"
+    linear = (
+        Coefficient("coulomb", "N m", low=0.0),
+        Coefficient("viscous", "N m s/rad"),
+        Coefficient("inertia", "kg m^2"),
+    )
     alike = ("asymmetric_friction", "rotor_inertia")
     separate_by = (
         "each of the two joints alone, then both together, with equal and with opposite directions"
     )
 
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return Coulomb, viscous friction and inertia of the combination."""
-        return (
-            Coefficient("coulomb", "N m", low=0.0),
-            Coefficient("viscous", "N m s/rad"),
-            Coefficient("inertia", "kg m^2"),
-        )
-
-    def available(self, scenes: Sequence[Scene], joint: int | None) -> bool:
+    def available(self, scenes: Scenes, joint: Joint) -> bool:
         """A neighbour is needed."""
         return scenes[0].robot.n > 1
 
-    def axes(self, scenes: Sequence[Scene], joint: int | None) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Neighbours of the joint's own kind, and ratios."""
         assert joint is not None
         near = [d for d in _neighbours(scenes[0], joint) if not _mixed(scenes[0], joint, d)]
         return {"neighbour": near, "ratio": RATIOS}
 
-    def grid(
-        self, scenes: Sequence[Scene], joint: int | None, residual: Sequence[Array]
-    ) -> Iterator[dict[str, float]]:
+    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
         """Neighbours and ratios; between sliding and turning in units of their top speeds."""
         assert joint is not None
         yield from super().grid(scenes, joint, residual)
@@ -89,16 +81,7 @@ class TransmissionCoupling(Effect):
         """Return the neighbour's velocity."""
         return Axis("velocity", joint + int(settings["neighbour"]))
 
-    def seen_from_partner(
-        self, joint: int | None, settings: Settings
-    ) -> tuple[int, dict[str, float]]:
-        """The same drive, told at the neighbour."""
-        assert joint is not None
-        partner = joint + int(settings["neighbour"])
-        inverse = float(np.clip(1.0 / settings["ratio"], -LARGEST_RATIO, LARGEST_RATIO))
-        return partner, {"neighbour": -settings["neighbour"], "ratio": inverse}
-
-    def columns(self, scene: Scene, joint: int | None, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """What direction, rate and acceleration of the combination add, on both joints."""
         assert joint is not None
         partner, ratio, width = _drive(scene, joint, settings)
@@ -111,7 +94,7 @@ class TransmissionCoupling(Effect):
         already = np.column_stack([scene.sign[:, joint], own])
         return {joint: drive - already, partner: ratio * drive}
 
-    def guessed(self, scene: Scene, joint: int | None, settings: Settings) -> Mapping[int, Mask]:
+    def guessed(self, scene: Scene, joint: Joint, settings: Settings) -> Mapping[int, Mask]:
         """Where the drive sticks, though both joints move."""
         assert joint is not None
         partner, ratio, width = _drive(scene, joint, settings)

@@ -14,15 +14,13 @@ from math import isfinite, prod
 from typing import ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import FACTORS, MEASURES, Axis, Factor, Measure, shape
-from seqid_cli.params.schema import EffectOfJoint, EffectSession, Parameter
+from seqid_cli.params.schema import EffectOfJoint, Parameter
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 NAME = "unexplained"
 MOST_AXES = 2
@@ -59,23 +57,8 @@ class SmoothTerm:
         """Torque (N,) N m at the joint, unfiltered; the low-pass is to be applied twice."""
         return shape(scene, self.joint, self.axes, self.factor) @ self.coefficients
 
-    def to_stage(
-        self,
-        robot: Robot,
-        std_errors: Array | None = None,
-        session: EffectSession | None = None,
-    ) -> EffectOfJoint:
-        """Write the term down.
-
-        Parameters
-        ----------
-        robot : Robot
-        std_errors : (K,) array, optional
-            Of the coefficients; zero where not given.
-        session : EffectSession, optional
-            The logs that it was fitted to, for terms of time.
-        """
-        errors = np.zeros_like(self.coefficients) if std_errors is None else std_errors
+    def to_stage(self, robot: Robot) -> EffectOfJoint:
+        """Write the term down; its coefficients have no errors."""
         name = robot.joint_names[self.joint]
         settings: dict[str, str | float | int | bool] = {
             "depends_on": " ".join(self.quantities),
@@ -87,12 +70,10 @@ class SmoothTerm:
             for k, knot in enumerate(axis.knots):
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
         parameters = [
-            Parameter(name=f"c_{k}", value=float(c), std_error=float(e), unit="N m", joint=name)
-            for k, (c, e) in enumerate(zip(self.coefficients, errors, strict=True))
+            Parameter(name=f"c_{k}", value=float(c), std_error=0.0, unit="N m", joint=name)
+            for k, c in enumerate(self.coefficients)
         ]
-        return EffectOfJoint(
-            effect=NAME, joint=name, parameters=parameters, settings=settings, session=session
-        )
+        return EffectOfJoint(effect=NAME, joint=name, parameters=parameters, settings=settings)
 
     @classmethod
     def from_stage(cls, entry: EffectOfJoint, robot: Robot) -> SmoothTerm:

@@ -1,11 +1,26 @@
-"""Units of effects at revolute joints, rewritten for prismatic ones."""
+"""Parameters as they are reported, and their units: of revolute joints, or of prismatic ones."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.typing import Array
 
 _TORQUE = re.compile(r"\bN m\b(?!\^)")
 _ANGLE = re.compile(r"\brad\b")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A parameter of an effect as it is reported: value, standard error, unit."""
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
 
 
 def unit_of(unit: str, prismatic: bool) -> str:
@@ -35,3 +50,28 @@ def setting_units(effect: str) -> dict[str, str]:
 
     settings = CATALOGUE[effect].settings if effect in CATALOGUE else ()
     return {setting.name: setting.unit for setting in settings}
+
+
+def amplitude_and_phase(
+    c: Array, covariance: Array, unit: str, *, name: str = "ripple"
+) -> list[Value]:
+    """Turn c_0 sin(p) + c_1 cos(p) into A sin(p + phase), errors by the delta method.
+
+    Parameters
+    ----------
+    c : (2,) array
+    covariance : (2, 2) array
+    unit : str
+        Of c.
+    name : str
+        What the amplitude is of.
+    """
+    amplitude = float(np.hypot(c[0], c[1]))
+    phase = float(np.arctan2(c[1], c[0]))
+    scale = max(amplitude, 1e-300)
+    slopes = np.array([[c[0], c[1]], [-c[1] / scale, c[0] / scale]]) / scale
+    error = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
+    return [
+        Value(f"{name}_amplitude", amplitude, float(error[0]), unit),
+        Value(f"{name}_phase", phase, float(error[1]), "rad"),
+    ]

@@ -39,13 +39,6 @@ def scenes(logs: Sequence[Recording]) -> tuple[list[Scene], Rows]:
     return found, rows_of(found)
 
 
-def periodic(seconds: float, *, phase: float = 0.0) -> Array:
-    """Positions (N, 2) rad that repeat every PERIOD_S."""
-    w = 2 * np.pi / PERIOD_S * (np.arange(round(seconds * RATE_HZ)) / RATE_HZ + phase)
-    first = np.sin(w) + 0.3 * np.cos(3 * w + 1.0) + 0.05 * np.sin(7 * w)
-    return np.stack([first, 0.8 * np.cos(2 * w + 0.3) + 0.4 * np.sin(w)], axis=1)
-
-
 def wander(seconds: float, seed: int) -> Array:
     """Positions (N, 2) rad that do not come back: sines of drawn frequencies up to 1.2 Hz."""
     rng = np.random.default_rng(seed)

@@ -104,7 +104,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert not any("doubtful" in note for note in loop.notes)
     left = np.array([loop.after["joint_1"].rmse])
     above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left, ("spectrum",))
-    monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_: above)
+    monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_, **__: above)
     doubtful = confirm(found, held_out)
     assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
     assert any("doubtful" in note for note in doubtful.notes)

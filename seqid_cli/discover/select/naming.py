@@ -10,6 +10,7 @@ gains are tempered: no law is exactly the effect's, and of a large effect the ro
 that differ by less than the effect's own does from its law. Smooth functions have no part in it:
 where one is clearly better than all effects, it is what the selection takes. An effect that looks
 alike and that these logs lack the channels for cannot be ruled out: it is as likely as the name.
+Effects that another finished model has in its place count by the evidence of that model.
 """
 
 from __future__ import annotations
@@ -67,11 +68,16 @@ def named(taken: Taken) -> Named:
 def _shares(taken: Taken) -> dict[str, float]:
     """Probability of each name."""
     rivals = [rival for rival in taken.rivals if not rival.term.smooth]
-    gains = np.stack([rival.predicted.drawn for rival in rivals], axis=1)
-    gains /= max(TEMPER * taken.one.predicted.total, 1.0)
-    names = [rival.term.name for rival in rivals]
-    every = list(dict.fromkeys(names))
-    best = np.stack([gains[:, np.equal(names, name)].max(axis=1) for name in every], axis=1)
+    scale = max(TEMPER * taken.one.predicted.total, 1.0)
+    gains: dict[str, Array] = {}
+    for rival in rivals:
+        name, own = rival.term.name, rival.predicted.drawn / scale
+        gains[name] = np.maximum(gains.get(name, own), own)
+    if taken.term.name in gains:
+        for name, behind in taken.instead.items():
+            own = gains[taken.term.name] - behind / scale
+            gains[name] = np.maximum(gains.get(name, own), own)
+    best = np.stack(list(gains.values()), axis=1)
     odds = np.exp(best - best.max(axis=1, keepdims=True))
     shares = np.mean(odds / odds.sum(axis=1, keepdims=True), axis=0)
-    return dict(zip(every, shares.tolist(), strict=True))
+    return dict(zip(gains, shares.tolist(), strict=True))

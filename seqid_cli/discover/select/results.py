@@ -51,13 +51,16 @@ class Taken:
     `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
     is what the model without it leaves of every channel's blocks, each fitted to all others.
     `margin` is the log evidence for it against a base that may leave the file instead.
-    `untried` are effects that look alike and that these logs lack the channels to look for.
+    `instead` are effects that other finished models have in its place, and how far these are
+    behind in log evidence. `untried` are effects that look alike and that these logs lack the
+    channels to look for.
     """
 
     one: Ranked
     rivals: tuple[Ranked, ...]
     left: Sequence[Array]
     margin: float
+    instead: Mapping[str, float]
     untried: tuple[str, ...] = ()
 
     @property

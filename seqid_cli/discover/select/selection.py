@@ -95,7 +95,10 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
     least = min((one.model.noise for one in every), key=lambda noise: noise.level(joints))
     worth = [one.worth(least) for one in every]
     near = [k for k, value in enumerate(worth) if value >= max(worth) - UNDECIDED]
-    return every[min(near, key=lambda k: (every[k].freedom, -worth[k]))]
+    number = min(near, key=lambda k: (every[k].freedom, -worth[k]))
+    best, behind = every[number], (worth[number] - value for value in worth)
+    best.others = [(max(b, 0.0), tuple(x.model.terms)) for b, x in zip(behind, every, strict=True)]
+    return best
 
 
 def select_again(ground: Ground, found: Selection) -> Selection:
@@ -117,6 +120,11 @@ class Selection:
         Without terms, or with those to begin with.
     options : Options
     catalogue : sequence of Effect
+
+    Attributes
+    ----------
+    others : list of (float, tuple of Term)
+        Terms of other finished models, and the log evidence by which these are behind.
     """
 
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
@@ -125,6 +133,7 @@ class Selection:
         self._grid: dict[int | None, list[Candidate]] = {}
         self._tried: list[Ranked] = []
         self._tied: dict[Key, list[Term]] = {}
+        self.others: list[tuple[float, tuple[Term, ...]]] = []
 
     @property
     def explained(self) -> bool:
@@ -355,7 +364,22 @@ class Selection:
         others = self._ranked(linear, candidates, [term.key], term.channels)
         near = [x for x in others if x.term.channels & term.channels]
         ranked = tuple(sorted([one, *near], key=_by_gain))
-        return Taken(one, ranked, linear.left_out, self.model.margin(term), self._untried(term))
+        margin, instead = self.model.margin(term), self._instead_of(term)
+        return Taken(one, ranked, linear.left_out, margin, instead, self._untried(term))
+
+    def _instead_of(self, term: Term) -> dict[str, float]:
+        """Effects that other finished models have where they lack a term; how far these are behind.
+
+        In log evidence, by name.
+        """
+        found: dict[str, float] = {}
+        had = {one.key for one in self.model.terms}
+        for behind, terms in self.others:
+            if term.key not in {one.key for one in terms}:
+                for one in terms:
+                    if not one.smooth and one.key not in had and one.channels & term.channels:
+                        found[one.name] = min(behind, found.get(one.name, np.inf))
+        return found
 
     def _untried(self, term: Term) -> tuple[str, ...]:
         """Effects that look like a term and cannot be looked for at its joint."""

@@ -53,11 +53,11 @@ class ThermalFriction(Effect):
         return joint is not None and moves(scenes, joint)
 
     def possible(self, scenes: Scenes, joint: Joint) -> bool:
-        """Not where logs and file know the temperature, and it is the same."""
+        """Where logs or file do not know the temperature: a steady one has no law of time."""
         surface = None if joint is None else scenes[0].model.surfaces[joint]
         logged = all(scene.temperature is not None for scene in scenes)
         known = logged and surface is not None and surface.temperature is not None
-        return not known and super().possible(scenes, joint)
+        return not known and self.available(scenes, joint)
 
     def local(self, settings: Settings) -> bool:
         """Only without a logged temperature."""

@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -19,7 +20,7 @@ from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
 from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
-from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
+from seqid_cli.params.results.trend import TREND_SCHEMA, SeriesEntry, TrendFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 if TYPE_CHECKING:
@@ -248,12 +249,26 @@ def read_trend(path: Path) -> TrendFile | None:
     Raises
     ------
     ConfigError
-        It is missing, is no JSON, or does not follow its schema.
+        It is missing, is no JSON, does not follow its schema, or a series is torn.
     """
     data, document = _opened(path)
     if document.get("schema") != TREND_SCHEMA:
         return None
-    return _decoded(data, TrendFile, "trend", str(path))
+    found = _decoded(data, TrendFile, "trend", str(path))
+    for k, series in enumerate(found.series):
+        if not _dated(series):
+            message = f"$.series[{k}]: dates, values and std_errors must be of one length, as dates"
+            hint = "Run seqid trend again."
+            raise ConfigError(message, where=str(path), hint=hint)
+    return found
+
+
+def _dated(series: SeriesEntry) -> bool:
+    try:
+        times = [datetime.fromisoformat(date).timestamp() for date in series.dates]
+    except (ValueError, OverflowError):
+        return False
+    return 0 < len(times) == len(series.values) == len(series.std_errors)
 
 
 def _opened(path: Path) -> tuple[bytes, Json]:

@@ -82,6 +82,7 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
         mimic = joint.find("mimic")
         if mimic is not None:
             mimics[name] = mimic.get("joint", "")
+    _check_masses(root, path)
     return UrdfText(
         path=path,
         raw=raw,
@@ -90,6 +91,15 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
         mimics=mimics,
         has_inertia=root.find("link/inertial") is not None,
     )
+
+
+def _check_masses(root: ElementTree.Element, path: Path) -> None:
+    for link in root.iterfind("link"):
+        mass = link.find("inertial/mass")
+        text = "" if mass is None else mass.get("value", "")
+        if text.strip().startswith("-") and text.strip("-+0. \t\n"):
+            message = f"link {link.get('name')!r} has a mass of {text}"
+            raise ConfigError(message, where=str(path), hint="A mass is 0 or more, in kg.")
 
 
 def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:

@@ -45,6 +45,8 @@ _RESULT_HINT = "Name JSON files that seqid wrote with -o."
 _MAX_BYTES = 256 * 1024 * 1024
 _NAME = re.compile(r"seqid/(?P<kind>[a-z_]+)@(?P<version>[1-9][0-9]{0,5})")
 _BYTE = re.compile(r"\(byte (\d+)\)")
+# 1e30 and more: no result has such numbers, and their squares and products overflow.
+_HUGE = re.compile(rb"(?<=[\s:,\[])-?(?:[0-9.]+[eE]\+?(?:[3-9][0-9]|[0-9]{3,})|[0-9]{31,})")
 _PLACE = re.compile(r"^(?P<what>.*) - at `(?P<key>.*)`$")
 
 
@@ -160,6 +162,11 @@ def parse_document(data: bytes, where: str) -> Json:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         message = f"is not valid JSON: {_syntax(error, data)}"
         raise ConfigError(message, where=where, hint=hint) from error
+    huge = _HUGE.search(data)
+    if huge:
+        line = data.count(b"\n", 0, huge.start()) + 1
+        message = f"holds the number {huge[0][:20].decode()} at line {line}, beyond 1e30"
+        raise ConfigError(message, where=where, hint="Run the command again that wrote it.")
     return document
 
 

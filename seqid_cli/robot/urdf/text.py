@@ -82,7 +82,7 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
         mimic = joint.find("mimic")
         if mimic is not None:
             mimics[name] = mimic.get("joint", "")
-    _check_masses(root, path)
+    _check_numbers(root, path)
     return UrdfText(
         path=path,
         raw=raw,
@@ -93,13 +93,27 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
     )
 
 
-def _check_masses(root: ElementTree.Element, path: Path) -> None:
+def _check_numbers(root: ElementTree.Element, path: Path) -> None:
+    """Check what the parser of the library passes over or takes: masses and vectors."""
+    where = str(path)
     for link in root.iterfind("link"):
-        mass = link.find("inertial/mass")
-        text = "" if mass is None else mass.get("value", "")
-        if text.strip().startswith("-") and text.strip("-+0. \t\n"):
-            message = f"link {link.get('name')!r} has a mass of {text}"
-            raise ConfigError(message, where=str(path), hint="A mass is 0 or more, in kg.")
+        for mass in link.iterfind("inertial/mass"):
+            if not all(value >= 0.0 for value in _numbers(mass.get("value", "")) or [-1.0]):
+                message = f"link {link.get('name')!r} has a mass of {mass.get('value')!r}"
+                raise ConfigError(message, where=where, hint="A mass is 0 or more, in kg.")
+    for owner in root:
+        for part in (*owner.iterfind("origin"), *owner.iterfind("inertial/origin")):
+            for key in {"xyz", "rpy"} & {*part.keys()}:
+                if len(_numbers(part.attrib[key])) != 3:
+                    message = f"{owner.tag} {owner.get('name')!r} has {key}={part.attrib[key]!r}"
+                    raise ConfigError(message, where=where, hint="Write three numbers.")
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []
 
 
 def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:

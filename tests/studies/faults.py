@@ -10,6 +10,7 @@ docs/trust.md.
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
 import random
@@ -54,7 +55,7 @@ COMMANDS: dict[str, Line] = {  # {} is the folder for the output
     "refine": ("refine", _CHANGED[0], "--holdout", _CHANGED[1], *_RP, *_A),
     "payload": ("payload", _LOGS["validation"], *_RP, *_A),
     "plan": ("plan", "friction", *_R, *_A, "--trajectories", "{}/moves"),
-    "trend": ("trend", _GOLDEN, "{}/../later.json", *_A, "--by", "folder"),
+    "trend": ("trend", _GOLDEN, "{}/../later.json", *_A),
     "report": ("report", _GOLDEN, "-o", "{}/a.html"),
     "export": ("export", _GOLDEN, *_R, "-o", "{}/a.urdf"),
     "run": ("run", str(SAMPLE), *_R, "-o", "{}"),
@@ -171,7 +172,8 @@ def torment(line: Line, work: Path, *, kills: int, points: int) -> Forks:
         Forks that are killed, and forks whose disk is full, in all.
     """
     folder, parent = work / "out", os.getpid()
-    (work / "later.json").write_bytes(Path(_GOLDEN).read_bytes())
+    later = json.loads(Path(_GOLDEN).read_text()) | {"created": "2031-01-01T00:00:00Z"}
+    (work / "later.json").write_text(json.dumps(later))
     arguments = [part.replace("{}", str(folder)) for part in line]
     targets: list[Path] = []
     _run(arguments, folder, targets.append)

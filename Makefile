@@ -21,6 +21,10 @@ BIN := $(VENV)/bin
 RUN := $(VENV)/.installed
 DEV := $(VENV)/.installed-dev
 SEQID := $(BIN)/seqid
+LOCK := .ci/requirements.txt
+TOOLS := $(VENV)-tools/.installed
+UV := $(VENV)-tools/bin/uv
+OLDEST := $(VENV)-oldest/.installed
 
 .PHONY: help
 help: ## list the targets
@@ -36,21 +40,44 @@ $(RUN): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
-$(DEV): pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+# Development and CI take what is locked, by its hashes.
+$(DEV): pyproject.toml $(LOCK) | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement $(LOCK)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@ $(RUN)
+
+$(TOOLS): | $(BIN)/python
+	$(BIN)/python -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check uv pip-audit
+	touch $@
+
+.PHONY: lock audit
+lock: $(TOOLS) ## lock the dependencies anew: the newest that pyproject.toml allows
+	echo 'hatchling>=1.24' | $(UV) pip compile pyproject.toml - --extra dev --universal --python-version 3.11 \
+		--upgrade --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --quiet --output-file $(LOCK)
+
+audit: $(TOOLS) ## look the locked dependencies up in the list of known holes
+	$(dir $(TOOLS))bin/pip-audit --require-hashes --disable-pip --requirement $(LOCK)
 
 # ---- checks
 
 # A file stays with one worker: what its tests share is made once.
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
-.PHONY: test test-all docs-test lint types
+.PHONY: test test-all test-oldest docs-test lint types
 test: $(DEV) ## run the tests, apart from those that take long
 	$(PYTEST) -m 'not slow'
 
 test-all: $(DEV) ## run every test
 	$(PYTEST)
+
+$(OLDEST): pyproject.toml $(TOOLS)
+	$(UV) venv --quiet --allow-existing --python $(BIN)/python $(@D)
+	$(UV) pip install --quiet --python $(@D)/bin/python --resolution lowest-direct --editable '.[dev]'
+	touch $@
+
+test-oldest: $(OLDEST) ## run the tests with the oldest dependencies that are allowed
+	$(dir $(OLDEST))bin/python -m pytest -n $(WORKERS) --dist loadfile -m 'not slow'
 
 docs-test: $(DEV) ## run every command of the documents, also those that take minutes
 	SEQID_DOCS=1 $(BIN)/python -m pytest tests/unit/docs
@@ -87,8 +114,13 @@ bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchma
 	$(BIN)/python -m tests.benchmarks
 
 .PHONY: fuzz
-fuzz: $(DEV) ## read damaged logs for FUZZ_SECONDS
-	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS)
+fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $(OUT)/fuzz
+	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS) --seed $$RANDOM --keep $(OUT)/fuzz
+
+.PHONY: study-trust
+study-trust: $(DEV) ## 10,000 damaged files of each kind, kills and full disks, into docs/trust.md (an hour)
+	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
+	$(BIN)/python -m tests.studies.faults --write
 
 .PHONY: fleet
 fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)

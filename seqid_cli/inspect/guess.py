@@ -10,8 +10,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from seqid_cli.errors import InputError
 from seqid_cli.logs.contents import Survey
 from seqid_cli.robot.placement import DhRow, chain_from_dh
+from seqid_cli.robot.toml.checks import MOST_JOINTS
 from seqid_cli.robot.toml.schema import Channels
 from seqid_cli.robot.types import Imu, Joint, Robot
 
@@ -203,8 +205,17 @@ def _imus(names: list[str]) -> tuple[Imu, ...]:
 
 
 def stand_in(guessed: Guess, *, source: Path) -> Robot:
-    """Make a robot that can read the log; its geometry means nothing."""
+    """Make a robot that can read the log; its geometry means nothing.
+
+    Raises
+    ------
+    InputError
+        The log has more joints than an arm.
+    """
     count = len(guessed.joints)
+    if count > MOST_JOINTS:
+        hint = f"Give a robot file with -r that names those of one arm, up to {MOST_JOINTS}."
+        raise InputError(f"there are {count} joints in it", hint=hint, where=str(source))
     return Robot(
         name="unknown",
         # A current is read as it is, so that it can be judged without drive data.

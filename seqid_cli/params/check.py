@@ -17,6 +17,7 @@ from seqid_cli.params.schema import (
     RigidStage,
 )
 
+SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
 _Problem = tuple[str, str]  # key, fault
 
 
@@ -67,8 +68,10 @@ def _friction(key: str, joint: FrictionJoint) -> Iterable[_Problem]:
     for name, limits in ranges:
         if len(limits) != 2 or limits[0] > limits[1]:
             yield f"{key}.{name}", "must be two numbers, the smaller one first"
-    if not joint.sign_width > 0.0:
+    if not joint.sign_width >= SMALLEST:
         yield f"{key}.sign_width", f"must be positive, is {joint.sign_width}"
+    if 0.0 < abs(joint.speed_range[0]) < SMALLEST:
+        yield f"{key}.speed_range", f"begins at {joint.speed_range[0]} rad/s"
     sizes = (rows * columns, 2 * rows * columns)
     if joint.covariance and not any(_has_shape(joint.covariance, n, n) for n in sizes):
         yield f"{key}.covariance", f"must be square with {sizes[0]} or {sizes[1]} rows"

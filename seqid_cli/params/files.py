@@ -73,8 +73,8 @@ def replacing(path: Path) -> Iterator[Path]:
         yield path
         return
     target = path.resolve()
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     _without_leftovers(target)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
         yield temporary
         with writing(path):
@@ -90,12 +90,13 @@ def _without_leftovers(target: Path) -> None:
     """Remove temporary files that killed runs left beside a file."""
     for path in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
         process = path.suffixes[-2][1:]
-        if process.isdecimal() and int(process) != os.getpid() and not _runs(int(process)):
+        if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
 
 
-def _runs(process: int) -> bool:
+def process_runs(process: int) -> bool:
+    """Tell whether there is a process of this number."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -19,7 +20,7 @@ from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
 from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
-from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
+from seqid_cli.params.results.trend import TREND_SCHEMA, SeriesEntry, TrendFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ _RESULT_HINT = "Name JSON files that seqid wrote with -o."
 _MAX_BYTES = 256 * 1024 * 1024
 _NAME = re.compile(r"seqid/(?P<kind>[a-z_]+)@(?P<version>[1-9][0-9]{0,5})")
 _BYTE = re.compile(r"\(byte (\d+)\)")
+# 1e30 and more: no result has such numbers, and their squares and products overflow.
+_HUGE = re.compile(rb"(?<=[\s:,\[])-?(?:[0-9.]+[eE]\+?(?:[3-9][0-9]|[0-9]{3,})|[0-9]{31,})")
 _PLACE = re.compile(r"^(?P<what>.*) - at `(?P<key>.*)`$")
 
 
@@ -159,6 +162,11 @@ def parse_document(data: bytes, where: str) -> Json:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         message = f"is not valid JSON: {_syntax(error, data)}"
         raise ConfigError(message, where=where, hint=hint) from error
+    huge = _HUGE.search(data)
+    if huge:
+        line = data.count(b"\n", 0, huge.start()) + 1
+        message = f"holds the number {huge[0][:20].decode()} at line {line}, beyond 1e30"
+        raise ConfigError(message, where=where, hint="Run the command again that wrote it.")
     return document
 
 
@@ -248,12 +256,26 @@ def read_trend(path: Path) -> TrendFile | None:
     Raises
     ------
     ConfigError
-        It is missing, is no JSON, or does not follow its schema.
+        It is missing, is no JSON, does not follow its schema, or a series is torn.
     """
     data, document = _opened(path)
     if document.get("schema") != TREND_SCHEMA:
         return None
-    return _decoded(data, TrendFile, "trend", str(path))
+    found = _decoded(data, TrendFile, "trend", str(path))
+    for k, series in enumerate(found.series):
+        if not _dated(series):
+            message = f"$.series[{k}]: dates, values and std_errors must be of one length, as dates"
+            hint = "Run seqid trend again."
+            raise ConfigError(message, where=str(path), hint=hint)
+    return found
+
+
+def _dated(series: SeriesEntry) -> bool:
+    try:
+        times = [datetime.fromisoformat(date).timestamp() for date in series.dates]
+    except (ValueError, OverflowError):
+        return False
+    return 0 < len(times) == len(series.values) == len(series.std_errors)
 
 
 def _opened(path: Path) -> tuple[bytes, Json]:

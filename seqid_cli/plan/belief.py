@@ -199,6 +199,8 @@ def _assumed_noise(belief: Belief, *, noise_share: float = 0.03) -> tuple[Array,
     moves = typical(belief, seed=0)[:20]
     H = belief.regressor(moves)
     sizes = np.sqrt(np.mean((H @ belief.theta) ** 2, axis=(0, 1)))
+    if not sizes.any():
+        return np.ones(belief.robot.n), "assumed: 1 N m, as the links weigh nothing"
     floor = noise_share * float(sizes.max())
     return np.maximum(noise_share * sizes, 0.1 * floor), (
         "assumed: a thirtieth of the usual torque; errors are relative to that"

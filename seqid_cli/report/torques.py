@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.read import ABSURD
 from seqid_cli.logs.tables.columns import opened_table
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.report.collection import Collection, Prediction
@@ -242,8 +243,10 @@ def _read(path: Path, columns: Sequence[str]) -> pa.Table:
 def _numbers(table: pa.Table, name: str, where: str) -> Array:
     column = table.column(name).combine_chunks().cast(pa.float64())
     values: Array = column.to_numpy(zero_copy_only=False).astype(np.float64)
-    if np.any(np.isinf(values)):
-        message = f"{name} is infinite at row {int(np.argmax(np.isinf(values)))}"
+    far = np.abs(values) > ABSURD
+    if np.any(far):
+        row = int(np.argmax(far))
+        message = f"{name} is {values[row]:.3g} at row {row}"
         raise InputError(message, where=where, hint="Run seqid predict again.")
     return values
 

@@ -26,6 +26,7 @@ _SAID: tuple[tuple[str, str], ...] = (
     (r"header stamps? .*zero|have no header stamp|without a usable time", "stamps_zero"),
     (r"cannot resolve less than", "time_resolution"),
     (r"are infinite or beyond", "values_absurd"),
+    (r"last line has no end", "salvaged"),
     (r"looks like mA", "current_in_ma"),
     (r"looks like an echo", "torque_echo"),
     (r"cannot be turned into torque", "drive_data_missing"),

@@ -229,6 +229,8 @@ def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> tuple[Sum
         data section, 0 where none was written.
     """
     end = size - _TAIL
+    if end < len(MAGIC):
+        return Summary(), 0
     try:
         file.seek(end)
         footer = next(StreamReader(file, skip_magic=True).records)

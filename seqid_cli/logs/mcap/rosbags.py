@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import zstandard
@@ -20,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.logs.storage.temporary import room_for_copies, temporary_folder
 from seqid_cli.robot.types import Robot
 
 _KEPT = (
@@ -57,12 +57,15 @@ class Topic:
     definition: str = ""
 
 
+_Message = tuple[int, int, bytes]
+
+
 @dataclass(frozen=True)
 class _Bag:
     """An opened bag: its topics, and its messages as (topic's number, time [ns], CDR)."""
 
     topics: tuple[Topic, ...]
-    messages: Callable[[], Iterator[tuple[int, int, bytes]]]
+    messages: Callable[[], Iterator[_Message]]
 
 
 _Open = Callable[[Path], AbstractContextManager[_Bag]]
@@ -98,11 +101,13 @@ def as_mcap(path: Path) -> Iterator[tuple[Path, str]]:
     InputError
         rosbags is not installed, the bag is damaged, or it has no such messages.
     """
-    with TemporaryDirectory(prefix="seqid-") as folder:
-        target = Path(folder) / "bag.mcap"
+    with temporary_folder(str(path)) as folder:
+        target = folder / "bag.mcap"
         with path.open("rb") as file:
             first = file.read(len(_ROSBAG1)) == _ROSBAG1
-        yield target, _copy(path, target, _rosbag1 if first else _rosbag2)
+        with room_for_copies(str(path)):
+            lost = _copy(path, target, _rosbag1 if first else _rosbag2)
+        yield target, lost
 
 
 def _copy(path: Path, target: Path, open_bag: _Open) -> str:
@@ -117,18 +122,23 @@ def _copy(path: Path, target: Path, open_bag: _Open) -> str:
             schema = writer.register_schema(topic.kind, "ros2msg", definition.encode())
             channels[topic.number] = writer.register_channel(topic.name, "cdr", schema)
             expected += topic.messages
-        try:
-            for number, time_ns, data in bag.messages():
-                if number in channels:
-                    writer.add_message(channels[number], max(0, time_ns), data, max(0, time_ns))
-                    copied += 1
-        except Exception as error:  # whatever the library raises on a damaged page or chunk
-            reason = " ".join(str(error).split())[:120] or type(error).__name__
-            lost.append(f"the bag is damaged ({reason})")
+        for number, time_ns, data in _sound(bag.messages(), lost):
+            if number in channels:
+                writer.add_message(channels[number], max(0, time_ns), data, max(0, time_ns))
+                copied += 1
         writer.finish()  # type: ignore[no-untyped-call]
     if copied < expected:
         lost.append(f"{expected - copied} of {expected} messages are lost")
     return "; ".join(lost)
+
+
+def _sound(messages: Iterator[_Message], lost: list[str]) -> Iterator[_Message]:
+    """Yield messages up to a fault of the bag, of which `lost` is told."""
+    try:
+        yield from messages
+    except Exception as error:  # whatever the library raises on a damaged page or chunk
+        reason = " ".join(str(error).split())[:120] or type(error).__name__
+        lost.append(f"the bag is damaged ({reason})")
 
 
 def _wanted(path: Path, topics: tuple[Topic, ...]) -> list[Topic]:
@@ -191,7 +201,7 @@ def _rosbag1(path: Path) -> Iterator[_Bag]:
         topics = tuple(Topic(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections)
         kept = [c for c in reader.connections if c.msgtype in _KEPT[:2]]
 
-        def messages() -> Iterator[tuple[int, int, bytes]]:
+        def messages() -> Iterator[_Message]:
             for connection, time_ns, data in reader.messages(kept):
                 kind = connection.msgtype
                 yield connection.id, time_ns, bytes(store.ros1_to_cdr(data, kind))
@@ -199,7 +209,7 @@ def _rosbag1(path: Path) -> Iterator[_Bag]:
         yield _Bag(topics, messages)
 
 
-def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[tuple[int, int, bytes]]:
+def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[_Message]:
     """Unpack messages that were compressed one by one."""
     unpacker = zstandard.ZstdDecompressor()
     for connection, time_ns, data in messages:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 
 import msgspec
@@ -139,7 +141,9 @@ def schema_parser(encoding: str, schema: Schema) -> fields.Parse | None:
         if encoding == "cdr":
             from mcap_ros2.decoder import DecoderFactory as Ros2
 
-            return Ros2().decoder_for(encoding, schema)
+            unheard = io.StringIO()  # it prints what is wrong
+            with contextlib.redirect_stdout(unheard), contextlib.redirect_stderr(unheard):
+                return Ros2().decoder_for(encoding, schema)
         from mcap_protobuf.decoder import DecoderFactory as Protobuf
 
         return Protobuf().decoder_for(encoding, schema)

@@ -120,11 +120,11 @@ def local_copy(path: Path) -> Iterator[Path]:
     if not isinstance(path, StoredLog):
         yield path
         return
-    import tempfile
+    from seqid_cli.logs.storage.temporary import temporary_folder
 
     url = str(path)
-    with tempfile.TemporaryDirectory(prefix="seqid-") as folder:
-        copy = Path(folder) / path.name
+    with temporary_folder(url) as folder:
+        copy = folder / path.name
         path.fetch(copy)
         try:
             yield copy

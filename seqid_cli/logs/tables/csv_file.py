@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -50,6 +51,7 @@ class CsvTable:
     form: CsvForm
     entries: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    ended: bool = True  # whether the last line has an end
 
     @property
     def where(self) -> str:
@@ -72,7 +74,7 @@ class CsvTable:
         places = {name: self.names.index(name) for name in columns}
         parsed = self._parse(places, threads=True)
         if isinstance(parsed, pa.Table) and not _texts(parsed):
-            yield parsed, ""
+            yield self._ended(parsed), ""
             return
         ragged = _Ragged()
         parsed = self._parse(places, threads=False, ragged=ragged)
@@ -81,7 +83,11 @@ class CsvTable:
             parsed = again if isinstance(again, BaseException) else parsed
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
-        yield parsed, self._partial(ragged, parsed.num_rows)
+        yield self._ended(parsed), self._partial(ragged, parsed.num_rows)
+
+    def _ended(self, table: pa.Table) -> pa.Table:
+        """Leave out the last row where its line does not end, unless there is no other."""
+        return table if self.ended else table.slice(0, max(1, table.num_rows - 1))
 
     def _parse(
         self,
@@ -184,7 +190,15 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
-    return read_table(CsvTable(path, read_form(path)), robot, rows)
+    ended = _ends(path)
+    notes = () if ended else ("the last line has no end: it may be cut short, and is left out",)
+    return read_table(CsvTable(path, read_form(path), notes=notes, ended=ended), robot, rows)
+
+
+def _ends(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - 4))
+        return file.read().rstrip(b"\0")[-1:] in (b"\n", b"\r", b"")  # of UTF-16 as well
 
 
 def list_columns(path: Path) -> tuple[list[str], int]:

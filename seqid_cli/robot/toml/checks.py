@@ -35,6 +35,7 @@ _MEANING = {  # what each number of a joint is, for hints
 }
 _POSITIVE = ("torque_constant", "encoder_resolution", "velocity_limit")
 SMALLEST, LARGEST = 1e-12, 1e9  # in SI units, of any constant of a drive, of any number
+MOST_JOINTS = 16  # memory grows with the third power, the time of some checks with the fourth
 
 
 _WORD = re.compile(r"[a-z][a-z0-9_]{0,40}")
@@ -77,6 +78,9 @@ class _Checks:
             self.finite(f"gravity[{k}]", value)
         if not robot.joint:
             self.fail("the robot has no [[joint]]", "Add one [[joint]] table per actuated joint.")
+        if len(robot.joint) > MOST_JOINTS:
+            hint = f"Name the joints of one serial arm; up to {MOST_JOINTS} are read."
+            self.fail(f"the robot has {len(robot.joint)} [[joint]] tables", hint)
         self.unique("joint", [joint.name for joint in robot.joint])
         self.unique("imu", [imu.name for imu in robot.imu])
         self.geometry(robot)

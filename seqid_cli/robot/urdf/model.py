@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +13,7 @@ import pinocchio as pin
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.placement import tidy_axis, tidy_position, tidy_rotation
+from seqid_cli.robot.toml.checks import LARGEST
 from seqid_cli.robot.types import Array, Chain
 from seqid_cli.robot.urdf.joints import readable
 from seqid_cli.robot.urdf.text import UrdfText
@@ -60,7 +64,8 @@ def chain_from_urdf(urdf: UrdfText, names: tuple[str, ...], source: Path) -> Urd
 
 def _parsed(urdf: UrdfText) -> pin.Model:
     try:
-        return pin.buildModelFromXML(readable(urdf).decode("utf-8"))
+        with _unheard():
+            return pin.buildModelFromXML(readable(urdf).decode("utf-8"))
     except (ValueError, RuntimeError, UnicodeDecodeError) as problem:
         reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
         raise ConfigError(
@@ -69,6 +74,23 @@ def _parsed(urdf: UrdfText) -> pin.Model:
             hint="Check it with `check_urdf` (liburdfdom-tools): one root link, no loops, no link "
             "or joint named twice, every joint between links that exist.",
         ) from None
+
+
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Drop what the library itself writes to the screen: names in it may steer a terminal."""
+    try:
+        screen = os.dup(2)
+    except OSError:  # it is closed
+        yield
+        return
+    with Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(screen, 2)
+        os.close(screen)
 
 
 def _reduced(model: pin.Model, names: tuple[str, ...]) -> pin.Model:
@@ -124,9 +146,10 @@ def _check_numbers(model: pin.Model, axes: list[Array], nominal: Array, urdf: Ur
             "inertial of the link it moves": nominal[k],
         }
         for part, values in parts.items():
-            if not np.isfinite(values).all():
+            if not (np.abs(values) <= LARGEST).all():  # NaN as well
                 raise ConfigError(
-                    f"joint {model.names[k + 1]!r}: the {part} is zero or not finite",
+                    f"joint {model.names[k + 1]!r}: the {part} is zero, not finite or beyond "
+                    f"{LARGEST:g}",
                     where=str(urdf.path),
                     hint="Correct the number in the URDF.",
                 )

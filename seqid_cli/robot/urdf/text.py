@@ -82,6 +82,7 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
         mimic = joint.find("mimic")
         if mimic is not None:
             mimics[name] = mimic.get("joint", "")
+    _check_numbers(root, path)
     return UrdfText(
         path=path,
         raw=raw,
@@ -90,6 +91,29 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
         mimics=mimics,
         has_inertia=root.find("link/inertial") is not None,
     )
+
+
+def _check_numbers(root: ElementTree.Element, path: Path) -> None:
+    """Check what the parser of the library passes over or takes: masses and vectors."""
+    where = str(path)
+    for link in root.iterfind("link"):
+        for mass in link.iterfind("inertial/mass"):
+            if not all(value >= 0.0 for value in _numbers(mass.get("value", "")) or [-1.0]):
+                message = f"link {link.get('name')!r} has a mass of {mass.get('value')!r}"
+                raise ConfigError(message, where=where, hint="A mass is 0 or more, in kg.")
+    for owner in root:
+        for part in (*owner.iterfind("origin"), *owner.iterfind("inertial/origin")):
+            for key in {"xyz", "rpy"} & {*part.keys()}:
+                if len(_numbers(part.attrib[key])) != 3:
+                    message = f"{owner.tag} {owner.get('name')!r} has {key}={part.attrib[key]!r}"
+                    raise ConfigError(message, where=where, hint="Write three numbers.")
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []
 
 
 def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:

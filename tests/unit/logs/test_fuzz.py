@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.studies.fuzz import Damaged, damaged, problem, sound_logs
+from tests.studies.fuzz.made_up import Damaged, damaged, problem, sound_logs
 
 Sound = tuple[Mapping[str, bytes], np.ndarray]
 FILES = 20  # of each seed

@@ -1,65 +1,25 @@
-"""Read damaged logs for a given time: `python -m tests.studies.fuzz [--seconds S] [--seed N]`.
+"""Damaged logs give a recording or an error of seqid's own, and no row that nobody logged.
 
-Every file must give a recording or an error of seqid's own; anything else is kept and shown. What
-a damaged MCAP file still gives must be rows of the sound one, as long as checksums are on.
+What a damaged MCAP file still gives must be rows of the sound one, as long as checksums are on.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
 import traceback
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from tests.studies.fuzz.mutations import BYTES, mutated
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, read_raw
 from tests.unit.logs.writers import rewrite, write_mcap, write_parquet
 
 ROBOT = make_robot(imus=(ARRAY, GYRO), constants=0.1)
-Damage = Callable[[bytearray, np.random.Generator], None]
-
-
-def flip(data: bytearray, rng: np.random.Generator) -> None:
-    """Change a few bytes."""
-    for at in rng.integers(0, len(data), rng.integers(1, 12)):
-        data[at] ^= int(rng.integers(1, 256))
-
-
-def cut(data: bytearray, rng: np.random.Generator) -> None:
-    """Lose the end."""
-    del data[int(rng.integers(0, len(data))) :]
-
-
-def lose(data: bytearray, rng: np.random.Generator) -> None:
-    """Lose a piece in the middle."""
-    at = int(rng.integers(0, len(data)))
-    del data[at : at + int(rng.integers(1, 5_000))]
-
-
-def zero(data: bytearray, rng: np.random.Generator) -> None:
-    """A block that was never written."""
-    at, size = int(rng.integers(0, len(data))), int(rng.integers(1, 5_000))
-    size = min(size, len(data) - at)
-    data[at : at + size] = bytes(size)
-
-
-def junk(data: bytearray, rng: np.random.Generator) -> None:
-    """Bytes of another file."""
-    at = int(rng.integers(0, len(data)))
-    size = int(rng.integers(1, 500))
-    data[at : at + size * int(rng.integers(0, 2))] = rng.bytes(size)
-
-
-DAMAGES: tuple[Damage, ...] = (flip, cut, lose, zero, junk)
 
 
 def samples(folder: Path) -> Mapping[str, Path]:
@@ -109,10 +69,8 @@ class Damaged:
 def damaged(logs: Mapping[str, bytes], rng: np.random.Generator) -> Damaged:
     """Damage one of the logs."""
     kind = list(logs)[int(rng.integers(len(logs)))]
-    damage = DAMAGES[int(rng.integers(len(DAMAGES)))]
-    data = bytearray(logs[kind])
-    damage(data, rng)
-    return Damaged(kind, damage.__name__, bytes(data))
+    data, damage = mutated(logs[kind], BYTES, rng, most=1)
+    return Damaged(kind, damage, data)
 
 
 def problem(log: Damaged, path: Path, sound: np.ndarray) -> str:
@@ -151,31 +109,3 @@ def sound_logs(folder: Path) -> tuple[Mapping[str, bytes], np.ndarray]:
     """Bytes of sound logs by their kind, and the positions (N, n) rad in them."""
     logs = {kind: path.read_bytes() for kind, path in samples(folder).items()}
     return logs, np.ascontiguousarray(make_motion(grid(300)).q)
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Run until the time is over; 1 if something was found."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--seed", type=int, default=0)
-    chosen = parser.parse_args(arguments)
-    rng = np.random.default_rng(chosen.seed)
-    counts: Counter[str] = Counter()
-    with TemporaryDirectory() as name:
-        logs, sound = sound_logs(Path(name))
-        end = time.monotonic() + chosen.seconds
-        while time.monotonic() < end:
-            log = damaged(logs, rng)
-            found = problem(log, Path(name) / "damaged", sound)
-            counts[log.kind] += 1
-            if found:
-                kept = Path(f"fuzz_{log.kind}_{log.damage}_{chosen.seed}")
-                kept.write_bytes(log.data)
-                sys.stderr.write(f"{kept}: {found}\n")
-                return 1
-    sys.stderr.write(f"{sum(counts.values())} damaged logs of {len(counts)} kinds read\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

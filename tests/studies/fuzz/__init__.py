@@ -1,0 +1,1 @@
+"""Damaged and hostile files for every reader and parser, through the program's own front door."""

@@ -67,7 +67,7 @@ def run(
         files,
         urdf=text,
         urdf_path=_beside(urdf, output),
-        name=name or (urdf.stem if urdf else "robot"),
+        name=name or (text.root.get("name") if text else "") or "robot",
     )
     content = robot_toml(proposal.template)
     if output is not None:

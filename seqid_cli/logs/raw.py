@@ -19,6 +19,7 @@ Rows = NDArray[np.intp]
 TimeSource = Literal["header", "log"]
 
 STAMP_LIMIT_NS = 4_000_000_000_000_000_000  # year 2096; differences stay inside 64 bits
+ANGLES = ("position", "velocity", "link_position")
 ACCELEROMETERS = "accelerometers"
 GYRO = "gyro"
 
@@ -44,6 +45,16 @@ class Stream:
         """Select rows (indices, mask or slice)."""
         channels = {name: values[rows] for name, values in self.channels.items()}
         return replace(self, stamp_ns=self.stamp_ns[rows], channels=channels)
+
+
+def in_radians(channels: dict[str, Array], robot: Robot) -> dict[str, Array]:
+    """Turn the angles (M, n) of revolute joints into rad where the robot file says `deg`."""
+    if robot.channels.unit == "rad":
+        return channels
+    factor = np.array([1.0 if joint.prismatic else np.pi / 180.0 for joint in robot.joints])
+    return {
+        name: values * factor if name in ANGLES else values for name, values in channels.items()
+    }
 
 
 @dataclass(frozen=True)

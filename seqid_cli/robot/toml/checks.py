@@ -23,7 +23,15 @@ from seqid_cli.robot.formula import (
 from seqid_cli.robot.toml.schema import EffectEntry, ImuEntry, JointEntry, RobotFile
 
 PATTERN_FIELDS = frozenset({"name", "index", "index0"})
-JOINT_CHANNELS = ("position", "velocity", "current", "torque", "temperature")
+JOINT_CHANNELS = (
+    "position",
+    "velocity",
+    "current",
+    "torque",
+    "load",
+    "link_position",
+    "temperature",
+)
 
 _MEANING = {  # what each number of a joint is, for hints
     "torque_constant": "It is the motor-side constant in N m/A; the sign goes to gear_ratio.",
@@ -208,11 +216,13 @@ class _Checks:
     def channels(self, robot: RobotFile) -> None:
         channels = robot.channels
         if channels.time is not None:
-            self.text("channels.time", channels.time)
+            self.text("channels.time", str(channels.time))
         for kind in JOINT_CHANNELS:
             pattern = getattr(channels, kind)
-            if pattern is not None:
+            if isinstance(pattern, str):
                 self.pattern(f"channels.{kind}", pattern, len(robot.joint))
+            elif pattern is not None:
+                self.columns(f"channels.{kind}", [str(each) for each in pattern], robot)
         if channels.effort != "current" and channels.current is None:
             return
         source = "channels.effort" if channels.effort == "current" else "channels.current"
@@ -223,6 +233,15 @@ class _Checks:
                     f"(joint {joint.name!r}) is missing",
                     "Add torque_constant [N m/A, motor side] and gear_ratio to that joint.",
                 )
+
+    def columns(self, key: str, columns: list[str], robot: RobotFile) -> None:
+        for k, column in enumerate(columns):
+            self.text(f"{key}[{k}]", column)
+        if len(set(columns)) < len(columns) or len(columns) != len(robot.joint):
+            self.fail(
+                f"{key} names {len(set(columns))} columns for {len(robot.joint)} joints",
+                "List one column for each joint, in the order of the [[joint]] tables.",
+            )
 
     def pattern(self, key: str, pattern: str, joints: int) -> None:
         self.text(key, pattern)

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from seqid_cli.robot.toml.schema import SCHEMA
+from seqid_cli.robot.toml.schema import SCHEMA, Columns
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RobotTemplate:
     urdf: str | None = None
     effort: str = ""
     imus: tuple[ImuTemplate, ...] = ()
-    channels: Mapping[str, str] = field(default_factory=dict)
+    channels: Mapping[str, Columns] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -134,7 +134,8 @@ def _imu(imu: ImuTemplate, last: str) -> list[str]:
 def _channels(template: RobotTemplate) -> list[str]:
     lines = ["[channels]"] if template.channels or template.effort == "effort" else []
     for key, pattern in template.channels.items():
-        lines.append(f"{key} = {_text(pattern)}")
+        value = pattern if isinstance(pattern, str) else list(pattern)
+        lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
     if template.effort == "effort":
         lines.append(
             '# effort = "current"  # TODO where effort is motor current in A; it is taken for '

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
+from seqid_cli.commands.layout import shortened
+
 _PATIENCE_S = 1.0
 _CELLS = 20
 _CLEAR = "\r\x1b[2K"
@@ -33,7 +35,7 @@ class ProgressLine:
             return
         filled = min(_CELLS, _CELLS * done // max(total, 1))
         bar = "#" * filled + "." * (_CELLS - filled)
-        self._stream.write(f"{_CLEAR}[{bar}] {done}/{total} {text[:50]}")
+        self._stream.write(f"{_CLEAR}[{bar}] {done}/{total} {shortened(text, 40)}")
         self._stream.flush()
         self._drawn = True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,6 +18,7 @@ _WORDS = {
 }
 SHOWN_JITTER = 0.01
 _SHOWN = 3  # logs that are shown in detail without -v
+_LISTED = 12  # logs that have a line each without -v
 
 
 def show_inspection(screen: Screen, file: InspectionFile) -> None:
@@ -24,6 +26,7 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
     count = f"{len(file.logs)} log" + ("s" if len(file.logs) != 1 else "")
     screen.result(f"verdict: {file.verdict} - {_WORDS[file.verdict]} ({count})")
     _logs(screen, file.logs)
+    _serves(screen, file.logs)
     _findings(screen, file.findings)
     readable = [log for log in file.logs if log.joints]
     detailed = readable if screen.verbose or len(readable) <= _SHOWN else []
@@ -57,7 +60,39 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
         columns[5:5] = ["jitter", "gaps"]
         for row, log in zip(rows, logs, strict=True):
             row[5:5] = [percent(log.jitter), str(len(log.gaps))]
+    if len(rows) > _LISTED and not screen.verbose:
+        rows = _alike(rows, logs)
     screen.table(columns, [tuple(row) for row in rows])
+
+
+def _alike(rows: Sequence[list[str]], logs: Sequence[InspectedLog]) -> list[list[str]]:
+    """Give logs that differ in name and length alone one row, with their length in all."""
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for k, row in enumerate(rows):
+        groups.setdefault((*row[1:3], *row[4:]), []).append(k)
+    found = []
+    for own in groups.values():
+        first = rows[own[0]]
+        if len(own) > 1:
+            seconds = number(sum(logs[k].seconds for k in own), 4)
+            more = f"{first[0]} and {len(own) - 1} more"
+            first = [more, *first[1:3], seconds, *first[4:]]
+        found.append(first)
+    return found
+
+
+def _serves(screen: Screen, logs: Sequence[InspectedLog]) -> None:
+    """Say what several logs serve for as a whole, and which joints they leave out."""
+    if len(logs) < 2 or not any(log.serves for log in logs):
+        return
+    stages = dict.fromkeys(stage for log in logs for stage in log.serves)
+    counts = [f"{stage} ({sum(stage in log.serves for log in logs)} logs)" for stage in stages]
+    screen.result(f"as a whole they serve {', '.join(counts)}")
+    alone = {move.joint for log in logs if "friction" in log.serves for move in log.moves}
+    names = dict.fromkeys(joint.name for log in logs for joint in log.joints)
+    lacking = [name for name in names if name not in alone]
+    if alone and lacking:
+        screen.result(f"no log moves this joint by itself at constant speed: {', '.join(lacking)}")
 
 
 def _common_folder(paths: Sequence[str]) -> str:
@@ -73,19 +108,27 @@ def _common_folder(paths: Sequence[str]) -> str:
 
 
 def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
-    """Print findings, the gravest first; what several logs share comes once."""
+    """Print findings, the gravest first; what several logs or joints share comes once."""
     order = {"error": 0, "warning": 1, "note": 2}
-    shared: dict[tuple[str, str, str, str], list[InspectionFinding]] = {}
+    shared: dict[tuple[str, str], list[InspectionFinding]] = {}
     for item in sorted(findings, key=lambda finding: order[finding.severity]):
-        key = (item.code, item.joint, item.channel, item.message)
+        alike = re.sub("[0-9][0-9.e+-]*", "#", _message(item).replace(item.joint or "\0", ""))
+        key = (item.code, item.log + item.joint + item.message if screen.verbose else alike)
         shared.setdefault(key, []).append(item)
     for group in shared.values():
-        first = group[0]
-        more = f" (and {len(group) - 1} more logs)" if len(group) > 1 else ""
-        place = [part for part in (first.log + more, first.joint, first.channel) if part]
-        message = first.message.removeprefix(f"{first.joint}: ")
+        first, logs = group[0], dict.fromkeys(item.log for item in group)
+        count = f" (and {len(logs) - 1} more logs)" if len(logs) > 1 else ""
+        joints = ", ".join(dict.fromkeys(item.joint for item in group if item.joint))
+        channels = dict.fromkeys(item.channel for item in group)
+        place = [first.log + count, joints, first.channel if len(channels) == 1 else ""]
+        place = [part for part in place if part]
+        message = _message(first)
         screen.result(f"{first.severity} [{first.code}] {': '.join([*place, message])}")
         screen.result(f"    {first.remedy}")
+
+
+def _message(finding: InspectionFinding) -> str:
+    return finding.message.removeprefix(f"{finding.joint}: ")
 
 
 def _details(screen: Screen, log: InspectedLog) -> None:

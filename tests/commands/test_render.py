@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import io
+import re
 
 import pytest
 
 from seqid_cli.commands.chart import text_chart
+from seqid_cli.commands.layout import folded, format_table, shortened
 from seqid_cli.commands.progress import ProgressLine
-from seqid_cli.commands.render import Screen, number, percent, plain_table, rich_table
+from seqid_cli.commands.render import Screen, number, percent
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.params.schema import Verdict
 
@@ -15,7 +17,7 @@ ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", 
 
 
 def test_a_plain_table_is_aligned() -> None:
-    assert plain_table(COLUMNS, ROWS) == (
+    assert format_table(COLUMNS, ROWS) == (
         "joint    error  verdict\n"
         "elbow    0.125  good\n"
         "wrist_1     12  poor: noisy [a]\n"
@@ -24,10 +26,38 @@ def test_a_plain_table_is_aligned() -> None:
 
 
 def test_a_coloured_table_says_the_same() -> None:
-    text = rich_table(COLUMNS, ROWS)
-    assert "\x1b[" in text
-    for row in ROWS:
-        assert all(cell in text for cell in row)
+    def style(cell: str, head: bool) -> str:
+        return "\x1b[1m" if head or cell == "good" else ""
+
+    text = format_table(COLUMNS, ROWS, style=style)
+    assert text.count("\x1b[1m") == 4
+    plain = re.sub(r"\x1b\[[0-9]*m", "", text)
+    assert [line.rstrip() for line in plain.splitlines()] == format_table(
+        COLUMNS, ROWS
+    ).splitlines()
+
+
+def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
+    columns = ["file", *(f"standard error of {k}" for k in range(8)), "verdict"]
+    numbers = [f"{-3.0905e-08 * 10**k:.5g}" for k in range(8)]
+    row = ["a_long_name_of_a_log_of_the_elbow.parquet", *numbers, "poor: the fit leaves 35 %"]
+    text = format_table(columns, [row, row], width=60)
+    assert all(len(line) <= 60 for line in text.splitlines())
+    words = text.split()
+    assert all(words.count(number) == 2 for number in numbers)
+    assert sum(word.startswith("a_l") and word.endswith("uet") for word in words) >= 2
+    assert text.count("\n\n") == 2  # three tables, each with the file's name
+
+
+def test_text_folds_at_words() -> None:
+    line = "error: the torque of the elbow is -3.0905e-08 N m throughout"
+    text = folded(line, 40)
+    assert max(map(len, text.splitlines())) <= 40
+    assert " ".join(text.split()) == line
+    assert folded(line, None) == line
+    assert shortened("logs/friction/shoulder_pan_joint.parquet", 20) == "logs/fri...nt.parquet"[
+        :8
+    ] + ("...t.parquet")
 
 
 def test_numbers() -> None:

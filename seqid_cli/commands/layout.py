@@ -12,6 +12,7 @@ from typing import TextIO
 Row = Sequence[str]
 GAP = "  "
 NARROWEST, SHORTEST = 40, 16  # characters of a screen; of a text that gives way to numbers
+REASON = 2  # lines of a cell, beyond which a reason stands below
 
 
 def width_of(stream: TextIO) -> int | None:
@@ -51,8 +52,9 @@ def format_table(
     ----------
     columns, rows : sequences of str
     width : int, optional
-        Characters in a line. Names give way in their middle, sentences and heads at their words;
-        columns that still have no room come in a further table, the first column with them.
+        Characters in a line. Names give way in their middle, sentences and heads at their words,
+        long reasons at the end stand below their line; columns that still have no room come in a
+        further table, the first column with them.
     style : callable, optional
         Turns the text of a cell, and whether it is a head, into the codes put before it.
     """
@@ -101,6 +103,11 @@ def _given(need: Sequence[int], full: Sequence[int], width: int) -> list[int]:
 
 
 def _line(cells: Row, widths: Sequence[int], numeric: Sequence[bool], codes: Sequence[str]) -> str:
+    below, at, reason = "", *cells[-1].partition(": ")[::2]
+    if len(reason) > REASON * widths[-1]:
+        indent = GAP * 2
+        below = folded(f"{indent}{reason}", _total(widths)) + "\n"
+        cells = [*cells[:-1], f"{at}:"]
     parts = [_wrapped(cell, width) for cell, width in zip(cells, widths, strict=True)]
     text = ""
     for pieces in zip_longest(*parts, fillvalue=""):
@@ -112,7 +119,7 @@ def _line(cells: Row, widths: Sequence[int], numeric: Sequence[bool], codes: Seq
         if codes:
             padded = [f"{c}{p}\x1b[0m" if c else p for c, p in zip(codes, padded, strict=False)]
         text += GAP.join(padded).rstrip() + "\n"
-    return text
+    return text + below
 
 
 def _wrapped(text: str, width: int, indent: str = "") -> list[str]:

@@ -68,7 +68,8 @@ def propose(
     seen = _merged([joint for report in reports for joint in report.log.joints])
     pairs, chain = _matched(guessed.joints, urdf)
     unit = _unit([f for report in reports for f in report.findings], degrees=guessed.degrees)
-    found = pairs or [(log_name, None) for log_name in guessed.joints]
+    found: list[tuple[str, UrdfJoint | None]] = [*pairs]
+    found = found or [(log_name, None) for log_name in guessed.joints]
     joints = tuple(
         _joint(log_name, joint, seen[log_name], degrees=bool(unit) and not guessed.degrees)
         for log_name, joint in found

@@ -11,6 +11,7 @@ from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import Screen, number, percent
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.params.schema import Verdict
+from seqid_cli.working import heard_by, step
 
 COLUMNS = ("joint", "error", "verdict")
 ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
@@ -92,13 +93,16 @@ def test_progress_shows_after_a_second_and_vanishes() -> None:
     stream, clock = Terminal(), Clock()
     line = ProgressLine(stream, enabled=True, clock=clock)
     line.show(1, 4, "a.mcap")
-    line.clear()
-    assert stream.getvalue() == ""
+    with line.hidden():
+        assert stream.getvalue() == ""
     clock.now = 1.5
     line.show(2, 4, "b.mcap")
-    assert "[##########..........] 2/4 b.mcap" in stream.getvalue()
-    line.clear()
+    assert "[########........] 2/4 b.mcap  2 s, about 2 s left" in stream.getvalue()
+    line.close()
     assert stream.getvalue().endswith("\x1b[2K")
+    before = stream.getvalue()
+    line.show(3, 4, "c.mcap")
+    assert stream.getvalue() == before
 
 
 @pytest.mark.parametrize(("stream", "enabled"), [(Terminal(), False), (io.StringIO(), True)])
@@ -107,8 +111,18 @@ def test_progress_is_silent_where_nobody_watches(stream: io.StringIO, enabled: b
     line = ProgressLine(stream, enabled=enabled, clock=clock)
     clock.now = 5.0
     line.show(2, 4, "b.mcap")
-    line.clear()
+    line.close()
     assert stream.getvalue() == ""
+
+
+def test_the_steps_of_long_work_are_heard_in_their_block() -> None:
+    heard: list[tuple[int, int, str]] = []
+    step("before", 0, 1)
+    with heard_by(lambda done, total, text: heard.append((done, total, text))):
+        step("filtering", 0, 2)
+        step("choosing", 1, 2)
+    step("after", 0, 1)
+    assert heard == [(0, 2, "filtering"), (1, 2, "choosing")]
 
 
 def test_a_chart_shows_shape_and_ranges() -> None:

@@ -14,6 +14,7 @@ from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.scene import (
     LONGEST_SESSION_S,
     Scene,
+    sensor_at,
     sign_widths,
     temperature_at,
 )
@@ -81,6 +82,7 @@ def scenes_of(
             shared_clock=shared,
             period=1.0 / recording.rate_hz,
             temperature=temperature_at(recording, motion),
+            sensor=sensor_at(recording, motion),
             encoder=recording.q,
             measured=recording.tau,
         )
@@ -99,10 +101,10 @@ def thinned(full: Scene) -> Scene:
     """The data set at the rate at which most effects are looked for, with the full one inside."""
     motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
     every = round(full.motion.rate_hz / motion.rate_hz)
-    kept = [None if x is None else x[::every] for x in (full.temperature, full.encoder)]
-    return replace(
-        full, motion=motion, temperature=kept[0], encoder=kept[1], measured=None, full=full
-    )
+    names = ("temperature", "sensor", "encoder")
+    logged = {name: getattr(full, name) for name in names}
+    kept = {name: None if x is None else x[::every] for name, x in logged.items()}
+    return replace(full, motion=motion, **kept, measured=None, full=full)
 
 
 def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:

@@ -22,6 +22,8 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "current": ("current", "currents", "cur", "amps", "i", "iq", "strom"),
     "torque": ("torque", "torques", "tau", "effort", "efforts", "tauj", "moment", "drehmoment"),
     "load": ("load",),
+    "voltage": ("voltage", "spannung"),
+    "pwm": ("pwm", "duty"),
     "temperature": ("temperature", "temperatures", "temp", "temperatur"),
 }
 _QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}

@@ -19,7 +19,6 @@ Rows = NDArray[np.intp]
 TimeSource = Literal["header", "log"]
 
 STAMP_LIMIT_NS = 4_000_000_000_000_000_000  # year 2096; differences stay inside 64 bits
-ANGLES = ("position", "velocity", "link_position")
 ACCELEROMETERS = "accelerometers"
 GYRO = "gyro"
 
@@ -29,8 +28,9 @@ class Stream:
     """Samples that share stamps.
 
     `channels[quantity]` is (M, w), NaN where a sample lacks the value. Joint streams hold position
-    [rad], velocity [rad/s], torque [N m], current [A], temperature [degC], one column per joint of
-    the robot; IMU streams hold `accelerometers` [m/s^2] and `gyro` [rad/s].
+    [rad], velocity [rad/s], torque [N m], current [A], load [N m], link_position [rad], temperature
+    [degC], one column per joint of the robot; IMU streams hold `accelerometers` [m/s^2] and `gyro`
+    [rad/s].
     """
 
     name: str
@@ -45,16 +45,6 @@ class Stream:
         """Select rows (indices, mask or slice)."""
         channels = {name: values[rows] for name, values in self.channels.items()}
         return replace(self, stamp_ns=self.stamp_ns[rows], channels=channels)
-
-
-def in_radians(channels: dict[str, Array], robot: Robot) -> dict[str, Array]:
-    """Turn the angles (M, n) of revolute joints into rad where the robot file says `deg`."""
-    if robot.channels.unit == "rad":
-        return channels
-    factor = np.array([1.0 if joint.prismatic else np.pi / 180.0 for joint in robot.joints])
-    return {
-        name: values * factor if name in ANGLES else values for name, values in channels.items()
-    }
 
 
 @dataclass(frozen=True)

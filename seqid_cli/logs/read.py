@@ -186,6 +186,9 @@ def assemble(
         tau, valid = torque.values, valid & torque.valid
         gaps |= set(torque.gaps)
     dq = _whole(clock.stream, "velocity", base, warnings)
+    beside = {
+        name: _whole(clock.stream, name, base, warnings) for name in ("load", "link_position")
+    }
     imus = _read_imus(raw, robot, base, repair)
     warnings += [*clock.warnings, *repair.warnings]
     warnings += imus.warnings
@@ -214,6 +217,7 @@ def assemble(
         dq=dq,
         tau=tau,
         temperature=_temperature(clock.stream, base),
+        **beside,
         accelerometers=imus.accelerometers,
         gyros=imus.gyros,
         start=base.start_ns * 1e-9,

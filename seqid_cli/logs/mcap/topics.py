@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.collector import Samples
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Kind
 from seqid_cli.logs.raw import (
@@ -18,7 +19,6 @@ from seqid_cli.logs.raw import (
     Stamps,
     Stream,
     TimeSource,
-    in_radians,
 )
 from seqid_cli.robot.types import Imu, Robot
 
@@ -128,7 +128,7 @@ class Streams:
             if name == "position" or any_finite(values)
         }
         stamps, keep = self._clock(topic, samples)
-        return _taken(Stream(topic, stamps, in_radians(recorded, self.robot)), keep)
+        return _taken(Stream(topic, stamps, in_si(recorded, stamps, self.robot)), keep)
 
     def _imu(self, imu: Imu, topic: str, samples: Samples) -> Stream:
         count, triads = len(imu.positions), triad_topics(imu)

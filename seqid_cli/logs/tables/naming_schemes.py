@@ -27,6 +27,8 @@ QUANTITIES = (
     "current",
     "load",
     "link_position",
+    "voltage",
+    "pwm",
     "temperature",
 )
 EFFORT = "effort"  # torque or current, whichever the robot file says

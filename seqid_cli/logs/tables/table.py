@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Stamps, Stream, in_radians
+from seqid_cli.logs.drives import in_si
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Stamps, Stream
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.episodes import separate
@@ -130,7 +131,7 @@ def _raw_log(
         stamps, keep, more = separate(stamps, keep, episode, plan.episode)
         warnings += more
     channels = {quantity: _columns(where, table, row) for quantity, row in plan.joints.items()}
-    joints = Stream(ROWS, stamps, in_radians(channels, robot))
+    joints = Stream(ROWS, stamps, in_si(channels, stamps, robot))
     if plan.episode is not None or len(keep) < len(stamps):
         joints = joints.take(keep)
     imus: dict[str, tuple[Stream, ...]] = {

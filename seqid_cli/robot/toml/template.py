@@ -83,7 +83,11 @@ def _joint(joint: JointTemplate, template: RobotTemplate) -> list[str]:
             "# dh = { alpha = 0.0, a = 0.0, d = 0.0, theta0 = 0.0 }"
             "  # TODO modified DH (Craig): rad, m; prismatic = true where it slides"
         )
-    if template.effort in ("current", "effort"):
+    servo = {"voltage", "pwm"} & template.channels.keys()
+    if servo:
+        lines.append("# winding_resistance = 5.0  # TODO ohm: data sheet of the motor")
+        lines.append("# supply_voltage = 12.0     # TODO V, at a duty cycle of 1")
+    if servo or template.effort in ("current", "effort"):
         lines.append("# torque_constant = 0.1   # TODO N m/A, motor side: data sheet of the motor")
         lines.append(
             "# gear_ratio = 100.0      # TODO motor turns per joint turn; sign where it turns back"

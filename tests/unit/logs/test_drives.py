@@ -133,4 +133,4 @@ def test_effects_take_the_measured_load(tmp_path: Path) -> None:
     slow = np.tile(np.sin(read.t)[:, None], (1, 6))
     np.testing.assert_allclose(scene.load[middle], slow[middle], atol=1e-3)
     bare = scene_of_log(replace(read, load=None), robot, scene.model, motion)
-    np.testing.assert_array_equal(bare.load, 0.0)
+    assert np.abs(bare.load - slow).max() > 1.0  # of the model, which has rotors alone

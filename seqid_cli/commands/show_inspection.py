@@ -112,7 +112,7 @@ def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
     order = {"error": 0, "warning": 1, "note": 2}
     shared: dict[tuple[str, str], list[InspectionFinding]] = {}
     for item in sorted(findings, key=lambda finding: order[finding.severity]):
-        alike = re.sub("[0-9][0-9.e+-]*", "#", _message(item).replace(item.joint or "\0", ""))
+        alike = re.sub("-?[0-9][0-9.e+-]*", "#", _message(item).replace(item.joint or "\0", ""))
         key = (item.code, item.log + item.joint + item.message if screen.verbose else alike)
         shared.setdefault(key, []).append(item)
     for group in shared.values():

@@ -54,7 +54,7 @@ class Guess:
 
 def guess(survey: Survey) -> Guess:
     """Guess joints, channels and IMUs of a log from the names in it."""
-    names = [channel.name for channel in survey.channels]
+    names = survey.columns or [channel.name for channel in survey.channels]
     imus = _imus(names)
     if survey.format == "mcap":
         return Guess(survey.joints, {}, imus)
@@ -186,7 +186,7 @@ def _is_range(numbers: list[int]) -> bool:
     return numbers[0] in (0, 1) and numbers == [*range(numbers[0], numbers[0] + len(numbers))]
 
 
-def _imus(names: list[str]) -> tuple[Imu, ...]:
+def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
     """IMUs by the default names of columns and topics; positions are unknown and zero."""
     counts: dict[str, int] = {}
     gyros: set[str] = set()

@@ -6,12 +6,12 @@ import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from msgspec import structs
 
-from seqid_cli.errors import InputError
+from seqid_cli.errors import InputError, UsageError
 from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.logs.contents import Survey, survey
@@ -34,7 +34,12 @@ class Proposal:
 
 
 def propose(
-    paths: Sequence[Path], *, urdf: UrdfText | None, urdf_path: str | None, name: str
+    paths: Sequence[Path],
+    *,
+    urdf: UrdfText | None,
+    urdf_path: str | None,
+    name: str,
+    drives: Mapping[str, Sequence[float]] = {},
 ) -> Proposal:
     """Propose a robot file from logs of one robot.
 
@@ -48,9 +53,13 @@ def propose(
         How the file is to name the URDF.
     name : str
         The robot's name.
+    drives : mapping
+        `torque_constant` and `gear_ratio`: one for all joints, or one for each.
 
     Raises
     ------
+    UsageError
+        As many drives' data as there are neither joints nor one.
     InputError
         A log cannot be read, or no joint is found in it.
     ConfigError
@@ -74,6 +83,7 @@ def propose(
         _joint(log_name, joint, seen[log_name], degrees=bool(unit) and not guessed.degrees)
         for log_name, joint in found
     )
+    joints = _driven(joints, drives)
     names = tuple(joint.name for joint in joints)
     effort = next((joint.effort for joint in seen.values() if joint.effort), "")
     if surveyed.format == "mcap" and effort:
@@ -91,6 +101,24 @@ def propose(
         left_out=tuple(joint.name for joint in chain if joint.name not in taken),
     )
     return Proposal(template, (*unread, *_todo(template, guessed, pairs, urdf)))
+
+
+def _driven(
+    joints: tuple[JointTemplate, ...], drives: Mapping[str, Sequence[float]]
+) -> tuple[JointTemplate, ...]:
+    """Give each joint the data of its drive."""
+    for key, values in drives.items():
+        if len(values) not in (1, len(joints)):
+            names = ", ".join(joint.name for joint in joints)
+            raise UsageError(
+                f"{len(values)} values of {key} for {len(joints)} joints",
+                hint=f"Give one for all, or one for each of {names}.",
+            )
+        own = [*values] * (len(joints) if len(values) == 1 else 1)
+        joints = tuple(
+            replace(joint, **{key: value}) for joint, value in zip(joints, own, strict=True)
+        )
+    return joints
 
 
 def _unit(findings: Sequence[InspectionFinding], *, degrees: bool) -> dict[str, str]:
@@ -191,7 +219,7 @@ def _channels(
         renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
         text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
         return {}, (text,) if renamed else ()
-    names = [channel.name for channel in surveyed.channels]
+    names = surveyed.columns
     times = time_names(names)
     channels: dict[str, Columns] = {}
     if "t" not in times and len(times) != 1:
@@ -199,7 +227,7 @@ def _channels(
     patterns = dict(guessed.patterns) or _defaults(guessed.joints, names)
     match = find_scheme(joints, names)
     if match is not None:  # what its names do not tell
-        told = {"current", "torque"} if "effort" in match.columns else set(match.columns)
+        told = {*match.columns, *(("current", "torque") if "effort" in match.columns else ())}
         patterns = {key: pattern for key, pattern in patterns.items() if key not in told}
     mapped = {key: _mapped(pattern, log, joints) for key, pattern in patterns.items()}
     return {**channels, **mapped}, ()
@@ -262,7 +290,8 @@ def _todo(
             todo.append(f"joints of the log that the URDF's chain lacks: {', '.join(missing)}")
     elif urdf is None:
         todo.append("the geometry: name a URDF, or complete dh of every joint")
-    if template.effort == "current":
+    known = all(joint.torque_constant and joint.gear_ratio for joint in template.joints)
+    if template.effort == "current" and not known:
         todo.append("torque_constant and gear_ratio of every joint")
     if template.effort == "effort":
         todo.append('whether effort is torque in N m or current in A (effort = "current")')

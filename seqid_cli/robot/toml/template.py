@@ -20,6 +20,8 @@ class JointTemplate:
     encoder_step: float | None = None
     moves: bool = True
     remark: str = ""
+    torque_constant: float | None = None
+    gear_ratio: float | None = None
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,7 @@ def _joint(joint: JointTemplate, template: RobotTemplate) -> list[str]:
         lines.append("# winding_resistance = 5.0  # TODO ohm: data sheet of the motor")
         lines.append("# supply_voltage = 12.0     # TODO V, at a duty cycle of 1")
     if servo or template.effort in ("current", "effort"):
-        lines.append("# torque_constant = 0.1   # TODO N m/A, motor side: data sheet of the motor")
-        lines.append(
-            "# gear_ratio = 100.0      # TODO motor turns per joint turn; sign where it turns back"
-        )
+        lines += _drive(joint)
         lines.append("# rotor_inertia = 1.0e-4  # kg m^2, motor side; leave out to identify it")
     if joint.encoder_step is not None:
         step = f"{joint.encoder_step:.6g}"
@@ -110,6 +109,18 @@ def _joint(joint: JointTemplate, template: RobotTemplate) -> list[str]:
     else:
         lines.append("# velocity_limit = 2.0  # rad/s")
     return lines
+
+
+def _drive(joint: JointTemplate) -> list[str]:
+    constant, ratio = joint.torque_constant, joint.gear_ratio
+    return [
+        "# torque_constant = 0.1   # TODO N m/A, motor side: data sheet of the motor"
+        if constant is None
+        else f"torque_constant = {_float(repr(constant))}",
+        "# gear_ratio = 100.0      # TODO motor turns per joint turn; sign where it turns back"
+        if ratio is None
+        else f"gear_ratio = {_float(repr(ratio))}",
+    ]
 
 
 def _imu(imu: ImuTemplate, last: str) -> list[str]:

@@ -54,7 +54,7 @@ def format_table(
     width : int, optional
         Characters in a line. Names give way in their middle, sentences and heads at their words,
         long reasons at the end stand below their line; columns that still have no room come in a
-        further table, the first column with them.
+        further table, with the first columns that tell the rows apart.
     style : callable, optional
         Turns the text of a cell, and whether it is a head, into the codes put before it.
     """
@@ -64,8 +64,8 @@ def format_table(
     if width is None or _total(full) <= width:
         widths, kept = full, len(columns)
     else:
-        kept = next((k for k in range(len(need), 2, -1) if _total(need[:k]) <= width), 2)
-        kept = min(kept, len(columns))
+        least = min(_keys(rows) + 1, len(columns))
+        kept = next((k for k in range(len(need), least, -1) if _total(need[:k]) <= width), least)
         widths = _given(need[:kept], full[:kept], width)
     text = "".join(
         _line(line[:kept], widths, numeric, [style(c, k == 0) for c in line] if style else [])
@@ -73,8 +73,17 @@ def format_table(
     )
     if kept == len(columns):
         return text
-    more = [[line[0], *line[kept:]] for line in (columns, *rows)]
+    keys = min(_keys(rows), kept - 1)
+    more = [[*line[:keys], *line[kept:]] for line in (columns, *rows)]
     return f"{text}\n{format_table(more[0], more[1:], width=width, style=style)}"
+
+
+def _keys(rows: Sequence[Row], *, most: int = 2) -> int:
+    """How many first columns tell the rows apart, up to `most`."""
+    for count in range(1, most):
+        if len({tuple(row[:count]) for row in rows}) == len(rows):
+            return count
+    return most
 
 
 def is_number(cell: str) -> bool:

@@ -86,7 +86,7 @@ def _serves(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     if len(logs) < 2 or not any(log.serves for log in logs):
         return
     stages = dict.fromkeys(stage for log in logs for stage in log.serves)
-    counts = [f"{stage} ({sum(stage in log.serves for log in logs)} logs)" for stage in stages]
+    counts = [f"{stage} ({_count(stage, logs)})" for stage in stages]
     screen.result(f"as a whole they serve {', '.join(counts)}")
     alone = {move.joint for log in logs if "friction" in log.serves for move in log.moves}
     names = dict.fromkeys(joint.name for log in logs for joint in log.joints)
@@ -125,6 +125,11 @@ def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
         message = _message(first)
         screen.result(f"{first.severity} [{first.code}] {': '.join([*place, message])}")
         screen.result(f"    {first.remedy}")
+
+
+def _count(stage: str, logs: Sequence[InspectedLog]) -> str:
+    count = sum(stage in log.serves for log in logs)
+    return f"{count} log" + "s" * (count > 1)
 
 
 def _message(finding: InspectionFinding) -> str:
@@ -174,7 +179,7 @@ def _details(screen: Screen, log: InspectedLog) -> None:
             imu.name,
             str(imu.accelerometers),
             "yes" if imu.gyro else "no",
-            number(imu.rate_hz),
+            number(imu.rate_hz, 5),
             number(imu.rest_norm, 4),
             number(1e3 * imu.delay_s if imu.delay_s is not None else None, 2),
         )

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import io
 import re
+from pathlib import Path
 
 import pytest
 
+from seqid_cli.__main__ import main
 from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.layout import folded, format_table, shortened
 from seqid_cli.commands.progress import ProgressLine
@@ -12,6 +14,7 @@ from seqid_cli.commands.render import Screen, number, percent
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.params.schema import Verdict
 from seqid_cli.working import heard_by, step
+from tests import ROOT
 
 COLUMNS = ("joint", "error", "verdict")
 ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
@@ -42,7 +45,8 @@ def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
     columns = ["file", *(f"standard error of {k}" for k in range(8)), "verdict"]
     numbers = [f"{-3.0905e-08 * 10**k:.5g}" for k in range(8)]
     row = ["a_long_name_of_a_log_of_the_elbow.parquet", *numbers, "poor: the fit leaves 35 %"]
-    text = format_table(columns, [row, row], width=60)
+    other = ["the_other_log.parquet", *row[1:]]
+    text = format_table(columns, [row, other], width=60)
     assert all(len(line) <= 60 for line in text.splitlines())
     words = text.split()
     assert all(words.count(number) == 2 for number in numbers)
@@ -158,3 +162,37 @@ def test_a_warning_is_given_once(capsys: pytest.CaptureFixture[str]) -> None:
         "seqid x: warning: a.parquet: samples are lost",
         "note: another",
     ]
+
+
+ONE, TWO, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "two_joint", "six_joint"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("inspect", str(SIX / "validation"), "-r", str(SIX / "robot.toml")),
+        ("compare", str(TWO / "golden.json"), str(TWO / "golden.json")),
+        ("export", str(TWO / "golden.json"), "-r", str(TWO / "robot.toml"), "-o", "arm.yaml"),
+        ("predict", str(ONE / "validation"), "-r", str(ONE / "robot.toml"), "-p",
+         str(ONE / "golden.json"), "-o", "prediction.json"),
+    ],
+    ids=lambda words: words[0],
+)  # fmt: skip
+def test_screens_of_80_columns_hold_every_number(
+    words: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main([*words]) == 0
+    wide = capsys.readouterr().out
+    for name, value in (("COLUMNS", "80"), ("NO_COLOR", "1")):
+        monkeypatch.setenv(name, value)
+    assert main([*words]) == 0
+    narrow = capsys.readouterr().out
+    assert max(len(line) for line in narrow.splitlines() if " " in line.strip()) <= 80
+    numbers = {word for word in wide.split() if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)}
+    assert len(numbers) > 3
+    assert numbers <= set(narrow.split())

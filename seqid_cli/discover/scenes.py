@@ -101,10 +101,10 @@ def thinned(full: Scene) -> Scene:
     """The data set at the rate at which most effects are looked for, with the full one inside."""
     motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
     every = round(full.motion.rate_hz / motion.rate_hz)
-    names = ("temperature", "sensor", "encoder")
-    logged = {name: getattr(full, name) for name in names}
-    kept = {name: None if x is None else x[::every] for name, x in logged.items()}
-    return replace(full, motion=motion, **kept, measured=None, full=full)
+    logged = (full.temperature, full.sensor, full.encoder)
+    temperature, sensor, encoder = (None if x is None else x[::every] for x in logged)
+    kept = replace(full, temperature=temperature, sensor=sensor, encoder=encoder)
+    return replace(kept, motion=motion, measured=None, full=full)
 
 
 def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:

@@ -116,7 +116,8 @@ def _driven(
             )
         own = [*values] * (len(joints) if len(values) == 1 else 1)
         joints = tuple(
-            replace(joint, **{key: value}) for joint, value in zip(joints, own, strict=True)
+            replace(joint, **{key: value})  # type: ignore[arg-type]
+            for joint, value in zip(joints, own, strict=True)
         )
     return joints
 

@@ -55,12 +55,20 @@ def _constants(robot: Robot, name: str) -> Array:
 
 
 def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: Robot) -> Array:
-    dq = channels.get("velocity")
-    if dq is None:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            seconds = (stamps - stamps[:1]) * 1e-9
-            dq = np.gradient(channels["position"], seconds, axis=0) if len(seconds) > 1 else 0.0
+    dq = _slope(channels["position"], stamps)
+    if "velocity" in channels:
+        logged = channels["velocity"]
+        dq = np.where(np.isfinite(logged), logged, dq)
     torque_constant = _constants(robot, "torque_constant")
     ratio = np.nan_to_num(_constants(robot, "gear_ratio"), nan=1.0)
     current = (voltage - torque_constant * ratio * dq) / _constants(robot, "winding_resistance")
     return np.where(np.isfinite(current), current, np.nan)
+
+
+def _slope(position: Array, stamps: Stamps) -> Array:
+    """Velocity (M, n) rad/s by differences of the positions."""
+    if len(stamps) < 2:
+        return np.full_like(position, np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope: Array = np.gradient(position, (stamps - stamps[0]) * 1e-9, axis=0)
+    return slope

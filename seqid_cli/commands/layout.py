@@ -11,7 +11,7 @@ from typing import TextIO
 
 Row = Sequence[str]
 GAP = "  "
-NARROWEST, SHORTEST = 40, 16  # characters of a screen; of a text that gives way to numbers
+NARROWEST, NAME, SENTENCE = 40, 20, 12  # characters of a screen; of what gives way to numbers
 REASON = 2  # lines of a cell, beyond which a reason stands below
 
 
@@ -35,8 +35,8 @@ def shortened(text: str, width: int) -> str:
     """Leave out the middle of a name that is too long."""
     if len(text) <= width:
         return text
-    end = (width - 3 + 1) // 2
-    return f"{text[: width - 3 - end]}...{text[len(text) - end :]}"
+    begin = (width - 3) // 4  # names of logs differ at their ends
+    return f"{text[:begin]}...{text[len(text) - (width - 3 - begin) :]}"
 
 
 def format_table(
@@ -98,7 +98,9 @@ def _total(widths: Sequence[int]) -> int:
 def _need(head: str, cells: Sequence[str], numeric: bool) -> int:
     longest = max((len(cell) for cell in cells), default=0)
     words = max((len(word) for word in head.split()), default=0)
-    return max(words, longest if numeric else min(longest, SHORTEST))
+    sentence = any(" " in cell and "/" not in cell and "." not in cell for cell in cells)
+    least = SENTENCE if sentence else NAME
+    return max(words, longest if numeric else min(longest, least))
 
 
 def _given(need: Sequence[int], full: Sequence[int], width: int) -> list[int]:

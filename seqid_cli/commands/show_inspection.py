@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -62,22 +63,27 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
             row[5:5] = [percent(log.jitter), str(len(log.gaps))]
     if len(rows) > _LISTED and not screen.verbose:
         rows = _alike(rows, logs)
+    if uneven and len({row[2] for row in rows}) == 1:  # the names tell it as well
+        rows, columns = [[*row[:2], *row[3:]] for row in rows], [*columns[:2], *columns[3:]]
     screen.table(columns, [tuple(row) for row in rows])
 
 
 def _alike(rows: Sequence[list[str]], logs: Sequence[InspectedLog]) -> list[list[str]]:
-    """Give logs that differ in name and length alone one row, with their length in all."""
+    """Give logs of the same verdict that move and serve alike one row, with their length in all."""
     groups: dict[tuple[str, ...], list[int]] = {}
     for k, row in enumerate(rows):
-        groups.setdefault((*row[1:3], *row[4:]), []).append(k)
+        groups.setdefault((*row[1:3], *row[-2:]), []).append(k)
     found = []
     for own in groups.values():
-        first = rows[own[0]]
+        row = list(rows[own[0]])
         if len(own) > 1:
-            seconds = number(sum(logs[k].seconds for k in own), 4)
-            more = f"{first[0]} and {len(own) - 1} more"
-            first = [more, *first[1:3], seconds, *first[4:]]
-        found.append(first)
+            row[0] += f" and {len(own) - 1} more"
+            row[3] = number(sum(logs[k].seconds for k in own), 4)
+            row[4] = number(statistics.median(logs[k].rate_hz for k in own), 4)
+        if len(row) > 7:
+            row[5] = percent(max(logs[k].jitter for k in own))
+            row[6] = str(sum(len(logs[k].gaps) for k in own))
+        found.append(row)
     return found
 
 

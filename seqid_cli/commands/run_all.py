@@ -121,7 +121,8 @@ def steps_of(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None
         raise InputError(
             f"{wrong}; a run starts with friction trials",
             where=str(folder),
-            hint="Sort the logs into " + ", ".join(f"{name}/" for name in FOLDERS) + ".",
+            hint="Sort the logs into " + ", ".join(f"{name}/" for name in FOLDERS) + "; without "
+            "trials of single joints use seqid simultaneous.",
         )
     if not robot.imus:
         there.pop("imu", None)

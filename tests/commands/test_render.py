@@ -50,9 +50,7 @@ def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
     assert all(len(line) <= 60 for line in text.splitlines())
     words = text.split()
     assert all(words.count(number) == 2 for number in numbers)
-    assert (
-        sum(word.startswith("a_l") and word.endswith(".parquet") for word in words) >= 2
-    )
+    assert sum(word.startswith("a_l") and word.endswith(".parquet") for word in words) >= 2
     assert text.count("\n\n") == 2  # three tables, each with the file's name
 
 

@@ -106,7 +106,7 @@ def _structural(
     free = _structural_error(robot, thin, own_law=True).error
     causes = [*causes_of(robot, thin), *units_of(data)]
     mended = _mending(robot, thin, left, _structural_error, causes, free=free)
-    mended = _mounting(robot, thin, left, _structural_error, mended)
+    mended = _mounting(robot, thin, left, _structural_error, mended, free=free)
     if mended is not None:
         yield mended.finding
     elif error > poor and all(
@@ -124,13 +124,14 @@ def _mounting(
     measure: Callable[[Robot, Sample], Left],
     other: Mended | None,
     *,
+    free: float = np.inf,
     max_ratio: float = 0.5,
     max_error: float = 0.35,
 ) -> Mended | None:
     """Find the axis of the base along which gravity acts, where that mends a fit best; else other.
 
     Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
-    decide, or both are named.
+    decide, or both are named. Columns that are new are held to `free` as in `_mending`.
     """
     strength = float(np.linalg.norm(robot.gravity))
     tried = []
@@ -138,10 +139,13 @@ def _mounting(
         turned = replace(robot, gravity=strength * axis)
         own = replace(sample, basis=base_parameters(turned, rotor=[]))
         nominal = _nominal_error(turned, own).error if robot.nominal is not None else 0.0
-        tried.append((measure(turned, own).error, nominal, turned.gravity))
+        after = measure(turned, own)
+        most = min(before.error, free) if after.columns > before.columns else before.error
+        error = after.error if after.error <= max_ratio * most else np.inf
+        tried.append((error, nominal, turned.gravity))
     best = min((error for error, *_ in tried), default=np.inf)
     rival = np.inf if other is None else BETTER * other.error
-    if best > min(max_ratio * before.error, max_error, rival):
+    if best > min(max_error, rival):
         return other
     alike = sorted((row for row in tried if row[0] < best / BETTER), key=lambda row: row[1])
     told = alike[: 1 if robot.nominal is not None else 2]

@@ -384,7 +384,7 @@ CODES: Mapping[str, Code] = {
         "The robot's equations do not fit the torque.",
         "They leave more than 60 % of its RMS, no exchange or flip mends it, and every joint that "
         "moves makes 10 encoder steps a second.",
-        "Check that robot file and log are of one robot and that the torque is measured.",
+        "Check that robot file and log are of one robot, its mounting (gravity), and the torque.",
     ),
     **IMU_CODES,
     # temperature

@@ -33,6 +33,22 @@ TomlOutput = Annotated[
 Name = Annotated[
     str | None, typer.Option("--name", metavar="NAME", help="The robot's name; else the URDF's.")
 ]
+Constants = Annotated[
+    str | None,
+    typer.Option(
+        "--torque-constant",
+        metavar="K[,K...]",
+        help="N m/A, motor side: one for all joints, or one for each.",
+    ),
+]
+Ratios = Annotated[
+    str | None,
+    typer.Option(
+        "--gear-ratio",
+        metavar="N[,N...]",
+        help="Motor turns per joint turn: one for all joints, or one for each.",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite a robot file that exists.")]
 
 
@@ -42,6 +58,8 @@ def run(
     urdf: UrdfPath = None,
     output: TomlOutput = None,
     name: Name = None,
+    torque_constant: Constants = None,
+    gear_ratio: Ratios = None,
     force: Force = False,
 ) -> int:
     """Write a commented robot file: joints, limits, encoder steps, channels, IMUs as far as known.
@@ -49,6 +67,10 @@ def run(
     What nobody can read off a log stands in it as a TODO.
     """
     screen = screen_of(context)
+    drives = {
+        "torque_constant": _numbers("--torque-constant", torque_constant),
+        "gear_ratio": _numbers("--gear-ratio", gear_ratio),
+    }
     files = expand(logs)
     for file in files:
         check_log(file)
@@ -67,7 +89,8 @@ def run(
         files,
         urdf=text,
         urdf_path=_beside(urdf, output),
-        name=name or (urdf.stem if urdf else "robot"),
+        drives={key: values for key, values in drives.items() if values},
+        name=name or (text.root.get("name") if text else "") or "robot",
     )
     content = robot_toml(proposal.template)
     if output is not None:
@@ -88,6 +111,15 @@ def run(
         screen.note(f"written: {output}")
         screen.note(f"next: seqid inspect {logs[0]} -r {output}")
     return 0
+
+
+def _numbers(option: str, text: str | None) -> list[float]:
+    """Read numbers between commas."""
+    try:
+        return [float(part) for part in text.split(",")] if text else []
+    except ValueError:
+        hint = "Give one number for all joints, or one for each: 0.12,0.12,0.09."
+        raise UsageError(f"{option} {text!r} holds no numbers", hint=hint) from None
 
 
 def _beside(urdf: Path | None, output: Path | None) -> str | None:

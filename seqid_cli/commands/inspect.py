@@ -25,9 +25,7 @@ OptionalRobot = Annotated[
     Path | None,
     typer.Option("-r", "--robot", metavar="FILE", help="Robot file; guessed when left out."),
 ]
-StrictErrors = Annotated[
-    bool, typer.Option("--strict", help="Exit with 1 when an error is found in a log.")
-]
+StrictErrors = Annotated[bool, typer.Option("--strict", help="Exit with 1 on warnings as well.")]
 
 
 def run(
@@ -40,8 +38,8 @@ def run(
 ) -> int:
     """Look through logs: channels, rates, clocks, units, joints that move, and what is wrong.
 
-    With a robot file, torque and IMUs are compared with its geometry as well. The exit code is 2
-    when a log cannot be read, 3 when one was read in part.
+    With a robot file, torque and IMUs are compared with its geometry as well. The exit code is 1
+    when an error is found, 2 when a log cannot be read, 3 when one was read in part.
     """
     with listening(screen_of(context)) as told:
         from seqid_cli.inspect import inspect
@@ -62,6 +60,7 @@ def _exit_code(screen: Screen, report: InspectionFile, *, strict: bool) -> int:
         said = f"seqid {screen.command}: error: {first.log}: {first.message}\n"
         sys.stderr.write(visible(f"{said}  hint: {first.remedy}\n"))
         return EXIT_UNREADABLE
-    if strict and any(finding.severity == "error" for finding in report.findings):
+    grave = ("error", "warning") if strict else ("error",)
+    if any(finding.severity in grave for finding in report.findings):
         return EXIT_UNTRUSTED
     return EXIT_PARTIAL if any(log.partial for log in report.logs) else EXIT_DONE

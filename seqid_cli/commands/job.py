@@ -14,6 +14,7 @@ from seqid_cli.commands.progress import ProgressLine
 from seqid_cli.commands.render import Screen
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
 from seqid_cli.params.schema import Verdict
+from seqid_cli.working import heard_by
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -42,7 +43,11 @@ class Told:
 
     def __call__(self, progress: Progress) -> None:
         """Take what is told."""
-        self.line.clear()
+        with self.line.hidden():
+            self._take(progress)
+        self.line.show(progress.done, progress.total, Path(progress.log).name)
+
+    def _take(self, progress: Progress) -> None:
         if progress.state == "note":
             self.screen.note(progress.text)
         elif progress.state == "detail":
@@ -51,7 +56,6 @@ class Told:
             self.left_out.append(progress.log)
         elif progress.note is not None:
             self._done(progress.note)
-        self.line.show(progress.done, progress.total, Path(progress.log).name)
 
     def _done(self, log: LogNote) -> None:
         path = str(log.path)
@@ -63,11 +67,11 @@ class Told:
 
     def warn(self, message: Warning | str, category: type[Warning], *more: Any) -> None:
         """Print a warning in the place of Python's own way."""
-        self.line.clear()
-        if issubclass(category, SeqidWarning):
-            self.screen.warn(str(message))
-        else:
-            sys.stderr.write(warnings.formatwarning(message, category, *more[:2]))
+        with self.line.hidden():
+            if issubclass(category, SeqidWarning):
+                self.screen.warn(str(message))
+            else:
+                sys.stderr.write(warnings.formatwarning(message, category, *more[:2]))
 
     def exit_code(self, *, untrusted: bool) -> int:
         """Return the exit code of a command that has written its result."""
@@ -82,9 +86,10 @@ def listening(screen: Screen) -> Iterator[Told]:
         warnings.simplefilter("always", SeqidWarning)
         warnings.showwarning = told.warn  # type: ignore[assignment]
         try:
-            yield told
+            with heard_by(told.line.show):
+                yield told
         finally:
-            told.line.clear()
+            told.line.close()
 
 
 @contextlib.contextmanager

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TextIO
 
-_PATIENCE_S = 1.0
-_CELLS = 20
+from seqid_cli.commands.layout import shortened
+
+_PATIENCE_S, _TICK_S = 1.0, 0.5
+_CELLS, _TEXT = 16, 30
 _CLEAR = "\r\x1b[2K"
 
 
 class ProgressLine:
-    """Draws `[#####...] 3/12 name` over itself; draws nothing where no terminal listens."""
+    """Draws `[#####...] 3/12 name  8 s, about 24 s left` over itself, twice a second.
+
+    Draws nothing where no terminal listens.
+    """
 
     def __init__(
         self,
@@ -25,21 +32,56 @@ class ProgressLine:
         self._enabled = enabled and stream.isatty()
         self._clock = clock
         self._start = clock()
+        self._state: tuple[int, int, str] = (0, 0, "starting")
+        self._began = self._start  # the work of which `done` parts are finished
+        self._told = self._start  # the last part
         self._drawn = False
+        self._lock = threading.RLock()
+        self._closed = threading.Event()
+        if self._enabled:
+            threading.Thread(target=self._tick, daemon=True).start()
 
     def show(self, done: int, total: int, text: str) -> None:
         """Say that `done` of `total` parts are finished and what comes next."""
-        if not self._enabled or self._clock() - self._start < _PATIENCE_S:
-            return
-        filled = min(_CELLS, _CELLS * done // max(total, 1))
-        bar = "#" * filled + "." * (_CELLS - filled)
-        self._stream.write(f"{_CLEAR}[{bar}] {done}/{total} {text[:50]}")
-        self._stream.flush()
-        self._drawn = True
+        self._told = self._clock()
+        if total != self._state[1] or done < self._state[0]:
+            self._began = self._told
+        self._state = (done, total, text)
+        self._draw()
 
-    def clear(self) -> None:
-        """Remove the line so that other text can be written."""
-        if self._drawn:
-            self._stream.write(_CLEAR)
+    @contextlib.contextmanager
+    def hidden(self) -> Iterator[None]:
+        """Remove the line while other text is written in the block."""
+        with self._lock:
+            if self._drawn:
+                self._stream.write(_CLEAR)
+                self._stream.flush()
+                self._drawn = False
+            yield
+
+    def close(self) -> None:
+        """Remove the line for good."""
+        self._closed.set()
+        with self.hidden():
+            pass
+
+    def _tick(self) -> None:
+        while not self._closed.wait(_TICK_S):
+            self._draw()
+
+    def _draw(self) -> None:
+        now = self._clock()
+        with self._lock:
+            if not self._enabled or self._closed.is_set() or now - self._start < _PATIENCE_S:
+                return
+            done, total, text = self._state
+            filled = min(_CELLS, _CELLS * done // max(total, 1))
+            bar = "#" * filled + "." * (_CELLS - filled)
+            times = f"{now - self._start:.0f} s"
+            left = (self._told - self._began) * (total - done) / max(done, 1)
+            if left > now - self._told:
+                times += f", about {left - now + self._told:.0f} s left"
+            line = f"[{bar}] {done}/{total} {shortened(text, _TEXT)}  {times}"
+            self._stream.write(f"{_CLEAR}{line[:79]}")
             self._stream.flush()
-            self._drawn = False
+            self._drawn = True

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 import typer
 
 from seqid_cli import shares
+from seqid_cli.commands.layout import Row, folded, format_table, width_of
 from seqid_cli.commands.options import screen_flag
 from seqid_cli.commands.visible import visible, visible_cell
 from seqid_cli.params.encode import encode
-
-Row = Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -36,12 +35,13 @@ class Screen:
         if self.json or not rows:
             return
         cells = [[visible_cell(cell) for cell in row] for row in rows]
-        sys.stdout.write(rich_table(columns, cells) if self.color else plain_table(columns, cells))
+        style = _style if self.color else None
+        sys.stdout.write(format_table(columns, cells, width=width_of(sys.stdout), style=style))
 
     def result(self, line: str) -> None:
         """Print one line of the result."""
         if not self.json:
-            sys.stdout.write(visible(line) + "\n")
+            sys.stdout.write(folded(visible(line), width_of(sys.stdout)) + "\n")
 
     def document(self, document: object) -> None:
         """Print the result as JSON where that was asked for."""
@@ -52,7 +52,8 @@ class Screen:
         """Say what may be wrong, once."""
         if message not in self.said:
             self.said.add(message)
-            sys.stderr.write(f"seqid {self.command}: warning: {visible(message)}\n")
+            line = f"seqid {self.command}: warning: {visible(message)}"
+            sys.stderr.write(folded(line, width_of(sys.stderr)) + "\n")
 
     def knows(self, messages: Iterable[str]) -> None:
         """Keep messages from being said: they were, in other words."""
@@ -62,7 +63,7 @@ class Screen:
         """Say what a result remarks, unless it was said before."""
         if message not in self.said:
             self.said.add(message)
-            self.note(f"note: {message}")
+            self.note(folded(f"note: {message}", width_of(sys.stderr)))
 
     def note(self, message: str) -> None:
         """Say what is good to know."""
@@ -103,45 +104,11 @@ def percent(share: float | None) -> str:
     return "-" if share is None else shares.percent(share)
 
 
-def plain_table(columns: Row, rows: Sequence[Row]) -> str:
-    """Return aligned columns: text to the left, numbers to the right."""
-    lines = [columns, *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(columns))]
-    numeric = [all(_is_number(row[i]) for row in rows) for i in range(len(columns))]
-    text = ""
-    for line in lines:
-        cells = zip(line, widths, numeric, strict=True)
-        padded = [cell.rjust(width) if right else cell.ljust(width) for cell, width, right in cells]
-        text += "  ".join(padded).rstrip() + "\n"
-    return text
-
-
-def rich_table(columns: Row, rows: Sequence[Row]) -> str:
-    """Return the same table for a terminal with colours."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for index, column in enumerate(columns):
-        right = all(_is_number(row[index]) for row in rows)
-        table.add_column(Text(column), justify="right" if right else "left")
-    for row in rows:
-        table.add_row(*(Text(cell, style=_style(cell)) for cell in row))
-    console = Console(force_terminal=True)
-    with console.capture() as capture:
-        console.print(table)
-    return capture.get()
-
-
-def _style(cell: str) -> str:
-    if cell == "good":
-        return "green"
-    return "yellow" if cell.startswith("poor") else ""
-
-
-def _is_number(cell: str) -> bool:
-    return cell == "-" or cell.rstrip(" %").replace(".", "", 1).lstrip("+-<> ")[:1].isdigit()
+def _style(cell: str, head: bool) -> str:
+    """The code that colours a cell; a table is laid out alike without it."""
+    if head:
+        return "\x1b[1m"
+    return "\x1b[32m" if cell == "good" else "\x1b[33m" * cell.startswith("poor")
 
 
 def _terminal_has_color() -> bool:

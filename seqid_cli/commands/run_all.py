@@ -14,6 +14,7 @@ from seqid_cli.commands.render import Screen, screen_of
 from seqid_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:
+    from seqid_cli.params.schema import Verdict
     from seqid_cli.robot.types import Robot
 
 EXAMPLES = (
@@ -120,7 +121,8 @@ def steps_of(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None
         raise InputError(
             f"{wrong}; a run starts with friction trials",
             where=str(folder),
-            hint="Sort the logs into " + ", ".join(f"{name}/" for name in FOLDERS) + ".",
+            hint="Sort the logs into " + ", ".join(f"{name}/" for name in FOLDERS) + "; without "
+            "trials of single joints use seqid simultaneous.",
         )
     if not robot.imus:
         there.pop("imu", None)
@@ -195,9 +197,11 @@ def _redone(outcomes: Sequence[Outcome]) -> bool:
 def _outcome(screen: Screen, step: Step, *, force: bool) -> Outcome:
     """Run a step, or look up what it said before."""
     if step.current and not force:
-        good = trusted(step.writes)
+        poor = poor_of(step.writes)
         screen.note(f"{step.command}: {step.writes} is newer than its logs, kept")
-        return Outcome(step.command, str(step.writes), good, kept=True)
+        for verdict in poor:
+            screen.note(f"{verdict.joint or step.command}: poor: {verdict.reason}")
+        return Outcome(step.command, str(step.writes), good=not poor, kept=True)
     screen.note(f"--- {step.command}")
     from seqid_cli.commands.app import call
 
@@ -220,21 +224,18 @@ class _Silent(Screen):
         """Leave the step's out: it is in its file."""
 
 
-def trusted(path: Path) -> bool:
-    """Whether the newest part of a result has no poor verdict."""
+def poor_of(path: Path) -> list[Verdict]:
+    """Return what the newest part of a result calls poor."""
     if path.suffix != ".json":
-        return True
+        return []
     from seqid_cli.params.io import read_any
     from seqid_cli.params.schema import ParameterFile
 
     (source,) = read_any([path])
-    document = source.content
+    document: Any = source.content
     if isinstance(document, ParameterFile):
-        stage = getattr(document.stages, path.stem, None)
-        verdicts = stage.verdicts if stage is not None else []
-    else:
-        verdicts = getattr(document, "verdicts", [])
-    return all(verdict.good for verdict in verdicts)
+        document = getattr(document.stages, path.stem, None)
+    return [verdict for verdict in getattr(document, "verdicts", []) if not verdict.good]
 
 
 def _show(screen: Screen, outcomes: Sequence[Outcome]) -> None:

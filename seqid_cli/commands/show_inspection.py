@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,6 +19,7 @@ _WORDS = {
 }
 SHOWN_JITTER = 0.01
 _SHOWN = 3  # logs that are shown in detail without -v
+_LISTED = 12  # logs that have a line each without -v
 
 
 def show_inspection(screen: Screen, file: InspectionFile) -> None:
@@ -24,6 +27,7 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
     count = f"{len(file.logs)} log" + ("s" if len(file.logs) != 1 else "")
     screen.result(f"verdict: {file.verdict} - {_WORDS[file.verdict]} ({count})")
     _logs(screen, file.logs)
+    _serves(screen, file.logs)
     _findings(screen, file.findings)
     readable = [log for log in file.logs if log.joints]
     detailed = readable if screen.verbose or len(readable) <= _SHOWN else []
@@ -57,7 +61,44 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
         columns[5:5] = ["jitter", "gaps"]
         for row, log in zip(rows, logs, strict=True):
             row[5:5] = [percent(log.jitter), str(len(log.gaps))]
+    if len(rows) > _LISTED and not screen.verbose:
+        rows = _alike(rows, logs)
+    if uneven and len({row[2] for row in rows}) == 1:  # the names tell it as well
+        rows, columns = [[*row[:2], *row[3:]] for row in rows], [*columns[:2], *columns[3:]]
     screen.table(columns, [tuple(row) for row in rows])
+
+
+def _alike(rows: Sequence[list[str]], logs: Sequence[InspectedLog]) -> list[list[str]]:
+    """Give logs of the same verdict that move and serve alike one row, with their length in all."""
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for k, row in enumerate(rows):
+        groups.setdefault((*row[1:3], *row[-2:]), []).append(k)
+    found = []
+    for own in groups.values():
+        row = list(rows[own[0]])
+        if len(own) > 1:
+            row[0] += f" and {len(own) - 1} more"
+            row[3] = number(sum(logs[k].seconds for k in own), 4)
+            row[4] = number(statistics.median(logs[k].rate_hz for k in own), 4)
+        if len(row) > 7:
+            row[5] = percent(max(logs[k].jitter for k in own))
+            row[6] = str(sum(len(logs[k].gaps) for k in own))
+        found.append(row)
+    return found
+
+
+def _serves(screen: Screen, logs: Sequence[InspectedLog]) -> None:
+    """Say what several logs serve for as a whole, and which joints they leave out."""
+    if len(logs) < 2 or not any(log.serves for log in logs):
+        return
+    stages = dict.fromkeys(stage for log in logs for stage in log.serves)
+    counts = [f"{stage} ({_count(stage, logs)})" for stage in stages]
+    screen.result(f"as a whole they serve {', '.join(counts)}")
+    alone = {move.joint for log in logs if "friction" in log.serves for move in log.moves}
+    names = dict.fromkeys(joint.name for log in logs for joint in log.joints)
+    lacking = [name for name in names if name not in alone]
+    if alone and lacking:
+        screen.result(f"no log moves this joint by itself at constant speed: {', '.join(lacking)}")
 
 
 def _common_folder(paths: Sequence[str]) -> str:
@@ -73,19 +114,32 @@ def _common_folder(paths: Sequence[str]) -> str:
 
 
 def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
-    """Print findings, the gravest first; what several logs share comes once."""
+    """Print findings, the gravest first; what several logs or joints share comes once."""
     order = {"error": 0, "warning": 1, "note": 2}
-    shared: dict[tuple[str, str, str, str], list[InspectionFinding]] = {}
+    shared: dict[tuple[str, str], list[InspectionFinding]] = {}
     for item in sorted(findings, key=lambda finding: order[finding.severity]):
-        key = (item.code, item.joint, item.channel, item.message)
+        alike = re.sub("-?[0-9][0-9.e+-]*", "#", _message(item).replace(item.joint or "\0", ""))
+        key = (item.code, item.log + item.joint + item.message if screen.verbose else alike)
         shared.setdefault(key, []).append(item)
     for group in shared.values():
-        first = group[0]
-        more = f" (and {len(group) - 1} more logs)" if len(group) > 1 else ""
-        place = [part for part in (first.log + more, first.joint, first.channel) if part]
-        message = first.message.removeprefix(f"{first.joint}: ")
+        first, logs = group[0], dict.fromkeys(item.log for item in group)
+        count = f" (and {len(logs) - 1} more logs)" if len(logs) > 1 else ""
+        joints = ", ".join(dict.fromkeys(item.joint for item in group if item.joint))
+        channels = dict.fromkeys(item.channel for item in group)
+        place = [first.log + count, joints, first.channel if len(channels) == 1 else ""]
+        place = [part for part in place if part]
+        message = _message(first)
         screen.result(f"{first.severity} [{first.code}] {': '.join([*place, message])}")
         screen.result(f"    {first.remedy}")
+
+
+def _count(stage: str, logs: Sequence[InspectedLog]) -> str:
+    count = sum(stage in log.serves for log in logs)
+    return f"{count} log" + "s" * (count > 1)
+
+
+def _message(finding: InspectionFinding) -> str:
+    return finding.message.removeprefix(f"{finding.joint}: ")
 
 
 def _details(screen: Screen, log: InspectedLog) -> None:
@@ -131,7 +185,7 @@ def _details(screen: Screen, log: InspectedLog) -> None:
             imu.name,
             str(imu.accelerometers),
             "yes" if imu.gyro else "no",
-            number(imu.rate_hz),
+            number(imu.rate_hz, 5),
             number(imu.rest_norm, 4),
             number(1e3 * imu.delay_s if imu.delay_s is not None else None, 2),
         )

@@ -10,7 +10,13 @@ import numpy as np
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.pieces import by_log, whole_of
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths, temperature_at
+from seqid_cli.model.effects.scene import (
+    LONGEST_SESSION_S,
+    Scene,
+    sensor_at,
+    sign_widths,
+    temperature_at,
+)
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
@@ -73,6 +79,7 @@ def scenes_of(
             shared_clock=shared,
             period=1.0 / recording.rate_hz,
             temperature=temperature_at(recording, motion),
+            sensor=sensor_at(recording, motion),
             encoder=recording.q,
             measured=recording.tau,
         )
@@ -91,10 +98,10 @@ def thinned(full: Scene) -> Scene:
     """The data set at the rate at which most effects are looked for, with the full one inside."""
     motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
     every = round(full.motion.rate_hz / motion.rate_hz)
-    kept = [None if x is None else x[::every] for x in (full.temperature, full.encoder)]
-    return replace(
-        full, motion=motion, temperature=kept[0], encoder=kept[1], measured=None, full=full
-    )
+    logged = (full.temperature, full.sensor, full.encoder)
+    temperature, sensor, encoder = (None if x is None else x[::every] for x in logged)
+    kept = replace(full, temperature=temperature, sensor=sensor, encoder=encoder)
+    return replace(kept, motion=motion, measured=None, full=full)
 
 
 def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:

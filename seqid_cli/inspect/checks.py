@@ -185,6 +185,8 @@ def _of_dynamics(
         friction = [] if spoilt else [*friction_findings(data, sample)]
         against += friction if spoilt else geometry_findings(data, sample, friction)
     yield from (_with_imus(finding, data, following) for finding in against)
+    if any(finding.code == "gravity_direction" for finding in against):
+        return  # IMUs are compared with it
     spoil = {*SPOIL - _TAKEN_OUT, "position_limits"}  # a zero that is off turns the link
     joints = {name for f in (*own, *against) if f.code in spoil for name in f.joint.split(", ")}
     if not joints & set(data.robot.joint_names):

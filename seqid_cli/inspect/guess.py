@@ -3,73 +3,60 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.contents import Survey
+from seqid_cli.logs.tables.naming_schemes import COMMANDED, MEASURED
 from seqid_cli.robot.placement import DhRow, chain_from_dh
 from seqid_cli.robot.toml.checks import MOST_JOINTS
-from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Joint, Robot
 
 # Words for each quantity, joined and in lower case; those of one letter count only beside a number.
 WORDS: Mapping[str, tuple[str, ...]] = {
-    "position": ("position", "positions", "pos", "q", "angle", "theta", "measq"),
-    "velocity": ("velocity", "velocities", "vel", "qd", "dq", "qdot", "speed", "omega"),
-    "current": ("current", "currents", "cur", "amps", "i", "iq"),
-    "torque": ("torque", "torques", "tau", "effort", "efforts", "trq", "tauj", "moment"),
-    "temperature": ("temperature", "temperatures", "temp"),
+    "position": ("position", "positions", "pos", "q", "angle", "theta", "measq", "winkel"),
+    "velocity": ("velocity", "velocities", "vel", "qd", "dq", "qdot", "speed", "geschwindigkeit"),
+    "current": ("current", "currents", "cur", "amps", "i", "iq", "strom"),
+    "torque": ("torque", "torques", "tau", "effort", "efforts", "tauj", "moment", "drehmoment"),
+    "load": ("load",),
+    "voltage": ("voltage", "spannung"),
+    "pwm": ("pwm", "duty"),
+    "temperature": ("temperature", "temperatures", "temp", "temperatur"),
 }
 _QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}
-_NOISE = {
-    "joint",
-    "joints",
-    "j",
-    "axis",
-    "state",
-    "states",
-    "actual",
-    "measured",
-    "meas",
-    "act",
-    "motor",
-    "robot",
-    "observation",
-}
-_COMMANDED = {
-    "target",
-    "desired",
-    "des",
-    "cmd",
-    "command",
-    "commanded",
-    "ref",
-    "goal",
-    "setpoint",
-    "d",
-    "err",
-    "error",
-}
 _SHORT = 2  # letters; such words are too common to stand for a quantity without a number
+_BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
+_UNITS = frozenset({"rad", "rads", "radians", "deg", "degs", "degrees", "grad", "nm", "amp", "s"})
+_DEGREES = frozenset({"deg", "degs", "degrees", "grad"})
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A guess by names: joints in order, `[channels]` patterns, and IMUs."""
+    """A guess by names: joints in order, `[channels]` patterns, and IMUs.
+
+    `degrees` where the names of the positions say so.
+    """
 
     joints: tuple[str, ...]
-    patterns: Mapping[str, str] = field(default_factory=dict)
+    patterns: Mapping[str, Columns] = field(default_factory=dict)
     imus: tuple[Imu, ...] = ()
+
+    @property
+    def degrees(self) -> bool:
+        """Whether the positions' columns are called so."""
+        pattern = self.patterns.get("position", "")
+        first = pattern if isinstance(pattern, str) else str(pattern[0])
+        return "°" in first or bool(_DEGREES & set(_letters(first)))
 
 
 def guess(survey: Survey) -> Guess:
     """Guess joints, channels and IMUs of a log from the names in it."""
-    names = [channel.name for channel in survey.channels]
+    names = survey.columns or [channel.name for channel in survey.channels]
     imus = _imus(names)
     if survey.format == "mcap":
         return Guess(survey.joints, {}, imus)
@@ -82,58 +69,81 @@ def guess(survey: Survey) -> Guess:
     return Guess(joints, patterns, imus)
 
 
-def guess_channels(names: Iterable[str]) -> tuple[dict[str, str], tuple[str, ...]]:
+def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
     """Guess `[channels]` patterns and joint names from column names.
 
     Returns
     -------
     patterns : dict
-        By quantity, with {index}, {index0} or {name}; empty where nothing is found.
+        By quantity, with {index}, {index0} or {name}, or the column of each joint; empty where
+        nothing is found.
     joints : tuple of str
         Names found in the columns, else joint_1, joint_2, ...
     """
     names = list(names)
     numbered, named = _numbered(names), _named(names)
-    position = _best(numbered.get("position", {}))
-    if position is not None:
-        patterns = {"position": _index(*position)}
-        count = len(position[1])
-        for quantity in ("velocity", "current", "torque", "temperature"):
-            same = {
-                form: numbers
-                for form, numbers in numbered.get(quantity, {}).items()
-                if len(numbers) >= count
-            }
-            best = _best(same)
-            if best is not None:
-                patterns[quantity] = _index(*best)
-        return patterns, tuple(f"joint_{k + 1}" for k in range(count))
-    if "position" not in named:
-        return {}, ()
-    form, joints = max(named["position"].items(), key=lambda item: len(item[1]))
-    patterns = {"position": form}
-    for quantity in ("velocity", "current", "torque", "temperature"):
-        fits = [f for f, js in named.get(quantity, {}).items() if set(joints) <= set(js)]
-        if fits:
-            patterns[quantity] = fits[0]
-    return patterns, tuple(joints)
+    positions = numbered.get("position", {})
+    if positions:
+        numbers = max(positions.values(), key=lambda found: (_is_range(found), len(found)))
+        patterns: dict[str, Columns] = {}
+        for quantity, forms in numbered.items():
+            fits = {f: own for f, own in forms.items() if _serves(own, numbers)}
+            if fits:
+                form = max(fits, key=lambda f: len(fits[f]))
+                patterns[quantity] = _index(form, fits[form], numbers)
+        first = 1 if _is_range(numbers) else 0
+        return patterns, tuple(
+            f"joint_{k + 1 if first else number}" for k, number in enumerate(numbers)
+        )
+    if "position" in named:
+        form, joints = max(named["position"].items(), key=lambda item: len(item[1]))
+        patterns = {"position": form}
+        for quantity, found in named.items():
+            fitting = [f for f, js in found.items() if set(joints) <= set(js)]
+            if fitting:
+                patterns.setdefault(quantity, fitting[0])
+        return patterns, tuple(joints)
+    alone = _alone(names)
+    return (alone, ("joint_1",)) if "position" in alone else ({}, ())
 
 
-def _index(form: str, numbers: Sequence[int]) -> str:
-    return form.replace("{#}", "{index0}" if numbers[0] == 0 else "{index}")
+def _serves(own: list[int], numbers: list[int]) -> bool:
+    """Whether columns with these numbers hold a quantity of the joints with those."""
+    if _is_range(own) and _is_range(numbers):
+        return len(own) >= len(numbers)
+    return set(own) >= set(numbers)
 
 
-def _numbered(names: list[str]) -> dict[str, dict[str, list[int]]]:
+def _index(form: str, own: list[int], numbers: list[int]) -> Columns:
+    if _is_range(own) and _is_range(numbers):
+        return form.replace("{#}", "{index0}" if own[0] == 0 else "{index}")
+    columns = tuple(form.replace("{#}", str(number)) for number in numbers)
+    return columns[0] if len(columns) == 1 else columns
+
+
+def _alone(names: list[str]) -> dict[str, Columns]:
+    """Columns of a single joint, which need no name: `q`, `q_act`, `tau`."""
+    found: dict[str, Columns] = {}
+    for name in names:
+        quantity = _quantity(_words(name), 0)
+        if quantity:
+            found.setdefault(quantity, name)
+    return found
+
+
+def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, list[int]]]:
     """Forms with `{#}` for the number, by quantity, with the numbers found."""
     found: dict[str, dict[str, set[int]]] = {}
     for name in names:
         for match in re.finditer(r"[0-9]{1,3}", name):
+            if any(a.start() < match.start() < a.end() for a in _BRACKET.finditer(name)):
+                continue
             form = name[: match.start()] + "{#}" + name[match.end() :]
             quantity = _quantity(_words(form), _SHORT - 2)
             if quantity:
                 found.setdefault(quantity, {}).setdefault(form, set()).add(int(match[0]))
     return {
-        quantity: {f: sorted(ns) for f, ns in forms.items() if _is_range(ns)}
+        quantity: {f: sorted(ns) for f, ns in forms.items() if len(ns) <= max_joints}
         for quantity, forms in found.items()
     }
 
@@ -145,43 +155,40 @@ def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
         for separator in ("/", ".", "_"):
             parts = name.split(separator)
             for at in (len(parts) - 1, 0):
-                quantity = _quantity([parts[at].lower()], _SHORT) if len(parts) > 1 else ""
+                quantity = _quantity(_words(parts[at]), _SHORT) if len(parts) > 1 else ""
                 joint = separator.join(parts[:at] if at else parts[1:]).strip("/")
-                if quantity and joint and not _COMMANDED & set(_words(joint)):
+                if quantity and joint and not (COMMANDED | MEASURED) & set(_words(joint)):
                     form = name.replace(joint, "{name}", 1)
                     found.setdefault(quantity, {}).setdefault(form, []).append(joint)
     return found
 
 
 def _words(text: str) -> list[str]:
-    plain = text.replace("{#}", " ")
-    return [word.lower() for word in re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", plain) if word]
+    """Words of a name in lower case, without the unit behind it."""
+    words = _letters(_BRACKET.sub(" ", text.replace("{#}", " ")))
+    return words[:1] + [word for word in words[1:] if word not in _UNITS]
+
+
+def _letters(text: str) -> list[str]:
+    return [word.lower() for word in re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text) if word]
 
 
 def _quantity(words: list[str], shortest: int) -> str:
-    if _COMMANDED & set(words):
+    if COMMANDED & set(words):
         return ""
-    rest = [word for word in words if word not in _NOISE] or [""]
+    rest = [word for word in words if word not in MEASURED] or [""]
     for text in ("".join(rest), rest[-1] if len(rest) == 1 else ""):
         if text in _QUANTITY and len(text) > shortest:
             return _QUANTITY[text]
     return ""
 
 
-def _is_range(numbers: set[int], *, max_joints: int = 64) -> bool:
-    first = min(numbers)
-    return (
-        first in (0, 1)
-        and numbers == set(range(first, first + len(numbers)))
-        and (len(numbers) <= max_joints)
-    )
+def _is_range(numbers: list[int]) -> bool:
+    """Whether the numbers count joints, from 0 or from 1."""
+    return numbers[0] in (0, 1) and numbers == [*range(numbers[0], numbers[0] + len(numbers))]
 
 
-def _best(forms: Mapping[str, list[int]]) -> tuple[str, list[int]] | None:
-    return max(forms.items(), key=lambda item: len(item[1]), default=None)
-
-
-def _imus(names: list[str]) -> tuple[Imu, ...]:
+def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
     """IMUs by the default names of columns and topics; positions are unknown and zero."""
     counts: dict[str, int] = {}
     gyros: set[str] = set()
@@ -225,5 +232,8 @@ def stand_in(guessed: Guess, *, source: Path) -> Robot:
         sha256="",
         source=source,
         imus=guessed.imus,
-        channels=msgspec.convert(dict(guessed.patterns), Channels),
+        channels=Channels(
+            **guessed.patterns,  # type: ignore[arg-type]
+            unit="deg" if guessed.degrees else "rad",
+        ),
     )

@@ -27,6 +27,8 @@ from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.storage.remote import local_copy
+from seqid_cli.logs.tables.csv_form import nameless
+from seqid_cli.logs.tables.table import missing_columns
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.results.inspection import (
     INSPECTION_SCHEMA,
@@ -130,6 +132,8 @@ def _guessed(
             findings = [structs.replace(found("channel_missing", text), remedy=problem.hint)]
     try:
         if not guessed.joints:
+            if nameless([channel.name for channel in surveyed.channels]):
+                raise missing_columns(str(path), [], [c.name for c in surveyed.channels])
             raise InputError(
                 "no joint positions were found by the names in it: "
                 + (", ".join(channel.name for channel in surveyed.channels[:12]) or "nothing"),

@@ -172,6 +172,8 @@ def averaged(recording: Recording, rate_hz: float) -> Recording:
         dq=None,
         tau=None if recording.tau is None else mean(recording.tau),
         temperature=None,
+        load=None,
+        link_position=None,
         bridged=None
         if recording.bridged is None
         else mean(recording.bridged.astype(np.float64))[:, 0] > 0.0,

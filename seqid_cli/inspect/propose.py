@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from seqid_cli.errors import InputError
+from msgspec import structs
+
+from seqid_cli.errors import InputError, UsageError
 from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
-from seqid_cli.params.results.inspection import InspectedJoint
+from seqid_cli.params.results.inspection import InspectedJoint, InspectionFinding
+from seqid_cli.robot.toml.schema import Columns
 from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTemplate
 from seqid_cli.robot.urdf.joints import UrdfJoint, best_chain, check_urdf
 from seqid_cli.robot.urdf.text import UrdfText
@@ -30,7 +34,12 @@ class Proposal:
 
 
 def propose(
-    paths: Sequence[Path], *, urdf: UrdfText | None, urdf_path: str | None, name: str
+    paths: Sequence[Path],
+    *,
+    urdf: UrdfText | None,
+    urdf_path: str | None,
+    name: str,
+    drives: Mapping[str, Sequence[float]] = {},
 ) -> Proposal:
     """Propose a robot file from logs of one robot.
 
@@ -44,9 +53,13 @@ def propose(
         How the file is to name the URDF.
     name : str
         The robot's name.
+    drives : mapping
+        `torque_constant` and `gear_ratio`: one for all joints, or one for each.
 
     Raises
     ------
+    UsageError
+        As many drives' data as there are neither joints nor one.
     InputError
         A log cannot be read, or no joint is found in it.
     ConfigError
@@ -63,14 +76,20 @@ def propose(
             raise InputError(first.message, hint=first.remedy, where=report.log.path)
     seen = _merged([joint for report in reports for joint in report.log.joints])
     pairs, chain = _matched(guessed.joints, urdf)
-    joints = tuple(_joint(log_name, joint, seen[log_name]) for log_name, joint in pairs) or tuple(
-        _joint(log_name, None, seen[log_name]) for log_name in guessed.joints
+    unit = _unit([f for report in reports for f in report.findings], degrees=guessed.degrees)
+    found: list[tuple[str, UrdfJoint | None]] = [*pairs]
+    found = found or [(log_name, None) for log_name in guessed.joints]
+    joints = tuple(
+        _joint(log_name, joint, seen[log_name], degrees=bool(unit) and not guessed.degrees)
+        for log_name, joint in found
     )
+    joints = _driven(joints, drives)
     names = tuple(joint.name for joint in joints)
     effort = next((joint.effort for joint in seen.values() if joint.effort), "")
     if surveyed.format == "mcap" and effort:
         effort = "effort"
-    channels, unread = _channels(surveyed, guessed, names)
+    log_names = tuple(log_name for log_name, _ in found)
+    channels, unread = _channels(surveyed, guessed, log_names, names)
     taken = {joint.name for _, joint in pairs}
     template = RobotTemplate(
         name=name,
@@ -78,10 +97,35 @@ def propose(
         urdf=urdf_path if pairs else None,
         effort=effort,
         imus=tuple(ImuTemplate(i.name, len(i.positions), i.gyro) for i in guessed.imus),
-        channels=channels,
+        channels={**channels, **unit},
         left_out=tuple(joint.name for joint in chain if joint.name not in taken),
     )
     return Proposal(template, (*unread, *_todo(template, guessed, pairs, urdf)))
+
+
+def _driven(
+    joints: tuple[JointTemplate, ...], drives: Mapping[str, Sequence[float]]
+) -> tuple[JointTemplate, ...]:
+    """Give each joint the data of its drive."""
+    for key, values in drives.items():
+        if len(values) not in (1, len(joints)):
+            names = ", ".join(joint.name for joint in joints)
+            raise UsageError(
+                f"{len(values)} values of {key} for {len(joints)} joints",
+                hint=f"Give one for all, or one for each of {names}.",
+            )
+        own = [*values] * (len(joints) if len(values) == 1 else 1)
+        joints = tuple(
+            replace(joint, **{key: value})  # type: ignore[arg-type]
+            for joint, value in zip(joints, own, strict=True)
+        )
+    return joints
+
+
+def _unit(findings: Sequence[InspectionFinding], *, degrees: bool) -> dict[str, str]:
+    """Return the `[channels]` that say that angles are in degrees, by their names or sizes."""
+    found = degrees or any(finding.code == "position_in_degrees" for finding in findings)
+    return {"unit": "deg"} if found else {}
 
 
 def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:
@@ -134,13 +178,20 @@ def _matched(
     if len(found) == len(log):
         return found, chain
     chain = best_chain(urdf)
-    numbered = all(re.fullmatch(r"[A-Za-z_]*[0-9]+", name) for name in log)
-    if numbered and len(chain) >= len(log):
-        return list(zip(log, chain, strict=False)), chain
+    matched = [re.fullmatch(r"[A-Za-z_]*([0-9]+)", name) for name in log]
+    places = [int(match[1]) for match in matched if match]
+    first = 0 if 0 in places else 1
+    if len(places) == len(log) and max(places) - first < len(chain):
+        return [(name, chain[k - first]) for name, k in zip(log, places, strict=True)], chain
     return found, chain
 
 
-def _joint(log_name: str, joint: UrdfJoint | None, seen: InspectedJoint) -> JointTemplate:
+def _joint(
+    log_name: str, joint: UrdfJoint | None, seen: InspectedJoint, *, degrees: bool
+) -> JointTemplate:
+    """Describe a joint; `degrees` where the inspection took its positions in deg for rad."""
+    if degrees and seen.encoder_step is not None:
+        seen = structs.replace(seen, encoder_step=math.radians(seen.encoder_step))
     if joint is None:
         return JointTemplate(log_name, encoder_step=seen.encoder_step, moves=seen.moves)
     limits = None
@@ -159,33 +210,31 @@ def _joint(log_name: str, joint: UrdfJoint | None, seen: InspectedJoint) -> Join
 
 
 def _channels(
-    surveyed: Survey, guessed: Guess, joints: tuple[str, ...]
-) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return `[channels]` that the log needs, and names that they cannot express."""
-    renamed = tuple(f"{a} -> {b}" for a, b in zip(guessed.joints, joints, strict=False) if a != b)
-    rename = (
-        "the log's joints have other names than the URDF's, and no pattern turns one into the "
-        f"other: rename them in a copy of the URDF ({', '.join(renamed)})",
-    )
+    surveyed: Survey, guessed: Guess, log: tuple[str, ...], joints: tuple[str, ...]
+) -> tuple[dict[str, Columns], tuple[str, ...]]:
+    """Return `[channels]` that the log needs, and names that they cannot express.
+
+    `joints` are the names in the robot file of those that the log calls `log`.
+    """
     if surveyed.format == "mcap":
-        return {}, rename if set(guessed.joints) != set(joints) else ()
-    names = [channel.name for channel in surveyed.channels]
+        renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
+        text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
+        return {}, (text,) if renamed else ()
+    names = surveyed.columns
     times = time_names(names)
-    channels = {}
+    channels: dict[str, Columns] = {}
     if "t" not in times and len(times) != 1:
         channels["time"] = next(iter(times), "TODO")
-    if find_scheme(joints, names) is not None:
-        return channels, ()
     patterns = dict(guessed.patterns) or _defaults(guessed.joints, names)
-    if all("{index" in pattern for pattern in patterns.values()):
-        return {**channels, **patterns}, ()
-    mapped = {key: _mapped(pattern, guessed.joints, joints) for key, pattern in patterns.items()}
-    if all(mapped.values()):
-        return {**channels, **mapped}, ()
-    return {**channels, **patterns}, rename
+    match = find_scheme(joints, names)
+    if match is not None:  # what its names do not tell
+        told = {*match.columns, *(("current", "torque") if "effort" in match.columns else ())}
+        patterns = {key: pattern for key, pattern in patterns.items() if key not in told}
+    mapped = {key: _mapped(pattern, log, joints) for key, pattern in patterns.items()}
+    return {**channels, **mapped}, ()
 
 
-def _defaults(joints: tuple[str, ...], names: Sequence[str]) -> dict[str, str]:
+def _defaults(joints: tuple[str, ...], names: Sequence[str]) -> dict[str, Columns]:
     """Return the default names of columns, of the quantities that the log has."""
     return {
         quantity: f"{{name}}.{quantity}"
@@ -194,11 +243,14 @@ def _defaults(joints: tuple[str, ...], names: Sequence[str]) -> dict[str, str]:
     }
 
 
-def _mapped(pattern: str, log: tuple[str, ...], joints: tuple[str, ...]) -> str:
+def _mapped(pattern: Columns, log: tuple[str, ...], joints: tuple[str, ...]) -> Columns:
     """Write the log's names by those of the URDF, where they only have something around them.
 
-    Or by the number of the joint, where it is all that tells the log's names apart.
+    Or by the number of the joint, where it is all that tells the log's names apart, or column by
+    column.
     """
+    if not isinstance(pattern, str) or "{name}" not in pattern:
+        return pattern
     for prefix, suffix in dict.fromkeys(map(_around, log, joints)):
         if all(a == f"{prefix}{b}{suffix}" for a, b in zip(log, joints, strict=True)):
             return pattern.replace("{name}", f"{prefix}{{name}}{suffix}")
@@ -207,7 +259,7 @@ def _mapped(pattern: str, log: tuple[str, ...], joints: tuple[str, ...]) -> str:
             before, after = log[0][: match.start()], log[0][match.end() :]
             if all(name == f"{before}{k + first}{after}" for k, name in enumerate(log)):
                 return pattern.replace("{name}", f"{before}{key}{after}")
-    return ""
+    return tuple(pattern.replace("{name}", name) for name in log)
 
 
 def _around(log: str, joint: str) -> tuple[str, str]:
@@ -222,6 +274,11 @@ def _todo(
     urdf: UrdfText | None,
 ) -> tuple[str, ...]:
     todo: list[str] = []
+    if "unit" in template.channels:
+        todo.append('check unit = "deg" under [channels]: the angles look like degrees')
+    if urdf is not None and pairs and template.left_out:
+        names = ", ".join(template.left_out)
+        todo.append(f"the log lacks joints of the URDF, taken as locked at zero: {names}")
     lost: Mapping[str, None] = dict.fromkeys(guessed.joints)
     if urdf is not None and not pairs:
         todo.append(
@@ -234,7 +291,8 @@ def _todo(
             todo.append(f"joints of the log that the URDF's chain lacks: {', '.join(missing)}")
     elif urdf is None:
         todo.append("the geometry: name a URDF, or complete dh of every joint")
-    if template.effort == "current":
+    known = all(joint.torque_constant and joint.gear_ratio for joint in template.joints)
+    if template.effort == "current" and not known:
         todo.append("torque_constant and gear_ratio of every joint")
     if template.effort == "effort":
         todo.append('whether effort is torque in N m or current in A (effort = "current")')

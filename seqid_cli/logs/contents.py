@@ -9,7 +9,8 @@ from pathlib import Path
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.tables import csv_file, parquet
-from seqid_cli.logs.tables.naming_schemes import survey_names
+from seqid_cli.logs.tables.list_names import motors_of
+from seqid_cli.logs.tables.naming_schemes import LEROBOT, survey_names
 from seqid_cli.robot.toml.schema import Channels
 
 
@@ -27,7 +28,8 @@ class Survey:
     """The content of one log.
 
     `joints` are the joints that it seems to hold, in its order, and `names` the `[channels]` that
-    a robot file with these joints needs to read it.
+    a robot file with these joints needs to read it. `columns` are those of a table, elements of its
+    lists as `column[k]`.
     """
 
     path: Path
@@ -35,6 +37,7 @@ class Survey:
     channels: tuple[Channel, ...]
     joints: tuple[str, ...]
     names: Channels
+    columns: tuple[str, ...] = ()
 
 
 def survey(path: Path) -> Survey:
@@ -61,7 +64,10 @@ def survey(path: Path) -> Survey:
 
 def _table(path: Path, kind: str, channels: Sequence[Channel], names: Sequence[str]) -> Survey:
     joints, position = survey_names(names)
-    return Survey(path, kind, tuple(channels), joints, Channels(position=position))
+    if position == LEROBOT.patterns["position"][0]:
+        joints = motors_of(path) or joints
+    named = Channels(position=position)
+    return Survey(path, kind, tuple(channels), joints, named, tuple(names))
 
 
 def _topics(path: Path, kind: str, file: Path) -> Survey:

@@ -84,6 +84,8 @@ def _piece(recording: Recording, part: slice, whole: Whole) -> Recording:
         dq=own(recording.dq),
         tau=own(recording.tau),
         temperature=own(recording.temperature),
+        load=own(recording.load),
+        link_position=own(recording.link_position),
         accelerometers={k: v[part].copy() for k, v in recording.accelerometers.items()},
         gyros={k: v[part].copy() for k, v in recording.gyros.items()},
         start=recording.start + float(t[0]),

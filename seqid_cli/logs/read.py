@@ -186,6 +186,8 @@ def assemble(
         tau, valid = torque.values, valid & torque.valid
         gaps |= set(torque.gaps)
     dq = _whole(clock.stream, "velocity", base, warnings)
+    load = _whole(clock.stream, "load", base, warnings)
+    link = _whole(clock.stream, "link_position", base, warnings)
     imus = _read_imus(raw, robot, base, repair)
     warnings += [*clock.warnings, *repair.warnings]
     warnings += imus.warnings
@@ -214,6 +216,8 @@ def assemble(
         dq=dq,
         tau=tau,
         temperature=_temperature(clock.stream, base),
+        load=load,
+        link_position=link,
         accelerometers=imus.accelerometers,
         gyros=imus.gyros,
         start=base.start_ns * 1e-9,

@@ -56,6 +56,8 @@ class Recording:
     dq: Array | None = None  # (N, n) rad/s
     tau: Array | None = None  # (N, n) N m at the joint
     temperature: Array | None = None  # (N, n) degC
+    load: Array | None = None  # (N, n) N m, a torque sensor behind the gear
+    link_position: Array | None = None  # (N, n) rad, an encoder on the link side
     accelerometers: dict[str, Array] = field(default_factory=dict)
     gyros: dict[str, Array] = field(default_factory=dict)
     start: float = 0.0  # s, the first sample on the log's own clock

@@ -54,6 +54,13 @@ def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> Robot:
 
     content = read.content
     chain, nominal = _chain_of(read, urdf)
+    if content.channels.effort == "gravity_compensated" and nominal is None:
+        raise ConfigError(
+            "channels.effort is 'gravity_compensated', but the gravity that the driver subtracts "
+            "is not known",
+            where=str(read.path),
+            hint="Name a urdf with <inertial> that the driver uses, or log the torque as it is.",
+        )
     names = [joint.name for joint in content.joint]
     known = {joint.name: joint for path in chains(urdf) for joint in path} if urdf else {}
     joints = []

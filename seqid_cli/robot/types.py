@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 class Joint:
     """One actuated joint of the chain (rad and N m; m and N where prismatic).
 
-    `torque_constant` [N m/A] and `rotor_inertia` [kg m^2] are on the motor side.
+    `torque_constant` [N m/A] and `rotor_inertia` [kg m^2] are on the motor side;
+    `winding_resistance` [ohm] and `supply_voltage` [V] are for logs of voltage or duty cycle.
     `torque_constant_error` is the relative standard error of the joint's torque scale. `urdf` holds
     what the URDF says of the joint, None where there is none.
     """
@@ -31,6 +32,8 @@ class Joint:
     torque_constant_error: float = 0.0
     gear_ratio: float | None = None
     rotor_inertia: float | None = None
+    winding_resistance: float | None = None
+    supply_voltage: float | None = None
     encoder_resolution: float | None = None
     position_limits: tuple[float, float] | None = None
     velocity_limit: float | None = None

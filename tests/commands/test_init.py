@@ -15,6 +15,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.guess import guess_channels
 from seqid_cli.inspect.propose import match_names
 from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.toml.schema import Columns
 from tests.commands.conftest import Rig
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 
@@ -251,10 +252,20 @@ def test_match_names_pairs_the_nearest_one_to_one() -> None:
             2,
         ),
         (["time", "voltage", "status_1"], {}, 0),
+        (["time", "q1", "q2", "i1", "i2"], {"position": "q{index}", "current": "i{index}"}, 2),
+        (["Zeit [s]", "Winkel Achse 1 [°]", "Winkel Achse 2 [°]", "Strom 1 [A]", "Strom 2 [A]"],
+         {"position": "Winkel Achse {index} [°]", "current": "Strom {index} [A]"}, 2),
+        (["time", "q2", "i2"], {"position": "q2", "current": "i2"}, 1),
+        (["time", "q2", "q3", "i1", "i2", "i3"],
+         {"position": ("q2", "q3"), "current": ("i2", "i3")}, 2),
+        (["time [s]", "a1 position [rad]", "a2 position [rad]"],
+         {"position": "a{index} position [rad]"}, 2),
+        (["time", "q_des", "q_act", "tau"], {"position": "q_act", "torque": "tau"}, 1),
+        (["time", "elbow/pos [deg]", "wrist/pos [deg]"], {"position": "{name}/pos [deg]"}, 2),
     ],
 )  # fmt: skip
 def test_channels_are_guessed_from_names(
-    columns: list[str], patterns: dict[str, str], joints: int
+    columns: list[str], patterns: dict[str, Columns], joints: int
 ) -> None:
     found, names = guess_channels(columns)
     assert found == patterns

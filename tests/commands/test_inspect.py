@@ -49,13 +49,12 @@ def test_json_is_one_document_and_the_file_the_same(rig: Rig) -> None:
     assert encode(file) == done.out
 
 
-def test_findings_have_all_their_keys_and_strict_makes_errors_count(rig: Rig) -> None:
+def test_findings_have_all_their_keys_and_errors_count(rig: Rig) -> None:
     log = copy(rig.folder, "validation/fourier_1.parquet")
     columns = read_columns(rig.folder / log)
     columns["joint_2.position"] *= 57.29578
     write_columns(rig.folder / log, columns)
-    assert rig.run("inspect", log, "-r", "robot.toml").code == 0
-    done = rig.run("inspect", log, "-r", "robot.toml", "--json", "--strict")
+    done = rig.run("inspect", log, "-r", "robot.toml", "--json")
     assert done.code == 1
     document = json.loads(done.out)
     (finding,) = document["findings"]
@@ -96,6 +95,24 @@ def test_names_that_do_not_fit_are_told_with_the_nearest(rig: Rig) -> None:
     assert document["logs"][0]["missing"] == {"joint2": "joint_2"}
     assert {finding["code"] for finding in document["findings"]} == {"channel_missing"}
     assert document["logs"][0]["rate_hz"] == pytest.approx(250.0)
+
+
+def test_a_fault_of_many_logs_is_told_once(rig: Rig) -> None:
+    log = copy(rig.folder, "validation/fourier_1.parquet")
+    columns = read_columns(rig.folder / log)
+    (rig.folder / "logs").mkdir()
+    for k in range(16):
+        some = {name: values[10 * k : 1000 + 10 * k] for name, values in columns.items()}
+        for joint in ("joint_1", "joint_2"):
+            some[f"{joint}.position"] = 57.29578 * some[f"{joint}.position"]
+        write_columns(rig.folder / f"logs/log_{k}.parquet", some)
+    done = rig.run("inspect", "logs")
+    assert done.code == 1
+    (finding,) = [line for line in done.out.splitlines() if line.startswith("error")]
+    assert "(and 15 more logs): joint_1, joint_2: position: moves at" in finding
+    assert "log_0.parquet and 15 more  faulty" in done.out
+    every = rig.run("inspect", "logs", "-v").out
+    assert sum(line.startswith("error") for line in every.splitlines()) == 32
 
 
 def test_the_same_log_twice_is_told(rig: Rig) -> None:

@@ -1,21 +1,27 @@
 from __future__ import annotations
 
 import io
+import re
+from pathlib import Path
 
 import pytest
 
+from seqid_cli.__main__ import main
 from seqid_cli.commands.chart import text_chart
+from seqid_cli.commands.layout import folded, format_table, shortened
 from seqid_cli.commands.progress import ProgressLine
-from seqid_cli.commands.render import Screen, number, percent, plain_table, rich_table
+from seqid_cli.commands.render import Screen, number, percent
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.params.schema import Verdict
+from seqid_cli.working import heard_by, step
+from tests import ROOT
 
 COLUMNS = ("joint", "error", "verdict")
 ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
 
 
 def test_a_plain_table_is_aligned() -> None:
-    assert plain_table(COLUMNS, ROWS) == (
+    assert format_table(COLUMNS, ROWS) == (
         "joint    error  verdict\n"
         "elbow    0.125  good\n"
         "wrist_1     12  poor: noisy [a]\n"
@@ -24,10 +30,37 @@ def test_a_plain_table_is_aligned() -> None:
 
 
 def test_a_coloured_table_says_the_same() -> None:
-    text = rich_table(COLUMNS, ROWS)
-    assert "\x1b[" in text
-    for row in ROWS:
-        assert all(cell in text for cell in row)
+    def style(cell: str, head: bool) -> str:
+        return "\x1b[1m" if head or cell == "good" else ""
+
+    text = format_table(COLUMNS, ROWS, style=style)
+    assert text.count("\x1b[1m") == 4
+    plain = re.sub(r"\x1b\[[0-9]*m", "", text)
+    assert [line.rstrip() for line in plain.splitlines()] == format_table(
+        COLUMNS, ROWS
+    ).splitlines()
+
+
+def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
+    columns = ["file", *(f"standard error of {k}" for k in range(8)), "verdict"]
+    numbers = [f"{-3.0905e-08 * 10**k:.5g}" for k in range(8)]
+    row = ["a_long_name_of_a_log_of_the_elbow.parquet", *numbers, "poor: the fit leaves 35 %"]
+    other = ["the_other_log.parquet", *row[1:]]
+    text = format_table(columns, [row, other], width=60)
+    assert all(len(line) <= 60 for line in text.splitlines())
+    words = text.split()
+    assert all(words.count(number) == 2 for number in numbers)
+    assert sum(word.startswith("a_l") and word.endswith(".parquet") for word in words) >= 2
+    assert text.count("\n\n") == 2  # three tables, each with the file's name
+
+
+def test_text_folds_at_words() -> None:
+    line = "error: the torque of the elbow is -3.0905e-08 N m throughout"
+    text = folded(line, 40)
+    assert max(map(len, text.splitlines())) <= 40
+    assert " ".join(text.split()) == line
+    assert folded(line, None) == line
+    assert shortened("logs/friction/pan.parquet", 20) == "logs...n/pan.parquet"
 
 
 def test_numbers() -> None:
@@ -62,13 +95,16 @@ def test_progress_shows_after_a_second_and_vanishes() -> None:
     stream, clock = Terminal(), Clock()
     line = ProgressLine(stream, enabled=True, clock=clock)
     line.show(1, 4, "a.mcap")
-    line.clear()
-    assert stream.getvalue() == ""
+    with line.hidden():
+        assert stream.getvalue() == ""
     clock.now = 1.5
     line.show(2, 4, "b.mcap")
-    assert "[##########..........] 2/4 b.mcap" in stream.getvalue()
-    line.clear()
+    assert "[########........] 2/4 b.mcap  2 s, about 2 s left" in stream.getvalue()
+    line.close()
     assert stream.getvalue().endswith("\x1b[2K")
+    before = stream.getvalue()
+    line.show(3, 4, "c.mcap")
+    assert stream.getvalue() == before
 
 
 @pytest.mark.parametrize(("stream", "enabled"), [(Terminal(), False), (io.StringIO(), True)])
@@ -77,8 +113,18 @@ def test_progress_is_silent_where_nobody_watches(stream: io.StringIO, enabled: b
     line = ProgressLine(stream, enabled=enabled, clock=clock)
     clock.now = 5.0
     line.show(2, 4, "b.mcap")
-    line.clear()
+    line.close()
     assert stream.getvalue() == ""
+
+
+def test_the_steps_of_long_work_are_heard_in_their_block() -> None:
+    heard: list[tuple[int, int, str]] = []
+    step("before", 0, 1)
+    with heard_by(lambda done, total, text: heard.append((done, total, text))):
+        step("filtering", 0, 2)
+        step("choosing", 1, 2)
+    step("after", 0, 1)
+    assert heard == [(0, 2, "filtering"), (1, 2, "choosing")]
 
 
 def test_a_chart_shows_shape_and_ranges() -> None:
@@ -114,3 +160,37 @@ def test_a_warning_is_given_once(capsys: pytest.CaptureFixture[str]) -> None:
         "seqid x: warning: a.parquet: samples are lost",
         "note: another",
     ]
+
+
+ONE, TWO, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "two_joint", "six_joint"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("inspect", str(SIX / "validation"), "-r", str(SIX / "robot.toml")),
+        ("compare", str(TWO / "golden.json"), str(TWO / "golden.json")),
+        ("export", str(TWO / "golden.json"), "-r", str(TWO / "robot.toml"), "-o", "arm.yaml"),
+        ("predict", str(ONE / "validation"), "-r", str(ONE / "robot.toml"), "-p",
+         str(ONE / "golden.json"), "-o", "prediction.json"),
+    ],
+    ids=lambda words: words[0],
+)  # fmt: skip
+def test_screens_of_80_columns_hold_every_number(
+    words: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main([*words]) == 0
+    wide = capsys.readouterr().out
+    for name, value in (("COLUMNS", "80"), ("NO_COLOR", "1")):
+        monkeypatch.setenv(name, value)
+    assert main([*words]) == 0
+    narrow = capsys.readouterr().out
+    assert max(len(line) for line in narrow.splitlines() if " " in line.strip()) <= 80
+    numbers = {word for word in wide.split() if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)}
+    assert len(numbers) > 3
+    assert numbers <= set(narrow.split())

@@ -101,6 +101,7 @@ def test_it_stops_at_the_first_poor_stage_also_when_resumed(
         assert run(folder, robot="turned.toml") == 1
         shown = capsys.readouterr()
         assert "stopped at friction" in shown.err
+        assert "it would drive the joint" in shown.out + shown.err
         assert [path.name for path in (folder / "out").iterdir()] == ["friction.json"]
 
 

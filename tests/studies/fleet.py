@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli import identify
-from seqid_cli.commands.render import plain_table
+from seqid_cli.commands.layout import format_table
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.scale.executors import cores, processes
@@ -182,7 +182,7 @@ def table(found: Fleet, faults: dict[str, str], most: int) -> str:
                 faults.get(one.robot, ""),
             )
         )
-    return plain_table(columns, rows)
+    return format_table(columns, rows)
 
 
 def main(arguments: Sequence[str]) -> int:

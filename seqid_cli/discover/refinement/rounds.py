@@ -38,6 +38,7 @@ from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import ParameterFile, RefinementRound, Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.working import step
 
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
@@ -153,8 +154,9 @@ def _add_effects(loop: Loop, found: Investigation) -> None:
     seen = loop.material
     if found.events:
         loop.material = replace(seen, training=quiet(seen.training, found.events))
-    for taken in ordered:
+    for number, taken in enumerate(ordered):
         what = taken.term.what
+        step("trying effects on left-out blocks", number, len(ordered))
         assert isinstance(what, Candidate)
         if loop.added < seen.options.max_effects and not _had(loop, what):
             _try(loop, what, found, taken)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -50,6 +51,12 @@ class UnpairedError(QualityError):
     """A joint's trials cannot be freed of gravity."""
 
 
+def _named(logs: Iterable[Any]) -> str:
+    """The first of some logs, and how many more there are."""
+    names = [str(getattr(log, "path", log)) for log in logs]
+    return names[0] + f" and {len(names) - 1} more" * (len(names) > 1) if names else ""
+
+
 def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
@@ -78,6 +85,7 @@ def identify_friction(
         raise QualityError(
             "no stretch was found in which one joint moves by itself at constant velocity",
             hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
+            where=_named(getattr(recordings, "logs", recordings)),
         )
     joints, verdicts, notes = {}, [], []
     last: UnpairedError | None = None

@@ -19,7 +19,7 @@ from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.base_parameters import base_regressor
+from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
@@ -106,6 +106,7 @@ def _structural(
     free = _structural_error(robot, thin, own_law=True).error
     causes = [*causes_of(robot, thin), *units_of(data)]
     mended = _mending(robot, thin, left, _structural_error, causes, free=free)
+    mended = _mounting(robot, thin, left, _structural_error, mended, free=free)
     if mended is not None:
         yield mended.finding
     elif error > poor and all(
@@ -114,6 +115,44 @@ def _structural(
         yield found(
             "model_mismatch", f"the equations leave {percent(error, 0)} of the torque's RMS"
         )
+
+
+def _mounting(
+    robot: Robot,
+    sample: Sample,
+    before: Left,
+    measure: Callable[[Robot, Sample], Left],
+    other: Mended | None,
+    *,
+    free: float = np.inf,
+    max_ratio: float = 0.5,
+    max_error: float = 0.35,
+) -> Mended | None:
+    """Find the axis of the base along which gravity acts, where that mends a fit best; else other.
+
+    Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
+    decide, or both are named. Columns that are new are held to `free` as in `_mending`.
+    """
+    strength = float(np.linalg.norm(robot.gravity))
+    tried = []
+    for axis in np.vstack([np.eye(3), -np.eye(3)]) if strength else ():
+        turned = replace(robot, gravity=strength * axis)
+        own = replace(sample, basis=base_parameters(turned, rotor=[]))
+        nominal = _nominal_error(turned, own).error if robot.nominal is not None else 0.0
+        after = measure(turned, own)
+        most = min(before.error, free) if after.columns > before.columns else before.error
+        error = after.error if after.error <= max_ratio * most else np.inf
+        tried.append((error, nominal, turned.gravity))
+    best = min((error for error, *_ in tried), default=np.inf)
+    rival = np.inf if other is None else BETTER * other.error
+    if best > min(max_error, rival):
+        return other
+    alike = sorted((row for row in tried if row[0] < best / BETTER), key=lambda row: row[1])
+    told = alike[: 1 if robot.nominal is not None else 2]
+    text = " or ".join(str([float(f"{x:.4g}") + 0.0 for x in row[2]]) for row in told)
+    fall = f"falls from {percent(before.error)} to {percent(best)}"
+    text = f"gravity acts along {text}; the equations' error {fall}"
+    return Mended(found("gravity_direction", text), best)
 
 
 def _mending(
@@ -302,6 +341,7 @@ def _scale(
     thin = _thinned(sample)
     before, causes = _nominal_error(data.robot, thin), [*causes_of(data.robot, thin)]
     mended = _mending(data.robot, thin, before, _nominal_error, causes)
+    mended = _mounting(data.robot, thin, before, _nominal_error, mended)
     unit = _nominal_error(data.robot, thin, scaled=True).error
     pulls = all(w.limits()[0] > 0.0 for w in off)  # gravity acts, in the right direction
     if mended is not None and not (pulls and unit < mended.error / BETTER):

@@ -7,9 +7,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.collector import Samples
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Kind
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Stamps, Stream, TimeSource
+from seqid_cli.logs.raw import (
+    ACCELEROMETERS,
+    GYRO,
+    Array,
+    Mask,
+    RawLog,
+    Stamps,
+    Stream,
+    TimeSource,
+)
 from seqid_cli.robot.types import Imu, Robot
 
 JOINT_STATES = "/joint_states"
@@ -118,7 +128,7 @@ class Streams:
             if name == "position" or any_finite(values)
         }
         stamps, keep = self._clock(topic, samples)
-        return _taken(Stream(topic, stamps, recorded), keep)
+        return _taken(Stream(topic, stamps, in_si(recorded, stamps, self.robot)), keep)
 
     def _imu(self, imu: Imu, topic: str, samples: Samples) -> Stream:
         count, triads = len(imu.positions), triad_topics(imu)

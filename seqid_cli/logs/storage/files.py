@@ -14,7 +14,7 @@ from pathlib import Path
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.remote import is_url, stored_logs
-from seqid_cli.logs.tables.csv_form import is_text, read_form
+from seqid_cli.logs.tables.csv_form import is_text, nameless, read_form
 from seqid_cli.logs.tables.naming_schemes import looks_like_log
 
 SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
@@ -27,20 +27,32 @@ MAGIC = {
 }
 METADATA = "metadata.yaml"  # what makes a folder a ROS 2 bag
 
+_FROM_MATLAB = (
+    'Write a table in MATLAB: parquetwrite("log.parquet", array2table([t q i], "VariableNames", '
+    '["time" "q1" "q2" "i1" "i2"])).'
+)
+_FROM_NUMPY = (
+    "Write a table in Python: numpy.savetxt('log.csv', numpy.column_stack([t, q, i]), "
+    "delimiter=',', comments='', header='time,q1,q2,i1,i2')."
+)
 _OTHER_MAGIC = {
     b"#ROSBAG": (
         "a ROS bag of an old version",
         "Convert it: `rosbag fix OLD.bag NEW.bag`.",
     ),
     b"PARE": ("an encrypted Parquet file", "Write it without encryption."),
-    b"\x89HDF": ("an HDF5 file", "Save the channels as Parquet."),
-    b"PK\x03\x04": ("a ZIP or NumPy archive", "Unpack it, or save the channels as Parquet."),
+    b"\x89HDF": ("an HDF5 file, or MATLAB's of version 7.3", _FROM_MATLAB),
+    b"MATLAB 5.0": ("a MATLAB file", _FROM_MATLAB),
+    b"PK\x03\x04": ("a ZIP or NumPy archive", f"Unpack it; NumPy: {_FROM_NUMPY}"),
+    b"\x93NUMPY": ("a NumPy array", _FROM_NUMPY),
     b"\x28\xb5\x2f\xfd": ("compressed with zstd", "Unpack it: `zstd -d FILE`."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it: `gunzip FILE`."),
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "Run `git lfs pull`."),
 }
 _HEAD = 4096
 _OTHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
+_NAME_IT = "Name the file itself, or write *.csv, if it is a log."
+_NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
 _TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
 
 Note = Callable[[str], None]
@@ -197,14 +209,7 @@ def _format(head: bytes, tail: bytes, size: int, where: str) -> str:
 def _matches(argument: str, note: Note) -> list[Path]:
     path = Path(argument)
     if path.is_dir():
-        found = _logs_in(path, note)
-        if not found:
-            raise InputError(
-                f"there is no log in this folder ({', '.join('*' + s for s in SUFFIXES)})",
-                hint="Name the folder that holds the logs.",
-                where=argument,
-            )
-        return found
+        return _logs_in(path, note) or _no_logs(path)
     if path.exists() or not glob.has_magic(argument):
         if not path.exists():
             raise InputError("does not exist", hint=_nearby(path), where=argument)
@@ -215,6 +220,19 @@ def _matches(argument: str, note: Note) -> list[Path]:
             "this pattern matches no file", hint="Check the folder and the suffix.", where=argument
         )
     return found
+
+
+def _no_logs(folder: Path, *, looked_at: int = 20) -> list[Path]:
+    """Say that a folder has no logs, and why the first file is none that might be one."""
+    files = natural_order(path for path in folder.rglob("*") if path.is_file())
+    faults = {path: _fault_of(path) for path in files[:looked_at] if path.suffix not in _NOTES}
+    known = {p: fault for p, fault in faults.items() if not fault[0].startswith(_OTHER)}
+    kinds = ", ".join("*" + suffix for suffix in SUFFIXES)
+    message, hint = f"there is no log in this folder ({kinds})", "Name the folder of the logs."
+    for path, (reason, remedy) in known.items():
+        message += f"; {path.name} {reason or 'is a table of another suffix'}"
+        raise InputError(message, hint=remedy or _NAME_IT, where=str(folder))
+    raise InputError(message, hint=hint, where=str(folder))
 
 
 def _globbed(pattern: str, note: Note) -> list[Path]:
@@ -251,15 +269,22 @@ def _is_meant(path: Path, note: Note) -> bool:
     """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
     if path.suffix.lower() not in CSV_SUFFIXES:
         return True
+    reason, _ = _fault_of(path)
+    if reason:
+        note(f"{path} is left out, it is no log: it {reason}; name the file itself if it is one")
+    return not reason
+
+
+def _fault_of(path: Path) -> tuple[str, str]:
+    """Why a file is no log, empty where it is one, and what to do."""
     try:
         kind = check_log(path)
-        if kind != "csv" or looks_like_log(read_form(path).names):
-            return True
-        reason = "it has no column of time"
+        names = read_form(path).names if kind == "csv" else ()
     except InputError as error:
-        reason = error.message
-    note(f"{path} is left out, it is no log: {reason}; name the file itself if it is one")
-    return False
+        return error.message, error.hint
+    if kind != "csv" or looks_like_log(names):
+        return "", ""
+    return ("has no line of names" if nameless(names) else "has no column of time"), _NAME_IT
 
 
 def natural_order(paths: Iterable[Path]) -> list[Path]:

@@ -30,8 +30,8 @@ _HINT = "Write a line of names, then one line per sample: t,<joint>.position,...
 class CsvForm:
     """The form of one file.
 
-    `names` are its columns in order; `skip` lines stand before the data; `filler` columns without
-    a name follow, where every line ends with delimiters.
+    `names` are its columns in order, "1", "2" ... where no line names them; `skip` lines stand
+    before the data; `filler` columns without a name follow, where every line ends with delimiters.
     """
 
     encoding: str
@@ -64,6 +64,7 @@ def read_form(path: Path) -> CsvForm:
     lines = _lines(head, encoding, where)
     header_at, names_line = _header(lines, where)
     data = [line for line in lines[header_at + 1 :] if line.strip()][:_LOOKED_AT]
+    names_line = names_line or data[0]
     if not data:
         raise InputError(
             "the table has names but no line of data",
@@ -72,6 +73,8 @@ def read_form(path: Path) -> CsvForm:
         )
     delimiter = _delimiter(names_line, data[0], where)
     names = [name.strip() for name in _split(names_line, delimiter)]
+    if names_line == data[0]:
+        names = [str(k + 1) for k in range(len(names))]
     rows = [_split(line, delimiter) for line in data]
     while names and not names[-1] and max(map(len, rows)) < len(names):
         names.pop()  # the header alone ends with a delimiter
@@ -124,7 +127,10 @@ def _lines(head: bytes, encoding: str, where: str) -> list[str]:
 
 
 def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
-    """Find the line of names: the first that is no comment, or the last comment before numbers."""
+    """Find the line of names: the first that is no comment, or the last comment before numbers.
+
+    The names are empty, and the line is that before the numbers, where there are none.
+    """
     comment = ""
     for at, line in enumerate(lines):
         stripped = line.strip()
@@ -135,15 +141,13 @@ def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
             continue
         if not _all_numbers(stripped):
             return at, stripped if "\t" not in line else line.rstrip("\r\n")
-        if comment and not _all_numbers(comment):
-            return at - 1, comment
-        raise InputError(
-            f"line {at + 1} holds numbers where the names of the columns are expected: "
-            f"the header is missing ({stripped[:40]!r})",
-            hint=_HINT,
-            where=where,
-        )
+        return at - 1, "" if _all_numbers(comment or "0") else comment
     raise InputError("the file holds no line of names", hint=_HINT, where=where)
+
+
+def nameless(names: Sequence[str]) -> bool:
+    """Tell whether the columns only have their numbers for names."""
+    return bool(names) and list(names) == [str(k + 1) for k in range(len(names))]
 
 
 def _all_numbers(line: str) -> bool:

@@ -7,6 +7,7 @@ the motors of `observation.state` in `meta/info.json`, two folders or one above 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -55,6 +56,12 @@ def _places(names: Sequence[str], joints: Sequence[str]) -> dict[str, int]:
             if joint + ending in names:
                 found.setdefault(joint, list(names).index(joint + ending))
     return found
+
+
+def motors_of(path: Path) -> tuple[str, ...]:
+    """Name the motors of a LeRobot data set as joints; empty where they are not told."""
+    plain = re.compile("(?:[._]pos(?:ition)?|[.]q)$")
+    return tuple(plain.sub("", name) for name in _lerobot_names(path))
 
 
 def _lerobot_names(path: Path) -> list[str]:

@@ -15,20 +15,45 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
+from typing import TYPE_CHECKING
 
-QUANTITIES = ("position", "velocity", "torque", "current", "temperature")
+if TYPE_CHECKING:
+    from seqid_cli.robot.toml.schema import Columns
+
+QUANTITIES = (
+    "position",
+    "velocity",
+    "torque",
+    "current",
+    "load",
+    "link_position",
+    "voltage",
+    "pwm",
+    "temperature",
+)
 EFFORT = "effort"  # torque or current, whichever the robot file says
 
 # Names of time columns, the unit behind them optional: time, t_ms, timestamp [s], __time.
 _UNIT = r"s|sec|secs|seconds|ms|msec|us|usec|ns|nsec"
 _TIME = re.compile(
-    r"(?:__)?(?:t|time|timestamp|time_stamp|stamp|header[./_]stamp)"
+    r"(?:__)?(?:t|time|timestamp|time_stamp|stamp|header[./_]stamp|zeit)"
     rf"(?:[ _]+(?P<unit>{_UNIT})|[ _]*[\[(](?P<bracket>{_UNIT})[\])])?",
     re.IGNORECASE,
 )
 _SHORT = {"s": "s", "se": "s", "ms": "ms", "us": "us", "ns": "ns"}
 _STAMP_PARTS = re.compile(r"(?P<stem>.*stamp[./_])(?:sec|secs|seconds)")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
+# Words beside a quantity that tell what was commanded or measured, and are no joint.
+# fmt: off
+COMMANDED = frozenset({
+    "target", "desired", "des", "cmd", "command", "commanded", "ref", "goal", "setpoint",
+    "soll", "d", "err", "error",
+})
+MEASURED = frozenset({
+    "joint", "joints", "j", "a", "m", "axis", "achse", "gelenk", "state", "states", "actual",
+    "measured", "meas", "act", "ist", "motor", "servo", "robot", "observation",
+})
+# fmt: on
 EPISODES = ("episode_index", "episode_id", "episode")
 
 
@@ -65,7 +90,7 @@ _NUMBERED = {
     "position": ("q", "position", "pos", "joint_position", "joint_positions"),
     "velocity": ("dq", "qd", "velocity", "vel", "joint_velocity", "joint_velocities"),
     "torque": ("tau", "torque", "joint_torque", "joint_torques"),
-    "current": ("current", "joint_current", "joint_currents"),
+    "current": ("current", "i", "joint_current", "joint_currents"),
     "temperature": ("temperature", "temp", "joint_temperature", "joint_temperatures"),
     "effort": ("effort", "joint_effort", "joint_efforts"),
 }
@@ -118,8 +143,10 @@ SCHEMES = (
 )
 
 
-def column_name(pattern: str, joint: str, index0: int) -> str:
-    """Fill a pattern: {name}, {index} (from 1), {index0} (from 0)."""
+def column_name(pattern: Columns, joint: str, index0: int) -> str:
+    """Fill a pattern: {name}, {index} (from 1), {index0} (from 0); or look up a joint's column."""
+    if not isinstance(pattern, str):
+        return str(pattern[index0])
     filled = pattern.replace("{index0}", str(index0)).replace("{index}", str(index0 + 1))
     return filled.replace("{name}", joint)
 
@@ -244,6 +271,8 @@ def survey_names(names: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
                     if name.startswith(before) and name.endswith(after)
                 ]
                 joints = tuple(n for n in found if re.fullmatch(r"(?!\d+$)[^./\[]+", n))
+                if {name.lower() for name in joints} & (COMMANDED | MEASURED):
+                    continue
             else:
                 columns = (column_name(pattern, "", i) for i in range(len(names)))
                 count = len(list(takewhile(set(names).__contains__, columns)))

@@ -11,8 +11,10 @@ import numpy as np
 import pyarrow as pa
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Stamps, Stream
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
+from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.episodes import separate
 from seqid_cli.logs.tables.imus import imu_columns
 from seqid_cli.logs.tables.naming_schemes import (
@@ -28,7 +30,7 @@ from seqid_cli.logs.tables.naming_schemes import (
     stamp_parts,
     time_names,
 )
-from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Robot
 
 ROWS = "the rows"
@@ -129,7 +131,7 @@ def _raw_log(
         stamps, keep, more = separate(stamps, keep, episode, plan.episode)
         warnings += more
     channels = {quantity: _columns(where, table, row) for quantity, row in plan.joints.items()}
-    joints = Stream(ROWS, stamps, channels)
+    joints = Stream(ROWS, stamps, in_si(channels, stamps, robot))
     if plan.episode is not None or len(keep) < len(stamps):
         joints = joints.take(keep)
     imus: dict[str, tuple[Stream, ...]] = {
@@ -177,7 +179,7 @@ def _joint_columns(
     if effort is not None:
         found.setdefault(kind, effort)
     for quantity in QUANTITIES:
-        pattern: str | None = getattr(robot.channels, quantity)
+        pattern: Columns | None = getattr(robot.channels, quantity)
         if pattern is None:
             continue
         declared = [column_name(pattern, name, i) for i, name in enumerate(robot.joint_names)]
@@ -203,10 +205,11 @@ def _time_column(file: TableFile, channels: Channels, match: Match | None) -> Ti
     names, unit = file.names, match.scheme.time_unit if match is not None else None
     told = time_names(names)
     if channels.time is not None:
-        if channels.time not in names:
-            raise missing_columns(file.where, [channels.time], names)
-        said = time_names([channels.time]).get(channels.time)
-        return TimeColumn(channels.time, said or unit, said is not None)
+        own = str(channels.time)
+        if own not in names:
+            raise missing_columns(file.where, [own], names, what="[channels] time")
+        said = time_names([own]).get(own)
+        return TimeColumn(own, said or unit, said is not None)
     if "t" in told:
         return TimeColumn("t", unit)
     candidates = list(told)
@@ -230,6 +233,13 @@ def missing_columns(
 ) -> InputError:
     """Make the error for columns that a log lacks; it names the nearest ones that are there."""
     names = list(dict.fromkeys(names))
+    if nameless(names):
+        return InputError(
+            f"has no line of names: its columns are numbered 1 to {len(names)}",
+            hint="Say in the robot file which is which: [channels] time = 1, position = [2, 3], "
+            "current = [4, 5]; or write a first line such as time,q1,q2,i1,i2 into the file.",
+            where=where,
+        )
     close = [difflib.get_close_matches(name, names, n=3, cutoff=0.4) for name in missing[:3]]
     nearest = list(dict.fromkeys(match for matches in close for match in matches))
     listed = nearest or names[:12]

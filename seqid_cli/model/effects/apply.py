@@ -15,7 +15,13 @@ import numpy as np
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.model.effects.measurement import MeasurementEffect
-from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths, temperature_at
+from seqid_cli.model.effects.scene import (
+    LONGEST_SESSION_S,
+    Scene,
+    sensor_at,
+    sign_widths,
+    temperature_at,
+)
 from seqid_cli.model.torque import Added, TorqueModel
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
@@ -65,6 +71,7 @@ def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion:
         start=recording.offset,
         period=1.0 / recording.rate_hz,
         temperature=temperature_at(recording, motion),
+        sensor=sensor_at(recording, motion),
     )
 
 

@@ -47,6 +47,8 @@ class Scene:
         Sample period of the log itself [s].
     temperature : (N, n) array or None
         degC, as logged.
+    sensor : (N, n) array or None
+        Load as a torque sensor behind the gear measures it [N m], filtered like the motion.
     encoder : (N, n) array or None
         Positions as the encoder reports them, not filtered.
     measured : (N, n) array or None
@@ -64,6 +66,7 @@ class Scene:
     shared_clock: bool = False
     period: float = 0.0
     temperature: Array | None = None
+    sensor: Array | None = None
     encoder: Array | None = None
     measured: Array | None = None
     full: Scene | None = None
@@ -111,7 +114,9 @@ class Scene:
 
     @cached_property
     def load(self) -> Array:
-        """Modelled torque (N, n) that the gear passes to the link: without its own rotor."""
+        """Torque (N, n) that the gear passes to the link: measured, else modelled without rotor."""
+        if self.sensor is not None:
+            return self.sensor
         rotor = known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
         return self.rigid - self.gear**2 * rotor * self.motion.ddq
 
@@ -156,6 +161,13 @@ def sign_widths(model: TorqueModel, top_speed: Array) -> Array:
             for j, surface in enumerate(model.surfaces)
         ]
     )
+
+
+def sensor_at(recording: Recording, motion: Motion) -> Array | None:
+    """Measured load at the scene's samples, (N, n) N m, filtered like the motion."""
+    if recording.load is None:
+        return None
+    return motion.filtered(recording.load[:: round(recording.rate_hz / motion.rate_hz)])
 
 
 def temperature_at(recording: Recording, motion: Motion) -> Array | None:

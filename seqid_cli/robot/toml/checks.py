@@ -23,17 +23,41 @@ from seqid_cli.robot.formula import (
 from seqid_cli.robot.toml.schema import EffectEntry, ImuEntry, JointEntry, RobotFile
 
 PATTERN_FIELDS = frozenset({"name", "index", "index0"})
-JOINT_CHANNELS = ("position", "velocity", "current", "torque", "temperature")
+JOINT_CHANNELS = (
+    "position",
+    "velocity",
+    "current",
+    "torque",
+    "load",
+    "link_position",
+    "voltage",
+    "pwm",
+    "temperature",
+)
 
 _MEANING = {  # what each number of a joint is, for hints
     "torque_constant": "It is the motor-side constant in N m/A; the sign goes to gear_ratio.",
     "torque_constant_error": "It is relative: 0.02 where the constant is known to 2 % (one sigma).",
     "gear_ratio": "Motor turns per joint turn; 1 for a direct drive, negative if it turns back.",
     "rotor_inertia": "It is in kg m^2 on the motor side; leave it out to identify it.",
+    "winding_resistance": "It is the motor's resistance in ohm, both terminals.",
+    "supply_voltage": "It is the voltage in V at a duty cycle of 1.",
     "encoder_resolution": "It is the encoder's step at the joint in rad.",
     "velocity_limit": "It is the largest speed in rad/s.",
 }
-_POSITIVE = ("torque_constant", "encoder_resolution", "velocity_limit")
+_POSITIVE = (
+    "torque_constant",
+    "winding_resistance",
+    "supply_voltage",
+    "encoder_resolution",
+    "velocity_limit",
+)
+# What the motor's data must hold for a log of these channels.
+_NEEDED = {
+    "current": ("torque_constant",),
+    "voltage": ("torque_constant", "winding_resistance"),
+    "pwm": ("torque_constant", "winding_resistance", "supply_voltage"),
+}
 SMALLEST, LARGEST = 1e-12, 1e9  # in SI units, of any constant of a drive, of any number
 MOST_JOINTS = 16  # memory grows with the third power, the time of some checks with the fourth
 
@@ -212,21 +236,34 @@ class _Checks:
     def channels(self, robot: RobotFile) -> None:
         channels = robot.channels
         if channels.time is not None:
-            self.text("channels.time", channels.time)
+            self.text("channels.time", str(channels.time))
         for kind in JOINT_CHANNELS:
             pattern = getattr(channels, kind)
-            if pattern is not None:
+            if isinstance(pattern, str):
                 self.pattern(f"channels.{kind}", pattern, len(robot.joint))
-        if channels.effort != "current" and channels.current is None:
-            return
-        source = "channels.effort" if channels.effort == "current" else "channels.current"
-        for k, joint in enumerate(robot.joint):
-            if joint.torque_constant is None:
-                self.fail(
-                    f"{source} says that the log carries current, but joint[{k}].torque_constant "
-                    f"(joint {joint.name!r}) is missing",
-                    "Add torque_constant [N m/A, motor side] and gear_ratio to that joint.",
-                )
+            elif pattern is not None:
+                self.columns(f"channels.{kind}", [str(each) for each in pattern], robot)
+        said = {f"channels.{name}": name for name in _NEEDED if getattr(channels, name) is not None}
+        if channels.effort == "current":
+            said["channels.effort"] = "current"
+        for source, kind in said.items():
+            for k, joint in enumerate(robot.joint):
+                missing = [name for name in _NEEDED[kind] if getattr(joint, name) is None]
+                if missing:
+                    self.fail(
+                        f"{source} says that the log carries {kind}, but joint[{k}].{missing[0]} "
+                        f"(joint {joint.name!r}) is missing",
+                        f"Add {missing[0]} and gear_ratio to that joint. {_MEANING[missing[0]]}",
+                    )
+
+    def columns(self, key: str, columns: list[str], robot: RobotFile) -> None:
+        for k, column in enumerate(columns):
+            self.text(f"{key}[{k}]", column)
+        if len(set(columns)) < len(columns) or len(columns) != len(robot.joint):
+            self.fail(
+                f"{key} names {len(set(columns))} columns for {len(robot.joint)} joints",
+                "List one column for each joint, in the order of the [[joint]] tables.",
+            )
 
     def pattern(self, key: str, pattern: str, joints: int) -> None:
         self.text(key, pattern)

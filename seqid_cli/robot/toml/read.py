@@ -125,6 +125,10 @@ def _parse(path: Path, raw: bytes) -> dict[str, object]:
         message = f"line {line} is not UTF-8 text"
         hint = "A robot file is plain text in UTF-8; save it so."
     except tomllib.TOMLDecodeError as problem:
+        if raw.lstrip().startswith(b"<"):
+            message = "this is XML, as a URDF is, not a robot file"
+            hint = f"Make one that names it: seqid init LOG --urdf {path} -o robot.toml"
+            raise ConfigError(message, where=str(path), hint=hint) from None
         message, hint = f"not valid TOML: {problem}", "Correct that line."
     except (RecursionError, ValueError) as problem:
         message, hint = f"not valid TOML: {problem}", "Nesting or number out of range."

@@ -10,6 +10,8 @@ SCHEMA = "seqid/robot@1"
 SCHEMA_VERSION = 1
 
 Vector = tuple[float, float, float]
+# A pattern with {name}, {index} or {index0}, or the column of each joint: its name or number.
+Columns = str | tuple[str | int, ...]
 
 
 class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -35,6 +37,8 @@ class JointEntry(Table, frozen=True):
     torque_constant_error: float = 0.0
     gear_ratio: float | None = None
     rotor_inertia: float | None = None
+    winding_resistance: float | None = None
+    supply_voltage: float | None = None
     encoder_resolution: float | None = None
     position_limits: tuple[float, float] | None = None
     velocity_limit: float | None = None
@@ -59,16 +63,21 @@ class ImuEntry(Table, frozen=True):
 class Channels(Table, frozen=True):
     """`[channels]`: names that a log uses instead of the default ones; None means the default.
 
-    `effort` says what it is; torque where it is not said.
+    `effort` says what it is; torque where it is not said. `unit` is that of the angles.
     """
 
-    time: str | None = None
-    position: str | None = None
-    velocity: str | None = None
-    current: str | None = None
-    torque: str | None = None
-    temperature: str | None = None
-    effort: Literal["torque", "current"] | None = None
+    time: str | int | None = None
+    position: Columns | None = None
+    velocity: Columns | None = None
+    current: Columns | None = None
+    torque: Columns | None = None
+    load: Columns | None = None
+    link_position: Columns | None = None
+    voltage: Columns | None = None
+    pwm: Columns | None = None
+    temperature: Columns | None = None
+    effort: Literal["torque", "current", "gravity_compensated"] | None = None
+    unit: Literal["rad", "deg"] = "rad"
 
 
 class EffectEntry(Table, frozen=True):

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from seqid_cli.robot.toml.schema import SCHEMA
+from seqid_cli.robot.toml.schema import SCHEMA, Columns
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,8 @@ class JointTemplate:
     encoder_step: float | None = None
     moves: bool = True
     remark: str = ""
+    torque_constant: float | None = None
+    gear_ratio: float | None = None
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class RobotTemplate:
     urdf: str | None = None
     effort: str = ""
     imus: tuple[ImuTemplate, ...] = ()
-    channels: Mapping[str, str] = field(default_factory=dict)
+    channels: Mapping[str, Columns] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -83,11 +85,12 @@ def _joint(joint: JointTemplate, template: RobotTemplate) -> list[str]:
             "# dh = { alpha = 0.0, a = 0.0, d = 0.0, theta0 = 0.0 }"
             "  # TODO modified DH (Craig): rad, m; prismatic = true where it slides"
         )
-    if template.effort in ("current", "effort"):
-        lines.append("# torque_constant = 0.1   # TODO N m/A, motor side: data sheet of the motor")
-        lines.append(
-            "# gear_ratio = 100.0      # TODO motor turns per joint turn; sign where it turns back"
-        )
+    servo = {"voltage", "pwm"} & template.channels.keys()
+    if servo:
+        lines.append("# winding_resistance = 5.0  # TODO ohm: data sheet of the motor")
+        lines.append("# supply_voltage = 12.0     # TODO V, at a duty cycle of 1")
+    if servo or template.effort in ("current", "effort"):
+        lines += _drive(joint)
         lines.append("# rotor_inertia = 1.0e-4  # kg m^2, motor side; leave out to identify it")
     if joint.encoder_step is not None:
         step = f"{joint.encoder_step:.6g}"
@@ -106,6 +109,18 @@ def _joint(joint: JointTemplate, template: RobotTemplate) -> list[str]:
     else:
         lines.append("# velocity_limit = 2.0  # rad/s")
     return lines
+
+
+def _drive(joint: JointTemplate) -> list[str]:
+    constant, ratio = joint.torque_constant, joint.gear_ratio
+    return [
+        "# torque_constant = 0.1   # TODO N m/A, motor side: data sheet of the motor"
+        if constant is None
+        else f"torque_constant = {_float(repr(constant))}",
+        "# gear_ratio = 100.0      # TODO motor turns per joint turn; sign where it turns back"
+        if ratio is None
+        else f"gear_ratio = {_float(repr(ratio))}",
+    ]
 
 
 def _imu(imu: ImuTemplate, last: str) -> list[str]:
@@ -134,7 +149,8 @@ def _imu(imu: ImuTemplate, last: str) -> list[str]:
 def _channels(template: RobotTemplate) -> list[str]:
     lines = ["[channels]"] if template.channels or template.effort == "effort" else []
     for key, pattern in template.channels.items():
-        lines.append(f"{key} = {_text(pattern)}")
+        value = pattern if isinstance(pattern, str) else list(pattern)
+        lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
     if template.effort == "effort":
         lines.append(
             '# effort = "current"  # TODO where effort is motor current in A; it is taken for '

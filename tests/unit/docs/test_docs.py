@@ -19,6 +19,7 @@ import pytest
 
 import seqid_cli
 from seqid_cli.commands.app import COMMANDS
+from tests.plants import strangers
 from tests.unit.docs import keys
 from tests.unit.docs.kitchen import (
     SAMPLES,
@@ -78,6 +79,8 @@ def prepared(
     kitchen: Kitchen, name: str, own: str = "", given: dict[str, dict[str, Path]] = PREPARED
 ) -> Path:
     folder = kitchen.page_folder((own or name).replace("/", "_"))
+    if name == "docs/from_files.md" and not (folder / "arm.urdf").exists():
+        strangers.make(folder)
     for path, sample in given.get(name, {}).items():
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)

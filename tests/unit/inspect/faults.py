@@ -195,6 +195,13 @@ FAULTS = (
         robot={"[-2.4, 2.4]": "[-4.4, 4.4]"},
     ),
     Fault(
+        "mounting",
+        "gravity_direction",
+        "",
+        p.nothing,
+        robot={"[0.0, 0.0, -9.81]": "[9.81, 0.0, 0.0]"},
+    ),
+    Fault(
         "joints renamed",
         "joints_swapped",
         "elbow, wrist_1",

@@ -154,7 +154,7 @@ def test_csv_files_of_a_folder_that_are_no_logs_are_left_out_and_told(
     }
     assert len(told) == 3
     assert any("no column of time" in note for note in notes)
-    assert any("header is missing" in note for note in notes)
+    assert any("no line of names" in note for note in notes)
 
 
 def test_csv_files_named_by_themselves_or_by_suffix_are_taken(tables: Path) -> None:

@@ -257,7 +257,6 @@ def test_text_in_a_number_names_line_and_column(tmp_path: Path, blank: int) -> N
 @pytest.mark.parametrize(
     ("content", "fragment"),
     [
-        ("\n".join(lines()), "line 1 holds numbers where the names"),
         (",".join(NAMES) + "\n", "no line of data"),
         (",".join(NAMES) + "\ns,rad,rad,rad\n" + "\n".join(lines()), "line 2 holds no number"),
         ("hello\nworld\n", "no table"),
@@ -273,6 +272,30 @@ def test_files_that_are_no_tables(tmp_path: Path, content: str, fragment: str) -
         check_log(path)
     assert caught.value.hint
     assert caught.value.where == str(path)
+
+
+def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines()))
+    with pytest.raises(InputError, match="has no line of names: its columns are numbered 1 to 4"):
+        read(path)
+    robot = make_robot(channels=Channels(time=1, position=(2, 3, 4)))
+    np.testing.assert_array_equal(read_recording(path, robot).q, MOTION.q)
+    robot = make_robot(channels=Channels(time=1, position=(4, 3, 2)))
+    np.testing.assert_array_equal(read_recording(path, robot).q, MOTION.q[:, ::-1])
+
+
+def test_degrees_are_turned_into_radians_where_the_robot_file_says_so(tmp_path: Path) -> None:
+    rows = lines(np.column_stack([MOTION.t, np.rad2deg(MOTION.q)]))
+    robot = make_robot(channels=Channels(unit="deg"))
+    recording = read_recording(write(tmp_path / "log.csv", rows), robot)
+    np.testing.assert_allclose(recording.q, MOTION.q, rtol=1e-14)
+
+
+def test_german_names_of_time(tmp_path: Path) -> None:
+    rows = [line.replace(".", ",") for line in lines(delimiter=";")]
+    path = write(tmp_path / "log.csv", rows, ";".join(["Zeit [s]", *NAMES[1:]]))
+    np.testing.assert_array_equal(read(path).q, MOTION.q)
 
 
 def test_repeated_column(tmp_path: Path) -> None:

@@ -1,0 +1,74 @@
+"""What a log's joint channels mean: angles in degrees, torque without gravity, voltage of a servo.
+
+A servo that logs its voltage u has the current i = (u - k_e w) / R, with the motor's speed
+w = gear_ratio dq and k_e = torque_constant in SI units; a duty cycle times the supply is its
+voltage.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seqid_cli.logs.raw import Array, Stamps
+from seqid_cli.robot.types import Robot
+
+ANGLES = ("position", "velocity", "link_position")
+
+
+def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str, Array]:
+    """Turn joint channels (M, n) into the model's: rad, N m at the joint, A on the motor side.
+
+    Parameters
+    ----------
+    channels : dict
+        By quantity, as logged.
+    stamps : (M,) array [ns]
+    robot : Robot
+        `unit` and `effort` under its `[channels]`, and the motors' constants.
+    """
+    found = dict(channels)
+    if robot.channels.unit == "deg":
+        factor = np.array([1.0 if joint.prismatic else np.pi / 180.0 for joint in robot.joints])
+        found |= {name: found[name] * factor for name in ANGLES if name in found}
+    if robot.channels.effort == "gravity_compensated" and "torque" in found:
+        found["torque"] = found["torque"] + _gravity(found["position"], robot)
+    voltage, duty = found.pop("voltage", None), found.pop("pwm", None)
+    if voltage is None and duty is not None:
+        voltage = duty * _constants(robot, "supply_voltage")
+    if voltage is not None and "current" not in found:
+        found["current"] = _current(voltage, found, stamps, robot)
+    return found
+
+
+def _gravity(q: Array, robot: Robot) -> Array:
+    """Gravity torque (M, n) N m of the URDF's inertials, which the driver has subtracted."""
+    from seqid_cli.robot.regressor import inverse_dynamics
+
+    assert robot.nominal is not None
+    still = np.zeros_like(q)
+    return inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+
+
+def _constants(robot: Robot, name: str) -> Array:
+    values = [getattr(joint, name) for joint in robot.joints]
+    return np.array([np.nan if value is None else value for value in values])
+
+
+def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: Robot) -> Array:
+    dq = _slope(channels["position"], stamps)
+    if "velocity" in channels:
+        logged = channels["velocity"]
+        dq = np.where(np.isfinite(logged), logged, dq)
+    torque_constant = _constants(robot, "torque_constant")
+    ratio = np.nan_to_num(_constants(robot, "gear_ratio"), nan=1.0)
+    current = (voltage - torque_constant * ratio * dq) / _constants(robot, "winding_resistance")
+    return np.where(np.isfinite(current), current, np.nan)
+
+
+def _slope(position: Array, stamps: Stamps) -> Array:
+    """Velocity (M, n) rad/s by differences of the positions."""
+    if len(stamps) < 2:
+        return np.full_like(position, np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope: Array = np.gradient(position, (stamps - stamps[0]) * 1e-9, axis=0)
+    return slope

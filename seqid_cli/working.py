@@ -1,0 +1,31 @@
+"""Steps of work that takes long, told to whoever listens in this process, else to nobody.
+
+Standard library only. A listener is set for a block (`heard_by`); the work itself says `step` where
+a part of it begins, without passing anything down to where that is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+
+Listener = Callable[[int, int, str], None]
+_listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
+
+
+def step(text: str, done: int, total: int) -> None:
+    """Say that part `done` (from 0) of `total` begins, and what it is."""
+    listener = _listener.get()
+    if listener is not None:
+        listener(done, total, text)
+
+
+@contextlib.contextmanager
+def heard_by(listener: Listener) -> Iterator[None]:
+    """Let a listener hear the steps of the work in this block."""
+    before = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(before)

@@ -1,0 +1,111 @@
+"""Logs as strangers have them: `python -m tests.plants.strangers OUTDIR [--run]`.
+
+The sample logs of the six-joint arm, written as other loggers would: `ur/` (RTDE, CSV), `ros/`
+(ROS 2 bags, MCAP), `lerobot/` (a data set in degrees at 50 Hz), `german/` (CSV of a spreadsheet,
+degrees). Each has `train` and `test`. With --run the commands of docs/from_files.md follow, and a
+table of the CPU seconds that they took.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import resource
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from seqid_cli.logs.read import read_recording
+from seqid_cli.robot.file import load_robot
+from tests import ROOT
+from tests.unit.logs.format_writers import Data, csv_rtde, lerobot_table, rosbag2_mcap
+
+SIX = ROOT / "sample_logs" / "six_joint"
+PAGE = ROOT / "docs" / "from_files.md"
+SETS = {"train": "inertia", "test": "validation"}
+
+
+def data_of(path: Path, every: int = 2) -> Data:
+    """Read a sample log, one row of `every`."""
+    robot = load_robot(SIX / "robot.toml")
+    log = read_recording(path, robot)
+    assert log.tau is not None
+    ampere = np.array([joint.torque_per_ampere for joint in robot.joints], dtype=float)
+    rows, dq = slice(None, None, every), np.gradient(log.q, log.t, axis=0)
+    q, tau = log.q[rows], log.tau[rows]
+    return Data(log.t[rows], robot.joint_names, q, dq[rows], tau / ampere, tau)
+
+
+def ur(path: Path, data: Data) -> None:
+    """The CSV of RTDE."""
+    csv_rtde(path, data)
+
+
+def ros(path: Path, data: Data) -> None:
+    """A folder of a ROS 2 bag; effort is torque."""
+    as_torque = Data(data.t, data.joints, data.q, data.dq, data.torque, data.torque)
+    rosbag2_mcap(path, as_torque)
+
+
+def german(path: Path, data: Data) -> None:
+    """Semicolons, decimal commas, degrees, in Latin-1."""
+    count = len(data.joints)
+    names = ["Zeit [s]", *(f"Position Achse {k + 1} [\u00b0]" for k in range(count))]
+    names += [f"Strom Achse {k + 1} [A]" for k in range(count)]
+    table = np.column_stack([data.t, np.rad2deg(data.q), data.current])
+    lines = [";".join(f"{value:.9g}" for value in row).replace(".", ",") for row in table]
+    text = "\n".join([";".join(names), *lines, ""])
+    path.with_suffix(".csv").write_text(text, encoding="latin-1")
+
+
+def lerobot(folder: Path, episodes: Sequence[Data]) -> None:
+    """A data set: one episode for each log, degrees, names of the motors in meta/info.json."""
+    turned = [Data(d.t, d.joints, np.rad2deg(d.q), d.dq, d.torque, d.torque) for d in episodes]
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    pq.write_table(lerobot_table(turned), folder / "data" / "chunk-000" / "file-000.parquet")
+    (folder / "meta").mkdir()
+    names = [f"{joint}.pos" for joint in episodes[0].joints]
+    info = {"fps": 50, "features": {"observation.state": {"dtype": "float32", "names": names}}}
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+
+
+WRITERS: dict[str, Callable[[Path, Data], None]] = {"ur": ur, "ros": ros, "german": german}
+
+
+def make(folder: Path) -> None:
+    """Write the logs of all four, and the arm's URDF."""
+    shutil.copy(SIX / "six_joint.urdf", folder / "arm.urdf")
+    for part, stage in SETS.items():
+        logs = sorted((SIX / stage).iterdir())
+        lerobot(folder / "lerobot" / part, [data_of(log, every=5) for log in logs])
+        for name, write in WRITERS.items():
+            (folder / name / part).mkdir(parents=True)
+            for log in logs:
+                write(folder / name / part / log.stem, data_of(log))
+
+
+def run(folder: Path) -> None:
+    """Run the commands of the page, and print the CPU seconds of each way."""
+    text = PAGE.read_text(encoding="utf-8")
+    sys.stdout.write("| files | CPU s |\n|---|---:|\n")
+    for block in re.findall(r"```sh\n(seqid init .*?)```", text, flags=re.DOTALL):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        commands = block.replace("\\\n", " ").splitlines()
+        for command in commands:
+            words = [sys.executable, "-m", "seqid_cli", *shlex.split(command)[1:]]
+            subprocess.run(words, cwd=folder, check=True, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        sys.stdout.write(f"| `{commands[0].split()[2].split('/')[0]}` | {spent:.0f} |\n")
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]))
+    if "--run" in sys.argv:
+        run(Path(sys.argv[1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,13 @@ class Ground:
     def n(self) -> int:
         """Number of joints."""
         return self.stage.rows.n
+
+    @cached_property
+    def torque(self) -> tuple[Array, ...]:
+        """Torque (M_j,) N m of the file's model at each joint's rows."""
+        rows = self.stage.rows
+        every = [scene.modelled_filtered for scene in rows.scenes]
+        return tuple(rows.torque(j, [tau[:, j] for tau in every]) for j in range(rows.n))
 
     @property
     def own_offset(self) -> float:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
+from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import (
     FREE,
@@ -391,16 +392,15 @@ class Selection:
         return tuple(one.name for one in alike if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
-        """Whether it takes away no more than the error of a taken term's law may leave."""
-        least = self.options.law**2
-        channels = one.term.channels
-        return any(
-            2.0 * one.predicted.total < least * self._torque(other, channels)
-            for other in self.model.terms
-            if other.channels & channels and other is not one.term
-        )
+        """Whether it takes away no more than the error of a law: a taken term's, or the model's."""
+        model, channels = self.model, one.term.channels
+        others = [t for t in model.terms if t.channels & channels and t is not one.term]
+        laws = [self.options.law**2 * self._squares(t, channels) for t in others]
+        torque = zip(model.noise.weight, model.ground.torque, strict=False)
+        whole = [float(w @ tau**2) for c, (w, tau) in enumerate(torque) if c in channels]
+        return 2.0 * one.predicted.total < max([DETAIL**2 * sum(whole), *laws])
 
-    def _torque(self, term: Term, channels: frozenset[int]) -> float:
+    def _squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a taken term's torque at some channels."""
         theta = self.model.linear.theta[self.model.where(term)]
         weight, columns = self.model.noise.weight, term.part.columns

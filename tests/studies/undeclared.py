@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -41,6 +42,13 @@ def add_arguments(parser: ArgumentParser) -> None:
     rigs = list(dict.fromkeys([*RIG_NAMES, ARM, *RIGS]))
     own.add_argument("--rig", choices=rigs, help="one robot, or drawn arms, alone")
     own.add_argument("--seeds", metavar="A-B", help="these seeds alone (coverage: A:B)")
+    own.add_argument(
+        "--fresh",
+        type=int,
+        default=0,
+        metavar="N",
+        help="add so much to seeds: other motions, noise",
+    )
     own.add_argument("--size", type=float, help="effects of this size alone")
     own.add_argument("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
     own.add_argument("--limit", type=int, metavar="N", help="at most N new cases this time")
@@ -54,10 +62,10 @@ def add_arguments(parser: ArgumentParser) -> None:
 def choice_of(arguments: Namespace) -> Choice:
     """Cases that the options leave."""
     every = quick() if arguments.quick else matrix()
-    cases = tuple(c for c in every if _chosen(c, arguments))
+    chosen = [c for c in every if _chosen(c, arguments)]
     return Choice(
-        cases=cases,
-        whole=not arguments.quick and len(cases) == len(every),
+        cases=tuple(replace(c, seed=c.seed + arguments.fresh) for c in chosen),
+        whole=not arguments.quick and len(chosen) == len(every) and not arguments.fresh,
         cache=arguments.cache,
         processes=arguments.processes,
         run=not arguments.tables,

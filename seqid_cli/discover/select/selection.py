@@ -397,8 +397,9 @@ class Selection:
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
         laws = [self.options.law**2 * self._squares(t, channels) for t in others]
         torque = zip(model.noise.weight, model.ground.torque, strict=False)
-        whole = [float(w @ tau**2) for c, (w, tau) in enumerate(torque) if c in channels]
-        return 2.0 * one.predicted.total < max([DETAIL**2 * sum(whole), *laws])
+        whole = sum(float(w @ tau**2) for c, (w, tau) in enumerate(torque) if c in channels)
+        detail = self._squares(one.term, channels) < DETAIL**2 * whole
+        return detail or 2.0 * one.predicted.total < max(laws, default=0.0)
 
     def _squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a taken term's torque at some channels."""

@@ -200,6 +200,8 @@ def _named(entry: EffectOfJoint) -> str:
 
 
 def _gain(loop: ClosedLoop, joint: str) -> str:
+    if joint not in loop.gain_interval:
+        return "-"
     low, high = loop.gain_interval[joint]
     gain = 1.0 - (loop.after[joint].rmse / max(loop.before[joint].rmse, 1e-300)) ** 2
     return f"{100 * gain:.0f} ({100 * low:.0f} to {100 * high:.0f})"

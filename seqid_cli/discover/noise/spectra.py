@@ -13,7 +13,7 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Array, Mask
 
 LEAST_SHARE = 0.1  # of the residual's power that stays noise, whatever else explains
-DETAIL = 0.003  # of a joint's torque, that no model gets right
+DETAIL = 0.002  # of a joint's torque, that no model gets right
 
 
 def power_gain(lowpass: Lowpass, frequency: Array, times: int) -> Array:

@@ -70,12 +70,9 @@ def select(
     if catalogue is None:
         catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
     options = options or Options()
-    every = []
-    for hold in HOLDS:
-        every.append(Selection(Model(ground, hold), options, catalogue))
-        every[-1].finish()
-        if every[-1].explained:
-            return every[-1]
+    every = [Selection(Model(ground, hold), options, catalogue) for hold in HOLDS]
+    for one in every:
+        one.finish()
     best = _best_of_all(every)
     if best.model.hold.doubt(ground.n):
         held = Selection(Model(ground, HELD), options, catalogue)
@@ -135,11 +132,6 @@ class Selection:
         self._tried: list[Ranked] = []
         self._tied: dict[Key, list[Term]] = {}
         self.others: list[tuple[float, tuple[Term, ...]]] = []
-
-    @property
-    def explained(self) -> bool:
-        """Whether the file explains the logs with nothing added, held as it says."""
-        return not self.model.terms and self.model.hold == HELD
 
     @property
     def freedom(self) -> int:
@@ -396,10 +388,16 @@ class Selection:
         model, channels = self.model, one.term.channels
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
         laws = [self.options.law**2 * self._squares(t, channels) for t in others]
-        torque = zip(model.noise.weight, model.ground.torque, strict=False)
-        whole = sum(float(w @ tau**2) for c, (w, tau) in enumerate(torque) if c in channels)
-        detail = self._squares(one.term, channels) < DETAIL**2 * whole
-        return detail or 2.0 * one.predicted.total < max(laws, default=0.0)
+        return self._is_detail(one.term) or 2.0 * one.predicted.total < max(laws, default=0.0)
+
+    def _is_detail(self, term: Term) -> bool:
+        """Whether a term is small beside the model's torque, which has no part above the cut-off."""
+        model, channels = self.model, term.channels
+        torque = model.ground.torque
+        if max(channels) >= len(torque):
+            return False
+        whole = sum(float(model.noise.weight[c] @ torque[c] ** 2) for c in channels)
+        return self._squares(term, channels) < DETAIL**2 * whole
 
     def _squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a taken term's torque at some channels."""

@@ -1,6 +1,6 @@
 """The samples that count, as rows: per joint, low-passed, thinned to what the band holds.
 
-Twice low-passed signals hold nothing above about twice the cut-off, so five samples per period of
+Twice low-passed signals hold nothing above about twice the cut-off, so four samples per period of
 it lose nothing. Samples at which a joint does not certainly slide are left out: whether and how
 long it sticks at a reversal is its controller's doing as much as the friction's.
 
@@ -23,12 +23,12 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import REACH
 from seqid_cli.typing import Array, Index, Mask
 
-SAMPLES_PER_CUTOFF = 3
+SAMPLES_PER_CUTOFF = 4
 BLOCK_S = 2.0  # of the shortest blocks of time whose errors are compared
 FOLDS = 10
 MOST_ROWS = 40_000
 TOGETHER = 64  # columns that are low-passed together
-FEWEST_ROWS = 50  # of a joint, all logs together, that are worth looking at
+FEWEST_ROWS = 40  # of a joint, all logs together, that are worth looking at
 SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
 FEWEST_FOLDS = 3  # in which a joint must have rows
 LEAST_OF_FOLD = 0.02  # of a joint's rows, that a fold must have to count

@@ -46,7 +46,11 @@ def test_a_line_above_the_cutoff_is_found() -> None:
     assert what.settings["frequency"] == pytest.approx(LINE_HZ, abs=2e-3)
     amplitude = np.hypot(*taken.one.gained.coefficients)
     assert float(amplitude) == pytest.approx(LINE, rel=0.05)
-    assert taken.one.predicted.share > 0.5
+    weight, after = found.model.noise.weight, found.model.linear.left_out
+    left = [
+        sum(float(w @ r**2) for w, r in zip(weight, x, strict=True)) for x in (taken.left, after)
+    ]
+    assert taken.one.predicted.share == pytest.approx(1.0 - left[1] / left[0], abs=0.15)
 
 
 def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:

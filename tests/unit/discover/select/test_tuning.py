@@ -118,7 +118,7 @@ def sprung(gear: Gear, seed: int) -> Scene:
 def test_a_resonance_is_met_blunt_and_followed_to_its_damping() -> None:
     """The stiffness that the blunt shape fits best is off; the sharper one brings it back."""
     gear = Gear(2500.0, 2.7)  # 8.9 Hz, 3 % of critical
-    model = model_of([sprung(gear, seed) for seed in range(2)])
+    model = model_of([sprung(gear, seed) for seed in range(5)])
     met = best(model, "joint_elasticity", 0)
     assert met.candidate.settings["damping_ratio"] == 0.15
     found = tuner_in(model).tuned(met)

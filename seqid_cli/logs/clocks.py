@@ -70,12 +70,7 @@ def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1
     follows an arm over 20 ms. Where samples come in bursts, so that more than one interval in
     twenty is beyond that, the mean interval stands for the median one.
 
-    Parameters
-    ----------
-    steps : (M,) array
-        Intervals, none negative.
-    second : float
-        One second in the unit of `steps`.
+    `steps` (M,): intervals, none negative. `second`: one second in the unit of `steps`.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)

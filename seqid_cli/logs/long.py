@@ -169,10 +169,7 @@ _NO_ROWS = Rows(np.zeros(0, np.int64), np.zeros((0, 0)))
 def rows_at_least(path: Path, least: int) -> bool:
     """Whether a log is likely to hold so many rows, without reading it.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read.
+    Raises InputError: the file cannot be read.
     """
     return likely_rows(path) >= least
 
@@ -180,10 +177,7 @@ def rows_at_least(path: Path, least: int) -> bool:
 def likely_rows(path: Path) -> int:
     """Rows that a log is likely to hold, without reading it; 0 where the format does not tell.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read.
+    Raises InputError: the file cannot be read.
     """
     kind, path = check_log(Path(path)), storage_file(Path(path))
     try:

@@ -49,18 +49,9 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
 def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
     """Cut pieces out of a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-        As a whole.
-    ranges : sequence of (float, float)
-        First and last moment of each piece, s since the first sample.
-
-    Returns
-    -------
-    list of Recording
-        In the order of `ranges`; `t` begins at 0 in each, `start` is where it begins in the log.
-        Warnings stay with the log.
+    `ranges`: first and last moment of each piece, s since the first sample. Returns: in the order
+    of `ranges`; `t` begins at 0 in each, `start` is where it begins in the log. Warnings stay with
+    the log.
     """
     whole, t = whole_of(recording), recording.t
     pieces = []

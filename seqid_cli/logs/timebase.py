@@ -68,21 +68,9 @@ class Resampled:
 def make_base(joints: Stream, rate_hz: float | None, where: str) -> Base:
     """Lay the base through the joint samples.
 
-    Parameters
-    ----------
-    joints : Stream
-        In the order of time, with `position` (M, n).
-    rate_hz : float or None
-        The rate wanted; None for the log's own.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        Fewer than 20 samples, or less than 0.5 s.
-    UsageError
-        `rate_hz` is not usable.
+    `joints`: in the order of time, with `position` (M, n). `where`: the file, for messages. Raises
+    InputError: fewer than 20 samples, or less than 0.5 s. Raises UsageError: `rate_hz` is not
+    usable.
     """
     rows = _base_rows(joints)
     stamps = joints.stamp_ns[rows]
@@ -110,20 +98,9 @@ def make_base(joints: Stream, rate_hz: float | None, where: str) -> Base:
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
     """Bring one channel of a stream to the base.
 
-    Parameters
-    ----------
-    stream : Stream
-        In the order of time.
-    quantity : str
-        Its channel, (M, w).
-    base : Base
-        The time base.
-
-    Returns
-    -------
-    Resampled
-        Finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False in
-        gaps and outside the column's time, and does not heed columns without any value.
+    `stream`: in the order of time. `quantity`: its channel, (M, w). `base`: the time base. Returns:
+    finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False in gaps
+    and outside the column's time, and does not heed columns without any value.
     """
     values = stream.channels[quantity]
     if base.exact and len(stream) >= base.count:

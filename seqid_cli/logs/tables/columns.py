@@ -45,10 +45,7 @@ class TimeColumn:
 def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
     """Return a column by name, dictionaries resolved.
 
-    Raises
-    ------
-    InputError
-        The table does not have it exactly once.
+    Raises InputError: the table does not have it exactly once.
     """
     if table.schema.names.count(name) != 1:
         raise InputError(
@@ -65,10 +62,7 @@ def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
 def numbers(where: str, table: pa.Table, name: str) -> Array:
     """Read a column as float64 (M,); nulls become NaN.
 
-    Raises
-    ------
-    InputError
-        It holds no numbers, or cannot be converted.
+    Raises InputError: it holds no numbers, or cannot be converted.
     """
     try:
         found = column(where, table, name)
@@ -101,15 +95,8 @@ def is_number(kind: pa.DataType) -> bool:
 def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
     """Read the stamps of the rows.
 
-    Returns
-    -------
-    tuple
-        Stamps [ns] (M,), 0 where missing; the rows that have one; warnings.
-
-    Raises
-    ------
-    InputError
-        The column holds no times.
+    Returns: stamps [ns] (M,), 0 where missing; the rows that have one; warnings. Raises InputError:
+    the column holds no times.
     """
     warnings: list[str] = []
     kind = column(where, table, time.name).type
@@ -216,10 +203,7 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
 def opened_table(path: Path, **options: object) -> pq.ParquetFile:
     """Open a Parquet file whose values have room.
 
-    Raises
-    ------
-    InputError
-        A few bytes of it stand for more values than any log has.
+    Raises InputError: a few bytes of it stand for more values than any log has.
     """
     file = pq.ParquetFile(readable(path), **options)
     size, room = path.stat().st_size, 8 * file.metadata.num_rows * file.metadata.num_columns

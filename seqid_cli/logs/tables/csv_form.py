@@ -51,10 +51,7 @@ def is_text(head: bytes) -> bool:
 def read_form(path: Path) -> CsvForm:
     """Look at the first lines of a CSV file.
 
-    Raises
-    ------
-    InputError
-        It is no table: no names, no numbers, or nothing that separates them.
+    Raises InputError: it is no table: no names, no numbers, or nothing that separates them.
     """
     with path.open("rb") as file:
         head = file.read(HEAD)

@@ -20,7 +20,6 @@ ROOM, MOST_TIMES = 256 << 20, 500  # bytes in memory of any table; of one byte o
 NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 # An epoch time of this size cannot be seconds: the largest that it can be in each unit.
 _EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
-_FASTEST_S = 5e-5  # no arm is logged faster than 20 kHz
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ def _from_numbers(
     return _split(values, NS_PER[unit])
 
 
-def _unit(values: Array, time: TimeColumn, warnings: list[str]) -> str:
+def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: float = 5e-05) -> str:
     """Return the unit: what the name says, or the format, or else the size of the numbers."""
     if time.unit is not None and time.sure:
         return time.unit
@@ -140,7 +139,7 @@ def _unit(values: Array, time: TimeColumn, warnings: list[str]) -> str:
     middle = float(np.median(np.abs(finite))) if len(finite) else 0.0
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    if time.unit is not None and time.unit != "s" and step * NS_PER[time.unit] * 1e-9 < _FASTEST_S:
+    if time.unit is not None and time.unit != "s" and step * NS_PER[time.unit] * 1e-9 < fastest_s:
         warnings.append(
             f"column {time.name!r} is in {time.unit} by its format, but steps by {step:.3g}: "
             "read as s"

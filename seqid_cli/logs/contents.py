@@ -43,10 +43,7 @@ class Survey:
 def survey(path: Path) -> Survey:
     """Look through a log.
 
-    Raises
-    ------
-    InputError
-        It is no log or cannot be read at all.
+    Raises InputError: it is no log or cannot be read at all.
     """
     kind = check_log(path)
     path = storage_file(path)

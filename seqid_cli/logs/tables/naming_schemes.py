@@ -156,20 +156,9 @@ def find_scheme(
 ) -> Match | None:
     """Find the scheme by which a log names all joints.
 
-    Parameters
-    ----------
-    joints : sequence of str
-        Names in the robot file, in chain order.
-    known : collection of str
-        Columns of the log.
-    entries : mapping, optional
-        Place of each joint in the log's lists, where the log names them; by default that in the
-        chain.
-
-    Returns
-    -------
-    Match or None
-        None where no scheme gives a position for every joint.
+    `joints`: names in the robot file, in chain order. `known`: columns of the log. `entries`: place
+    of each joint in the log's lists, where the log names them; by default that in the chain.
+    Returns None where no scheme gives a position for every joint.
     """
     for scheme in SCHEMES:
         places = entries if entries and _uses_lists(scheme) else None
@@ -255,11 +244,8 @@ def other_joints(match: Match, joints: Sequence[str], known: Iterable[str]) -> l
 def survey_names(names: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
     """Find, without a robot file, the joints of a table and the pattern of their positions.
 
-    Returns
-    -------
-    tuple
-        Names of the joints, joint_1 ... where the table only numbers them; and the `[channels]`
-        pattern of position, None for the default one or where there are no joints.
+    Returns: names of the joints, joint_1 ... where the table only numbers them; and the
+    `[channels]` pattern of position, None for the default one or where there are no joints.
     """
     for scheme in SCHEMES:
         for pattern in scheme.patterns["position"]:

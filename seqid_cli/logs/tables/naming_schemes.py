@@ -14,7 +14,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import takewhile
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -239,33 +238,6 @@ def other_joints(match: Match, joints: Sequence[str], known: Iterable[str]) -> l
             others = [m.groupdict().get("name") or n for n, m in found.items() if m]
             return [name for name in dict.fromkeys(others) if name not in used.union(joints)]
     return []
-
-
-def survey_names(names: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
-    """Find, without a robot file, the joints of a table and the pattern of their positions.
-
-    Returns: names of the joints, joint_1 ... where the table only numbers them; and the
-    `[channels]` pattern of position, None for the default one or where there are no joints.
-    """
-    for scheme in SCHEMES:
-        for pattern in scheme.patterns["position"]:
-            if "{name}" in pattern:
-                before, after = pattern.split("{name}")
-                found = [
-                    name[len(before) : len(name) - len(after)]
-                    for name in names
-                    if name.startswith(before) and name.endswith(after)
-                ]
-                joints = tuple(n for n in found if re.fullmatch(r"(?!\d+$)[^./\[]+", n))
-                if {name.lower() for name in joints} & (COMMANDED | MEASURED):
-                    continue
-            else:
-                columns = (column_name(pattern, "", i) for i in range(len(names)))
-                count = len(list(takewhile(set(names).__contains__, columns)))
-                joints = tuple(f"joint_{i + 1}" for i in range(count))
-            if joints:
-                return joints, None if scheme is DEFAULT else pattern
-    return (), None
 
 
 def time_names(names: Iterable[str]) -> dict[str, str | None]:

@@ -82,7 +82,7 @@ def run(
                 "exists already", where=str(output), hint="Give another name, or --force."
             )
 
-    from seqid_cli.inspect.propose import propose
+    from seqid_cli.inspect.propose import propose, with_gravity
     from seqid_cli.robot.toml.template import robot_toml
 
     proposal = propose(
@@ -95,6 +95,11 @@ def run(
     content = robot_toml(proposal.template)
     if output is not None:
         write_text_atomic(output, content, inputs=files)
+        mounted = with_gravity(content, output, files)
+        if mounted != content:
+            content = mounted
+            write_text_atomic(output, content, inputs=files)
+            screen.note("the logs tell the mounting: look at gravity in the file")
     screen.document(
         {
             "output": str(output) if output else None,

@@ -1,4 +1,4 @@
-"""One line on a terminal's stderr that tells how far a command is, once it takes a second."""
+"""One line on a terminal's stderr that tells how far a command is, once it takes half a second."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TextIO
 
 from seqid_cli.commands.layout import shortened
 
-_PATIENCE_S, _TICK_S = 1.0, 0.5
+_PATIENCE_S, _TICK_S = 0.5, 0.5
 _CELLS, _TEXT = 16, 30
 _CLEAR = "\r\x1b[2K"
 
@@ -81,7 +81,8 @@ class ProgressLine:
             left = (self._told - self._began) * (total - done) / max(done, 1)
             if left > now - self._told:
                 times += f", about {left - now + self._told:.0f} s left"
-            line = f"[{bar}] {done}/{total} {shortened(text, _TEXT)}  {times}"
+            count = f"{done}/{total} " if total else ""
+            line = f"[{bar}] {count}{shortened(text, _TEXT)}  {times}"
             self._stream.write(f"{_CLEAR}{line[:79]}")
             self._stream.flush()
             self._drawn = True

@@ -18,6 +18,7 @@ _WORDS = {
     "unreadable": "a log cannot be read",
 }
 SHOWN_JITTER = 0.01
+_STAGES = ("friction", "gravity", "imu-calib", "inertia")
 _SHOWN = 3  # logs that are shown in detail without -v
 _LISTED = 12  # logs that have a line each without -v
 
@@ -91,8 +92,7 @@ def _serves(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     """Say what several logs serve for as a whole, and which joints they leave out."""
     if len(logs) < 2 or not any(log.serves for log in logs):
         return
-    stages = dict.fromkeys(stage for log in logs for stage in log.serves)
-    counts = [f"{stage} ({_count(stage, logs)})" for stage in stages]
+    counts = [f"{stage} ({_count(stage, logs)})" for stage in _STAGES if _count(stage, logs)]
     screen.result(f"as a whole they serve {', '.join(counts)}")
     alone = {move.joint for log in logs if "friction" in log.serves for move in log.moves}
     names = dict.fromkeys(joint.name for log in logs for joint in log.joints)
@@ -135,7 +135,7 @@ def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
 
 def _count(stage: str, logs: Sequence[InspectedLog]) -> str:
     count = sum(stage in log.serves for log in logs)
-    return f"{count} log" + "s" * (count > 1)
+    return f"{count} log" + "s" * (count > 1) if count else ""
 
 
 def _message(finding: InspectionFinding) -> str:

@@ -52,11 +52,6 @@ def compare(a: Source, b: Source, *, rule: Rule) -> Comparison:
     ----------
     a, b : Source
         Two documents of one kind.
-    rule : Rule
-
-    Returns
-    -------
-    Comparison
 
     Raises
     ------

@@ -7,12 +7,10 @@ from collections.abc import Iterable
 from seqid_cli import __version__
 from seqid_cli.export.model import ExportModel
 
-_DIGITS = 15
 
-
-def real(value: float) -> str:
+def real(value: float, *, digits: int = 15) -> str:
     """Return a number in 15 digits, always with a point: YAML takes 9e-05 for text."""
-    mantissa, mark, exponent = f"{float(value) + 0.0:.{_DIGITS}g}".partition("e")
+    mantissa, mark, exponent = f"{float(value) + 0.0:.{digits}g}".partition("e")
     return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{mark}{exponent}"
 
 

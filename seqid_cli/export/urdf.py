@@ -17,7 +17,6 @@ from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Array, Joint
 
-_NO_LIMIT = 1.0e3  # N m, rad/s, m: URDF wants a number where the robot file has none
 _DRAKE = "http://drake.mit.edu"
 
 
@@ -86,10 +85,10 @@ def _new_joint(document: Document, root: Element, model: ExportModel, k: int) ->
     return element
 
 
-def _limits(joint: Joint, kind: str) -> dict[str, str]:
-    limits = {"effort": real(_NO_LIMIT), "velocity": real(joint.velocity_limit or _NO_LIMIT)}
+def _limits(joint: Joint, kind: str, *, no_limit: float = 1000.0) -> dict[str, str]:
+    limits = {"effort": real(no_limit), "velocity": real(joint.velocity_limit or no_limit)}
     if kind != "continuous":
-        low, high = joint.position_limits or (-_NO_LIMIT, _NO_LIMIT)
+        low, high = joint.position_limits or (-no_limit, no_limit)
         limits |= {"lower": real(low), "upper": real(high)}
     return limits
 

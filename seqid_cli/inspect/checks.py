@@ -21,7 +21,12 @@ from seqid_cli.inspect.channels.positions import (
     position_findings,
     position_quality,
 )
-from seqid_cli.inspect.channels.torques import temperature_findings, torque_findings, torque_quality
+from seqid_cli.inspect.channels.torques import (
+    sensor_findings,
+    temperature_findings,
+    torque_findings,
+    torque_quality,
+)
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
@@ -142,7 +147,7 @@ def _findings(
     own += torques
     if quality:
         own += torque_quality(data, {f.joint for f in torques if f.code in SPOIL})
-        own += temperature_findings(data)
+        own += [*temperature_findings(data), *sensor_findings(data)]
     if imus and not _all_spoilt(own):
         own += imu_findings(data)
     if not _all_spoilt(own):

@@ -29,7 +29,7 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "temperature": ("temperature", "temperatures", "temp", "temperatur"),
 }
 _QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}
-_SHORT = 2  # letters; such words are too common to stand for a quantity without a number
+_SHORT = 2  # letters; such words are too common to stand for a quantity of one joint
 _BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
 _UNITS = frozenset({"rad", "rads", "radians", "deg", "degs", "degrees", "grad", "nm", "amp", "s"})
 _DEGREES = frozenset({"deg", "degs", "degrees", "grad"})
@@ -125,7 +125,7 @@ def _alone(names: list[str]) -> dict[str, Columns]:
     """Columns of a single joint, which need no name: `q`, `q_act`, `tau`."""
     found: dict[str, Columns] = {}
     for name in names:
-        quantity = _quantity(_words(name), 0)
+        quantity = _quantity(_words(name))
         if quantity:
             found.setdefault(quantity, name)
     return found
@@ -139,7 +139,7 @@ def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, 
             if any(a.start() < match.start() < a.end() for a in _BRACKET.finditer(name)):
                 continue
             form = name[: match.start()] + "{#}" + name[match.end() :]
-            quantity = _quantity(_words(form), _SHORT - 2)
+            quantity = _quantity(_words(form))
             if quantity:
                 found.setdefault(quantity, {}).setdefault(form, set()).add(int(match[0]))
     return {
@@ -155,12 +155,19 @@ def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
         for separator in ("/", ".", "_"):
             parts = name.split(separator)
             for at in (len(parts) - 1, 0):
-                quantity = _quantity(_words(parts[at]), _SHORT) if len(parts) > 1 else ""
+                quantity = _quantity(_words(parts[at])) if len(parts) > 1 else ""
                 joint = separator.join(parts[:at] if at else parts[1:]).strip("/")
                 if quantity and joint and not (COMMANDED | MEASURED) & set(_words(joint)):
                     form = name.replace(joint, "{name}", 1)
                     found.setdefault(quantity, {}).setdefault(form, []).append(joint)
-    return found
+    long = {q: {f: js for f, js in own.items() if _tells(f, js)} for q, own in found.items()}
+    return {quantity: own for quantity, own in long.items() if own}
+
+
+def _tells(form: str, joints: list[str]) -> bool:
+    """Whether a form tells a quantity: words of few letters do so beside several joints only."""
+    word = max(_letters(form.replace("{name}", " ")), key=len)
+    return len(joints) > 1 or len(word) > _SHORT
 
 
 def _words(text: str) -> list[str]:
@@ -173,12 +180,12 @@ def _letters(text: str) -> list[str]:
     return [word.lower() for word in re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text) if word]
 
 
-def _quantity(words: list[str], shortest: int) -> str:
+def _quantity(words: list[str]) -> str:
     if COMMANDED & set(words):
         return ""
     rest = [word for word in words if word not in MEASURED] or [""]
     for text in ("".join(rest), rest[-1] if len(rest) == 1 else ""):
-        if text in _QUANTITY and len(text) > shortest:
+        if text in _QUANTITY:
             return _QUANTITY[text]
     return ""
 

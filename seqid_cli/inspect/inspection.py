@@ -38,8 +38,6 @@ from seqid_cli.params.results.inspection import (
 )
 from seqid_cli.robot.types import Robot
 
-_STAGES = ("friction", "gravity", "imu-calib", "inertia")
-
 
 class Inspected(NamedTuple):
     """One log and its findings."""
@@ -225,7 +223,7 @@ def _duplicates(logs: Sequence[InspectedLog]) -> list[InspectionFinding]:
 def _advice(
     logs: Sequence[InspectedLog], findings: Sequence[InspectionFinding], robot: Robot | None
 ) -> list[str]:
-    """Return the next step: the first error's remedy, else the stages that the logs serve."""
+    """Return the next step: the first error's remedy, else the first stage that the logs serve."""
     errors = [finding for finding in findings if finding.severity == "error"]
     if errors:
         first = errors[0]
@@ -234,9 +232,5 @@ def _advice(
     if robot is None:
         return ["seqid init LOG --urdf FILE -o robot.toml, then inspect again with -r robot.toml"]
     there = {stage for log in logs for stage in log.serves}
-    by_stage = [
-        f"{stage}: {sum(stage in log.serves for log in logs)} logs"
-        for stage in _STAGES
-        if stage in there
-    ]
-    return ["logs for " + ", ".join(by_stage)] if by_stage else []
+    stage = "friction" if "friction" in there else "simultaneous"
+    return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"] if there else []

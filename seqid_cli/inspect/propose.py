@@ -11,12 +11,14 @@ from pathlib import Path
 
 from msgspec import structs
 
-from seqid_cli.errors import InputError, UsageError
+from seqid_cli.errors import InputError, SeqidError, UsageError
+from seqid_cli.inspect.dynamics.equations import GRAVITY
 from seqid_cli.inspect.guess import WORDS, Guess, guess
-from seqid_cli.inspect.inspection import inspect_log
+from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
 from seqid_cli.params.results.inspection import InspectedJoint, InspectionFinding
+from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
 from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTemplate
 from seqid_cli.robot.urdf.joints import UrdfJoint, best_chain, check_urdf
@@ -126,6 +128,22 @@ def _unit(findings: Sequence[InspectionFinding], *, degrees: bool) -> dict[str, 
     """Return the `[channels]` that say that angles are in degrees, by their names or sizes."""
     found = degrees or any(finding.code == "position_in_degrees" for finding in findings)
     return {"unit": "deg"} if found else {}
+
+
+def with_gravity(content: str, path: Path, logs: Sequence[Path], *, most: int = 8) -> str:
+    """Write gravity into a robot file as its first logs tell it.
+
+    The same text where they do not, or where the file at `path` still lacks something.
+    """
+    try:
+        report = inspect_logs(logs[:most], load_robot(path))
+    except SeqidError:
+        return content
+    told = {said[1] for f in report.findings if (said := GRAVITY.match(f.message))}
+    if len(told) != 1:
+        return content
+    line = f"gravity = {told.pop()}  # m/s^2 in the base frame, as the logs tell"
+    return re.sub(r"(?m)^gravity = .*$", line, content)
 
 
 def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:

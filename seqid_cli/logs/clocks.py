@@ -17,10 +17,6 @@ GAP_INTERVALS = 5.0
 GAP_LEAST_S = 0.02
 BURSTS = 0.05
 # A grid may be this many times longer than the samples before far-off stamps are cut away.
-_STRETCH_LIMIT = 20
-_STRETCH_LEAST = 1_000_000
-_CUT_NS = 60_000_000_000
-_MANY_STEPS = 100  # so many steps back are rows in no order, not clocks that were set
 
 
 @dataclass(frozen=True)
@@ -70,12 +66,7 @@ def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1
     follows an arm over 20 ms. Where samples come in bursts, so that more than one interval in
     twenty is beyond that, the mean interval stands for the median one.
 
-    Parameters
-    ----------
-    steps : (M,) array
-        Intervals, none negative.
-    second : float
-        One second in the unit of `steps`.
+    `steps` (M,): intervals, none negative. `second`: one second in the unit of `steps`.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)
@@ -84,7 +75,7 @@ def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1
     return limit
 
 
-def _one_pass(stream: Stream, warnings: list[str]) -> Stream:
+def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> Stream:
     stamps = stream.stamp_ns
     steps = np.diff(stamps)
     forward = steps[steps > 0]
@@ -92,7 +83,7 @@ def _one_pass(stream: Stream, warnings: list[str]) -> Stream:
         return stream
     median = float(np.median(forward))
     far = np.flatnonzero(steps < -gap_limit(forward, 1e9))
-    if far.size > _MANY_STEPS:
+    if far.size > many_steps:
         return stream
     jumps = [i for i in far if _overlaps(stream, int(i), median)]
     if not jumps:
@@ -121,20 +112,27 @@ def _overlaps(stream: Stream, step: int, median_ns: float) -> bool:
     return int(np.count_nonzero(~repeated)) > 1.25 * ((high - low) / median_ns + 1.0) + 1.0
 
 
-def _far_stamps_cut(stream: Stream, warnings: list[str]) -> Stream:
+def _far_stamps_cut(
+    stream: Stream,
+    warnings: list[str],
+    *,
+    stretch_limit: int = 20,
+    stretch_least: int = 1000000,
+    cut_ns: int = 60000000000,
+) -> Stream:
     """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them."""
     steps = np.diff(stream.stamp_ns)
     forward = steps[steps > 0]
     if not forward.size:
         return stream
     span = int(stream.stamp_ns[-1]) - int(stream.stamp_ns[0])
-    if span / np.median(forward) < _STRETCH_LIMIT * len(stream) + _STRETCH_LEAST:
+    if span / np.median(forward) < stretch_limit * len(stream) + stretch_least:
         return stream
-    ends = [0, *(np.flatnonzero(steps > _CUT_NS) + 1).tolist(), len(stream)]
+    ends = [0, *(np.flatnonzero(steps > cut_ns) + 1).tolist(), len(stream)]
     start, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
     warnings.append(
         f"{stream.name}: the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the "
-        f"longest stretch without a hole of {_CUT_NS // 1_000_000_000} s is kept, {end - start} "
+        f"longest stretch without a hole of {cut_ns // 1_000_000_000} s is kept, {end - start} "
         "samples. Check the clock, or split the log"
     )
     return stream.take(slice(start, end))

@@ -10,8 +10,7 @@ from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.tables.list_names import motors_of
-from seqid_cli.logs.tables.naming_schemes import LEROBOT, survey_names
-from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 
 
 @dataclass(frozen=True)
@@ -27,26 +26,21 @@ class Channel:
 class Survey:
     """The content of one log.
 
-    `joints` are the joints that it seems to hold, in its order, and `names` the `[channels]` that
-    a robot file with these joints needs to read it. `columns` are those of a table, elements of its
-    lists as `column[k]`.
+    `joints` are those that messages or a LeRobot data set name, in its order. `columns` are those
+    of a table, elements of its lists as `column[k]`.
     """
 
     path: Path
     format: str
     channels: tuple[Channel, ...]
     joints: tuple[str, ...]
-    names: Channels
     columns: tuple[str, ...] = ()
 
 
 def survey(path: Path) -> Survey:
     """Look through a log.
 
-    Raises
-    ------
-    InputError
-        It is no log or cannot be read at all.
+    Raises InputError: it is no log or cannot be read at all.
     """
     kind = check_log(path)
     path = storage_file(path)
@@ -63,11 +57,11 @@ def survey(path: Path) -> Survey:
 
 
 def _table(path: Path, kind: str, channels: Sequence[Channel], names: Sequence[str]) -> Survey:
-    joints, position = survey_names(names)
-    if position == LEROBOT.patterns["position"][0]:
-        joints = motors_of(path) or joints
-    named = Channels(position=position)
-    return Survey(path, kind, tuple(channels), joints, named, tuple(names))
+    count = sum(name.startswith(f"{LEROBOT_STATE}[") for name in names)
+    joints = motors_of(path) if count else ()
+    if len(joints) != count:
+        joints = tuple(f"joint_{k + 1}" for k in range(count))
+    return Survey(path, kind, tuple(channels), joints, tuple(names))
 
 
 def _topics(path: Path, kind: str, file: Path) -> Survey:
@@ -75,4 +69,4 @@ def _topics(path: Path, kind: str, file: Path) -> Survey:
     channels = tuple(
         Channel(info.topic, f"{info.schema} ({info.encoding})", info.messages) for info in topics
     )
-    return Survey(path, kind, channels, joints, Channels())
+    return Survey(path, kind, channels, joints)

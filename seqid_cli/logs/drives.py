@@ -18,13 +18,8 @@ ANGLES = ("position", "velocity", "link_position")
 def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str, Array]:
     """Turn joint channels (M, n) into the model's: rad, N m at the joint, A on the motor side.
 
-    Parameters
-    ----------
-    channels : dict
-        By quantity, as logged.
-    stamps : (M,) array [ns]
-    robot : Robot
-        `unit` and `effort` under its `[channels]`, and the motors' constants.
+    `channels`: by quantity, as logged. `stamps` (M,) [ns]. `robot`: `unit` and `effort` under its
+    `[channels]`, and the motors' constants.
     """
     found = dict(channels)
     if robot.channels.unit == "deg":

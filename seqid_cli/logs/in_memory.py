@@ -23,10 +23,7 @@ class TableLog(StoredLog):
     def of(cls, data: object, name: str) -> TableLog:
         """Take a table under the name that results give it.
 
-        Raises
-        ------
-        InputError
-            It is no table.
+        Raises InputError: it is no table.
         """
         log = cls(f"{name}.parquet")
         log.content = _table(data)

@@ -31,9 +31,6 @@ from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.timebase import Base, resample
 from seqid_cli.robot.types import Robot
 
-BYTES_PER_ROW = 100  # of an MCAP file that does not tell how many messages it holds
-
-
 READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
 
 
@@ -169,21 +166,15 @@ _NO_ROWS = Rows(np.zeros(0, np.int64), np.zeros((0, 0)))
 def rows_at_least(path: Path, least: int) -> bool:
     """Whether a log is likely to hold so many rows, without reading it.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read.
+    Raises InputError: the file cannot be read.
     """
     return likely_rows(path) >= least
 
 
-def likely_rows(path: Path) -> int:
+def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
     """Rows that a log is likely to hold, without reading it; 0 where the format does not tell.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read.
+    Raises InputError: the file cannot be read.
     """
     kind, path = check_log(Path(path)), storage_file(Path(path))
     try:
@@ -192,7 +183,7 @@ def likely_rows(path: Path) -> int:
                 return int(file.metadata.num_rows)
         if kind == "mcap":
             messages = reader.count_messages(path)
-            return path.stat().st_size // BYTES_PER_ROW if messages is None else messages
+            return path.stat().st_size // bytes_per_row if messages is None else messages
     except ARROW_ERRORS as error:
         raise parquet.damaged(path, error) from error
     except OSError as error:

@@ -12,9 +12,7 @@ from seqid_cli.logs.thinned import Thinned
 from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM
 
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
-MOST_GAPS = 100_000
 GROUP = 256  # rows whose distance from the base is remembered by its extremes
-STRETCH = 20.0  # a base so many times longer than the rows is a clock that went wrong
 
 
 class UnevenError(Exception):
@@ -84,13 +82,13 @@ class Scan:
         self.count += len(stamps)
         self.last = int(stamps[-1])
 
-    def _note_steps(self, steps: Array) -> None:
+    def _note_steps(self, steps: Array, *, most_gaps: int = 100000) -> None:
         self.steps.push(steps)
         far = steps > GAP_LEAST_S * 1e9
         near = steps[~far] if far.any() else steps
         if far.any():
             self.beyond.append(steps[far])
-            if sum(map(len, self.beyond)) > MOST_GAPS:
+            if sum(map(len, self.beyond)) > most_gaps:
                 raise UnevenError
         self.sums += (near.sum(), np.square(near - self.usual).sum())
         longer = near[near > 1.5 * self.usual]
@@ -103,7 +101,7 @@ class Scan:
         least, most = (extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum))
         self.off.append(np.stack([index[starts], least, most], axis=1))
 
-    def base(self) -> tuple[int, float, int, float, bool, int]:
+    def base(self, *, stretch: float = 20.0) -> tuple[int, float, int, float, bool, int]:
         """Lay the base as `timebase.make_base` does: start, step, samples, jitter, exact, gaps."""
         if self.count < 2:
             raise UnevenError
@@ -124,7 +122,7 @@ class Scan:
         intervals = number + self.surplus + float((np.rint(regular / median) - 1).clip(0).sum())
         step = total / round(intervals) * 1e-9
         span = (self.last - self.first) * 1e-9
-        if span / step > STRETCH * self.count:
+        if span / step > stretch * self.count:
             raise UnevenError
         samples = int(np.floor(span / step + 1e-6)) + 1
         exact = samples == self.count and self._on_base(step * 1e9)

@@ -23,8 +23,6 @@ from seqid_cli.robot.types import Robot
 Range = tuple[float, float]  # s since the log's first sample
 Sound = Callable[[Recording, RawLog], Recording]
 
-AROUND_S = 0.1  # on either side of a piece, for IMUs whose stamps are not those of the joints
-
 
 def whole_of(log: Recording | LongLog) -> Whole:
     """What a piece tells of the log that it is of."""
@@ -49,18 +47,9 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
 def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
     """Cut pieces out of a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-        As a whole.
-    ranges : sequence of (float, float)
-        First and last moment of each piece, s since the first sample.
-
-    Returns
-    -------
-    list of Recording
-        In the order of `ranges`; `t` begins at 0 in each, `start` is where it begins in the log.
-        Warnings stay with the log.
+    `ranges`: first and last moment of each piece, s since the first sample. Returns: in the order
+    of `ranges`; `t` begins at 0 in each, `start` is where it begins in the log. Warnings stay with
+    the log.
     """
     whole, t = whole_of(recording), recording.t
     pieces = []
@@ -162,12 +151,12 @@ class _Gathered:
     def of(cls, whole: Whole, first: float, last: float) -> _Gathered:
         return cls(int((whole.start + first) * 1e9), int((whole.start + last) * 1e9))
 
-    def push(self, raw: RawLog) -> None:
+    def push(self, raw: RawLog, *, around_s: float = 0.1) -> None:
         inside = _between(raw.joints, self.first - 1000, self.last + 1000)
         if len(inside):
             self.joints.append(inside)
             self.prefer_current = raw.prefer_current
-        around = int(AROUND_S * 1e9)
+        around = int(around_s * 1e9)
         for name, streams in raw.imus.items():
             near = tuple(_between(s, self.first - around, self.last + around) for s in streams)
             if any(map(len, near)):

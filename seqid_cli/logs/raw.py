@@ -71,20 +71,9 @@ class BlockReader(Protocol):
     ) -> Iterator[RawLog]:
         """Read the channels that the robot file knows, block by block.
 
-        Parameters
-        ----------
-        path : Path
-            The file, damaged or not.
-        robot : Robot
-            Its joints, IMUs and `[channels]`.
-        time_source : {"header", "log"}
-            Stamps in the messages, or the times of logging; without meaning for tables.
-        rows : int or None
-            Rows in a block, where the format allows it; None for the whole log as one block.
-
-        Raises
-        ------
-        InputError
-            The file is damaged beyond use or lacks a channel.
+        `robot`: its joints, IMUs and `[channels]`. `time_source` {"header", "log"}: stamps in the
+        messages, or the times of logging; without meaning for tables. `rows`: rows in a block,
+        where the format allows it; None for the whole log as one block. Raises InputError: the file
+        is damaged beyond use or lacks a channel.
         """
         ...

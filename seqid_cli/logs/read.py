@@ -73,8 +73,6 @@ def read_recording(
         Names of joints, channels and IMUs; drive data that turn current into torque.
     time_source : {"header", "log"}
         MCAP and bags only: the stamps in the messages, or the times of logging.
-    rate_hz : float, optional
-        Rate of the base; by default the log's own.
 
     Returns
     -------
@@ -113,7 +111,6 @@ def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stre
     ----------
     recording, raw
         The log as `read_both` gives it.
-    robot : Robot
     joints : Stream
         Its joint samples in the order of time, NaN where a value is not to be used.
 

@@ -79,10 +79,7 @@ class Recording:
 def torque_of(recording: Recording) -> Array:
     """Measured torque (N, n) N m of a log that must have it.
 
-    Raises
-    ------
-    InputError
-        If the log carries neither torque nor current.
+    Raises InputError if the log carries neither torque nor current.
     """
     if recording.tau is None:
         raise InputError(

@@ -22,15 +22,10 @@ from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.logs.raw import Array, Mask, Stamps, Stream
 
 LEAST_SAMPLES = 20
-LEAST_SECONDS = 0.5
 UNIFORM = 1e-3  # of the interval: so far may a sample lie beside the base and be taken as it is
 JITTER_LIMIT = 0.5
-COARSER = 1.5  # a base so many times coarser than the samples averages them
-_MOST_SAMPLES = 200_000_000
-_NEAR = 0.1  # of the median interval: samples closer than that would make a spline swing
 _BLOCK = 65_536  # samples per spline; the overlap is enough to forget the ends (0.27^32)
 _OVERLAP = 32
-_LEAST_KNOTS = 4
 
 
 @dataclass(frozen=True)
@@ -65,41 +60,36 @@ class Resampled:
     gaps: tuple[tuple[float, float], ...] = ()
 
 
-def make_base(joints: Stream, rate_hz: float | None, where: str) -> Base:
+def make_base(
+    joints: Stream,
+    rate_hz: float | None,
+    where: str,
+    *,
+    least_seconds: float = 0.5,
+    most_samples: int = 200000000,
+) -> Base:
     """Lay the base through the joint samples.
 
-    Parameters
-    ----------
-    joints : Stream
-        In the order of time, with `position` (M, n).
-    rate_hz : float or None
-        The rate wanted; None for the log's own.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        Fewer than 20 samples, or less than 0.5 s.
-    UsageError
-        `rate_hz` is not usable.
+    `joints`: in the order of time, with `position` (M, n). `where`: the file, for messages. Raises
+    InputError: fewer than 20 samples, or less than 0.5 s. Raises UsageError: `rate_hz` is not
+    usable.
     """
     rows = _base_rows(joints)
     stamps = joints.stamp_ns[rows]
     span = int(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
-    if len(rows) < LEAST_SAMPLES or span < LEAST_SECONDS:
+    if len(rows) < LEAST_SAMPLES or span < least_seconds:
         raise InputError(
             f"only {len(rows)} samples over {span:.3g} s hold all joints; at least "
-            f"{LEAST_SAMPLES} over {LEAST_SECONDS} s are needed",
+            f"{LEAST_SAMPLES} over {least_seconds} s are needed",
             hint="Record longer, or leave this log out.",
             where=where,
         )
     own, jitter, gaps = _own_step(stamps)
     step = own if rate_hz is None else _wanted_step(rate_hz, span)
     count = int(np.floor(span / step + 1e-6)) + 1
-    if count > _MOST_SAMPLES:
+    if count > most_samples:
         raise InputError(
-            f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {_MOST_SAMPLES}",
+            f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}",
             hint="Give a lower rate or split the log.",
             where=where,
         )
@@ -110,20 +100,9 @@ def make_base(joints: Stream, rate_hz: float | None, where: str) -> Base:
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
     """Bring one channel of a stream to the base.
 
-    Parameters
-    ----------
-    stream : Stream
-        In the order of time.
-    quantity : str
-        Its channel, (M, w).
-    base : Base
-        The time base.
-
-    Returns
-    -------
-    Resampled
-        Finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False in
-        gaps and outside the column's time, and does not heed columns without any value.
+    `stream`: in the order of time. `quantity`: its channel, (M, w). `base`: the time base. Returns:
+    finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False in gaps
+    and outside the column's time, and does not heed columns without any value.
     """
     values = stream.channels[quantity]
     if base.exact and len(stream) >= base.count:
@@ -223,7 +202,7 @@ def _alike(values: Array) -> Iterator[tuple[NDArray[np.intp], Mask]]:
 
 
 def _interpolate(
-    seconds: Array, values: Array, base: Base
+    seconds: Array, values: Array, base: Base, *, coarser: float = 1.5, near: float = 0.1
 ) -> tuple[Array, Mask, list[tuple[float, float]]]:
     t = base.t
     tolerance = UNIFORM * base.step_s
@@ -237,7 +216,7 @@ def _interpolate(
     for start, end in gaps:
         inside = slice(*np.searchsorted(t, (start + tolerance, end - tolerance)))
         valid[inside] = False
-    if base.step_s > COARSER * median:
+    if base.step_s > coarser * median:
         return _averaged(seconds, values, t, base.step_s), valid, gaps
     out = np.column_stack([np.interp(t, seconds, column) for column in values.T])
     kept = np.delete(steps, gap_at)
@@ -245,7 +224,7 @@ def _interpolate(
         ends = [0, *(gap_at + 1).tolist(), len(seconds)]
         for start_row, end_row in pairwise(ends):
             piece = slice(start_row, end_row)
-            _spline(seconds[piece], values[piece], t, _NEAR * median, out)
+            _spline(seconds[piece], values[piece], t, near * median, out)
     return out, valid, gaps
 
 
@@ -274,17 +253,19 @@ def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
     return out
 
 
-def _spline(x: Array, values: Array, t: Array, near: float, out: Array) -> None:
+def _spline(
+    x: Array, values: Array, t: Array, near: float, out: Array, *, least_knots: int = 4
+) -> None:
     """Overwrite `out` by the cubic spline through a piece without gaps, in blocks."""
     apart = np.concatenate([[True], np.diff(x) > near]) if len(x) else np.zeros(0, np.bool_)
     x, values = x[apart], values[apart]
-    if len(x) < _LEAST_KNOTS:
+    if len(x) < least_knots:
         return
     for begin in range(0, len(x) - 1, _BLOCK):
         end = min(begin + _BLOCK, len(x) - 1)
         low, high = max(0, begin - _OVERLAP), min(len(x), end + _OVERLAP + 1)
-        if high - low < _LEAST_KNOTS:
-            low = max(0, high - _LEAST_KNOTS)
+        if high - low < least_knots:
+            low = max(0, high - least_knots)
         targets = slice(
             int(np.searchsorted(t, x[begin])), int(np.searchsorted(t, x[end], side="right"))
         )

@@ -47,17 +47,8 @@ class CarriedBody:
 def body_of(phi: Array, covariance: Array, *, whole: bool = True) -> CarriedBody:
     """The body nearest to an estimate.
 
-    Parameters
-    ----------
-    phi : (10,) array
-        Standard parameters of positive mass, inertia about the frame's origin.
-    covariance : (10, 10) array
-    whole : bool
-        Whether the inertia is known as well.
-
-    Returns
-    -------
-    CarriedBody
+    `phi` (10,): standard parameters of positive mass, inertia about the frame's origin.
+    `covariance` (10, 10). `whole`: whether the inertia is known as well.
     """
     nearest, distance = _nearest(phi, covariance) if whole else (phi, 0.0)
     values, slopes = _values(nearest), _slopes(nearest)

@@ -60,24 +60,10 @@ def fit_payload(
 ) -> PayloadFit:
     """Identify what the logs carry beyond a model.
 
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        The logs; they are held with their motion, which the rounds share.
-    robot : Robot
-    stages : Stages
-        The model without the payload.
-    options : InertiaOptions
-        Cut-off and source of the motion.
-    friction_change : float
-        Standard deviation of each joint's change of friction [1].
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
-    QualityError
-        If no joint slides in these logs.
+    `recordings`: the logs; they are held with their motion, which the rounds share.
+    `friction_change`: standard deviation of each joint's change of friction [1]. Raises InputError
+    if a log carries neither torque nor current. Raises QualityError if no joint slides in these
+    logs.
     """
     plain = LoadedModel.of(stages, robot, options)
     logs = [(log, _motion(log, robot, stages, options)) for log in recordings]

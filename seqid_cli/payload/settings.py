@@ -16,14 +16,8 @@ Inertia = Sequence[Sequence[float]] | None
 def settings_of(mass: float, center: Sequence[float], inertia: Inertia) -> dict[str, str]:
     """Write a payload as controllers take it.
 
-    Parameters
-    ----------
-    mass : float
-        kg.
-    center : (3,) sequence
-        Centre of mass in the flange's frame, m.
-    inertia : (3, 3) sequence, optional
-        About the centre of mass, in the axes of the flange's frame, kg m^2; zeros if not known.
+    `mass`: kg. `center` (3,): centre of mass in the flange's frame, m. `inertia` (3, 3): about the
+    centre of mass, in the axes of the flange's frame, kg m^2; zeros if not known.
     """
     m, c = _number(mass), [_number(x) for x in center]
     rows = inertia or [[0.0] * 3] * 3

@@ -48,10 +48,7 @@ class Reply(Generic[R]):
     def get(self) -> R:
         """Return the value.
 
-        Raises
-        ------
-        Exception
-            What the work ended with.
+        Raises Exception: what the work ended with.
         """
         if self.error is not None:
             raise self.error
@@ -63,20 +60,10 @@ def ordered(
 ) -> Iterator[Reply[R]]:
     """Work on items; the replies come in the order of the items.
 
-    Parameters
-    ----------
-    executor : Executor or None
-        Who does the work; None does it here, item by item.
-    function : callable
-        To be sent elsewhere it must be a function of a module, or an object of such a class.
-    items : iterable
-        `str` of an item names it in messages.
-
-    Yields
-    ------
-    Reply
-        Of the next item. An item whose process dies is tried once more in a process of its own, so
-        that the death is blamed on the right one; the others go on.
+    `executor`: who does the work; None does it here, item by item. `function`: to be sent elsewhere
+    it must be a function of a module, or an object of such a class. `items`: `str` of an item names
+    it in messages. Yields: of the next item. An item whose process dies is tried once more in a
+    process of its own, so that the death is blamed on the right one; the others go on.
     """
     if executor is None:
         yield from (answer(function, item) for item in items)
@@ -123,10 +110,7 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
     (where the system has no such server, they are started from scratch). A script that uses them
     guards its main part with `if __name__ == "__main__":`.
 
-    Parameters
-    ----------
-    jobs : int, optional
-        How many; all cores by default.
+    `jobs`: how many; all cores by default.
     """
     from concurrent.futures import ProcessPoolExecutor
 
@@ -146,17 +130,9 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
 def dask_cluster(scheduler: str | None = None, jobs: int | None = None) -> Iterator[Executor]:
     """Connect to a Dask scheduler, or start a cluster of this machine for as long as it is needed.
 
-    Parameters
-    ----------
-    scheduler : str, optional
-        Address of a running scheduler.
-    jobs : int, optional
-        Workers of a cluster that is started; as many as there are cores by default.
-
-    Raises
-    ------
-    UsageError
-        No scheduler answers, or Dask is not installed.
+    `scheduler`: address of a running scheduler. `jobs`: workers of a cluster that is started; as
+    many as there are cores by default. Raises UsageError: no scheduler answers, or Dask is not
+    installed.
     """
     if not all(map(importlib.util.find_spec, ("dask", "distributed"))):
         hint = "Install it: python -m pip install 'seqid[dask]'"

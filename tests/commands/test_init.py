@@ -192,6 +192,34 @@ def test_urdfs_that_nobody_can_use_are_refused_in_one_message(
     assert not (rig.folder / "new.toml").exists()
 
 
+def test_gravity_is_written_as_the_logs_tell_it(rig: Rig) -> None:
+    """The base frame of the URDF lies on its side: a quarter turn about x, as of a wall."""
+    log = log_with(rig.folder, {})
+    text = (rig.folder / "arm.urdf").read_text()
+    first = text.index('<joint name="shoulder_pan"')
+    turned = re.sub(r'rpy="[^"]*"', 'rpy="1.5707963267948966 0 0"', text[first:], count=1)
+    (rig.folder / "arm.urdf").write_text(text[:first] + turned)
+    constants = "0.122,0.12,0.118,0.104,0.101,0.103"
+    words = ("--torque-constant", constants, "--gear-ratio", "101", "-o", "new.toml")
+    done = rig.run("init", log, "--urdf", "arm.urdf", *words)
+    assert done.code == 0, done.err
+    assert "the logs tell the mounting" in done.err
+    robot = load_robot(rig.folder / "new.toml")
+    np.testing.assert_allclose(robot.gravity, [0.0, 9.81, 0.0], atol=0.01)
+    assert [joint.torque_constant for joint in robot.joints] == [*map(float, constants.split(","))]
+    assert robot.name == "six_joint"
+    found = json.loads(rig.run("inspect", log, "-r", "new.toml", "--json").out)
+    assert found["findings"] == []
+
+
+@pytest.mark.parametrize("given", ["0.1,0.2", "a tenth"])
+def test_drives_data_are_one_number_or_one_for_each_joint(rig: Rig, given: str) -> None:
+    log = log_with(rig.folder, {})
+    done = rig.run("init", log, "--torque-constant", given)
+    assert done.code == 2
+    assert "one for each" in done.err
+
+
 def test_an_existing_file_is_kept_unless_forced(rig: Rig) -> None:
     log = log_with(rig.folder, {})
     (rig.folder / "new.toml").write_text("mine")

@@ -154,6 +154,28 @@ def _milliamperes(
             yield found("current_in_ma", text, joint=name, channel="current")
 
 
+def sensor_findings(data: LogData, *, opposed: float = -0.5) -> Iterator[InspectionFinding]:
+    """Check torque sensors behind the gear and encoders on the link against the motor's side."""
+    effort = data.effort()
+    pairs = {
+        "load": None if effort is None else effort[1],
+        "link_position": data.joints.channels["position"],
+    }
+    for channel, motor in pairs.items():
+        values = data.joints.channels.get(channel)
+        for j in range(data.robot.n) if values is not None and motor is not None else ():
+            assert values is not None
+            assert motor is not None
+            both = data.moving_samples(j) & np.isfinite(values[:, j]) & np.isfinite(motor[:, j])
+            a, b = values[both, j], motor[both, j]
+            if both.sum() > 1 and a.std() * b.std() > 0.0:
+                together = float(np.corrcoef(a, b)[0, 1])
+                if together < opposed:
+                    text = f"runs against the motor's side: their correlation is {together:.2f}"
+                    name = data.robot.joint_names[j]
+                    yield found("sensor_sign", text, joint=name, channel=channel)
+
+
 def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Check the temperatures."""
     temperatures = data.joints.channels.get("temperature")

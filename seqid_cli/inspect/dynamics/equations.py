@@ -9,6 +9,7 @@ is torque.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,9 @@ from seqid_cli.shares import percent
 
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
 HEAVY = 1e-3  # N m
+# What a finding of the mounting says, and how it reads where one axis alone fits.
+MOUNTED = "gravity acts along {}; the equations' error {}"
+GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
 KINDS = ("axis_flipped", "position_zero", "joints_swapped")
 
 
@@ -151,8 +155,7 @@ def _mounting(
     told = alike[: 1 if robot.nominal is not None else 2]
     text = " or ".join(str([float(f"{x:.4g}") + 0.0 for x in row[2]]) for row in told)
     fall = f"falls from {percent(before.error)} to {percent(best)}"
-    text = f"gravity acts along {text}; the equations' error {fall}"
-    return Mended(found("gravity_direction", text), best)
+    return Mended(found("gravity_direction", MOUNTED.format(text, fall)), best)
 
 
 def _mending(

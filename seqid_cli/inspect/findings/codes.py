@@ -387,6 +387,14 @@ CODES: Mapping[str, Code] = {
         "Check that robot file and log are of one robot, its mounting (gravity), and the torque.",
     ),
     **IMU_CODES,
+    # a second sensor of a joint
+    "sensor_sign": Code(
+        "error",
+        "A torque sensor or link encoder has the opposite sign of the motor's side.",
+        "The correlation of `load` with torque or current, or of `link_position` with position, is "
+        "below -0.5 while the joint moves.",
+        "Flip its sign in the driver or in the log.",
+    ),
     # temperature
     "temperature_in_kelvin": Code(
         "warning",

@@ -31,18 +31,9 @@ class Losses:
 def with_losses(stream: Stream, losses: Losses, bridged: Mask) -> tuple[Stream, Mask]:
     """Move the stamps behind losses and fill the holes.
 
-    Parameters
-    ----------
-    stream : Stream
-        Also one of another quantity with the same stamps.
-    losses : Losses
-    bridged : (M,) bool array
-        Samples that were not measured anyway.
-
-    Returns
-    -------
-    tuple of Stream and (M',) bool array
-        The stream with the samples that fill holes, and which samples were not measured.
+    `stream`: also one of another quantity with the same stamps. `bridged` (M,): samples that were
+    not measured anyway. Returns (M',): the stream with the samples that fill holes, and which
+    samples were not measured.
     """
     if not len(losses):
         return stream, bridged

@@ -69,13 +69,7 @@ class Shares:
 def echo_warnings(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[str]:
     """Return a warning for every joint whose torque follows position alone.
 
-    Parameters
-    ----------
-    robot : Robot
-    t, q, tau : (N,), (N, n), (N, n) arrays
-        s, rad (m), N m (N).
-    valid : (N,) mask
-        Samples to look at.
+    `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
     """
     found = echoes(robot, t, q, tau, valid)
     return [f"{robot.joint_names[j]}: {WARNING}; {REMEDY}" for j in found]
@@ -130,19 +124,10 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
     friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
     identification revisited, Automatica 35(7), 1999).
 
-    Parameters
-    ----------
-    q : (N, n) array
-        Positions, rad (m); not finite ones are passed over.
-    held : float
-        Share of the farthest joint's travel, below which a joint is held.
-    middle : (float, float)
-        Quantiles of the positions, between which a joint travels.
-
-    Returns
-    -------
-    (n,) bool array
-        True where the joint travels at least `held` times as far as the one that travels farthest.
+    `q` (N, n): positions, rad (m); not finite ones are passed over. `held`: share of the farthest
+    joint's travel, below which a joint is held. `middle`: quantiles of the positions, between which
+    a joint travels. Returns (n,): true where the joint travels at least `held` times as far as the
+    one that travels farthest.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))

@@ -116,16 +116,8 @@ class _Motion:
 def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
     """Put right what the motion of the joints says of a stream.
 
-    Parameters
-    ----------
-    joints : Stream
-        In the order of time, with `position` (M, n), and `velocity` (M, n) where it was logged.
-    criteria : LossCriteria
-
-    Returns
-    -------
-    Mended
-        With the stream itself where nothing is wrong.
+    `joints`: in the order of time, with `position` (M, n), and `velocity` (M, n) where it was
+    logged. Returns: with the stream itself where nothing is wrong.
     """
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
     as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, 0, joints.stamp_ns)
@@ -202,10 +194,7 @@ def _count(size: Array, criteria: LossCriteria) -> Array:
 def _slopes(motion: _Motion, at: Rows, side: int) -> tuple[Array, Array]:
     """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter.
 
-    Returns
-    -------
-    tuple of two (K, n) arrays
-        Median and standard deviation [rad/s].
+    Returns (K, n): median and standard deviation [rad/s].
     """
     t, q = motion.t, motion.q
     offsets = side * np.arange(1, motion.criteria.around + 1)

@@ -48,7 +48,6 @@ def below_counts(
         Step of the encoders.
     known : Losses
         What single increments show.
-    criteria : LossCriteria
 
     Returns
     -------
@@ -119,7 +118,6 @@ def recurring(
         Of increments.
     known : Losses
         At least `criteria.least_losses`.
-    criteria : LossCriteria
 
     Returns
     -------

@@ -77,17 +77,8 @@ class Unpacker:
     def unpack(self, content: bytes, complete: bool) -> tuple[bytes, bool]:
         """Return the records in a chunk, and whether they are all of them.
 
-        Parameters
-        ----------
-        content : bytes
-            Of the chunk record.
-        complete : bool
-            Whether the file holds the whole record; what is there is unpacked anyway.
-
-        Raises
-        ------
-        DamageError
-            A whole chunk is damaged.
+        `content`: of the chunk record. `complete`: whether the file holds the whole record; what is
+        there is unpacked anyway. Raises DamageError: a whole chunk is damaged.
         """
         if len(content) < CHUNK_HEAD:
             raise DamageError("its head is incomplete")
@@ -177,12 +168,8 @@ def index_offsets(content: bytes) -> Integers | None:
 def find_messages(data: Bytes, index: Sequence[Integers]) -> Contents:
     """Find the records in a chunk.
 
-    Parameters
-    ----------
-    data : (B,) array
-        The unpacked chunk.
-    index : sequence of (M,) arrays
-        Offsets of the messages, per channel, as far as the file gives them.
+    `data` (B,): the unpacked chunk. `index` (M,): offsets of the messages, per channel, as far as
+    the file gives them.
     """
     offsets = np.concatenate(index) if index else np.zeros(0, np.int64)
     found = _by_index(data, np.sort(offsets, kind="stable")) if len(offsets) else None

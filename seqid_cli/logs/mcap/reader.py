@@ -41,8 +41,6 @@ def read_blocks(
 
     Parameters
     ----------
-    path : Path
-        The file; it may be damaged or cut off.
     robot : Robot
         Joints are matched by name; its IMUs say which topics are read.
     time_source : {"header", "log"}
@@ -156,10 +154,7 @@ class _Log:
     def check_joints(self) -> None:
         """Refuse a file without joint states.
 
-        Raises
-        ------
-        InputError
-            No message of them could be decoded.
+        Raises InputError: no message of them could be decoded.
         """
         if not self.has(self.joint_topic):
             raise _no_joint_states(self.scan, self.collectors[self.joint_topic])
@@ -167,10 +162,7 @@ class _Log:
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU, none where the file does not have it.
 
-        Raises
-        ------
-        InputError
-            The whole file lacks one that others of the IMU need.
+        Raises InputError: the whole file lacks one that others of the IMU need.
         """
         needed = needed_topics(imu, self.has)
         missing = [topic for topic in needed if not self.has(topic)]

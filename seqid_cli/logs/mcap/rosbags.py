@@ -91,15 +91,8 @@ def read_blocks(
 def as_mcap(path: Path) -> Iterator[tuple[Path, str]]:
     """Copy what a bag holds of joint states and IMU messages to a temporary MCAP file.
 
-    Yields
-    ------
-    tuple of Path and str
-        The file, and what was lost.
-
-    Raises
-    ------
-    InputError
-        rosbags is not installed, the bag is damaged, or it has no such messages.
+    Yields: the file, and what was lost. Raises InputError: rosbags is not installed, the bag is
+    damaged, or it has no such messages.
     """
     with temporary_folder(str(path)) as folder:
         target = folder / "bag.mcap"

@@ -34,15 +34,8 @@ def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | No
 
     Two candidates are none: which robot is meant is not known then.
 
-    Parameters
-    ----------
-    topics : iterable of (str, str)
-        Topics, with a leading slash, and the names of their schemas.
-
-    Returns
-    -------
-    (str, Kind) or None
-        The topic and how its messages are to be read.
+    `topics`: topics, with a leading slash, and the names of their schemas. Returns: the topic and
+    how its messages are to be read.
     """
     known = dict(topics)
     if DYNAMIC_JOINT_STATES in known:

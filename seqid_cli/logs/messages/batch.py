@@ -140,10 +140,7 @@ class NameMap:
 def check_lengths(names: int, arrays: Sequence[int]) -> None:
     """Refuse a JointState whose arrays are neither empty nor as long as its names.
 
-    Raises
-    ------
-    ValueError
-        An array has another length.
+    Raises ValueError: an array has another length.
     """
     for quantity, length in zip(JOINT_QUANTITIES, arrays, strict=True):
         if length not in (0, names):

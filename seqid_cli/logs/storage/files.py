@@ -112,10 +112,7 @@ def _silent(text: str) -> None:
 def storage_file(path: Path) -> Path:
     """Return the one file of a ROS 2 bag folder that holds its messages; a file as it is.
 
-    Raises
-    ------
-    InputError
-        The folder is no bag, or a bag of several files.
+    Raises InputError: the folder is no bag, or a bag of several files.
     """
     if not path.is_dir():
         return path
@@ -137,15 +134,8 @@ def storage_file(path: Path) -> Path:
 def check_log(path: Path) -> str:
     """Tell the format of a log by its first bytes.
 
-    Returns
-    -------
-    str
-        "parquet", "mcap", "csv", "rosbag2" (an SQLite file) or "rosbag1".
-
-    Raises
-    ------
-    InputError
-        The file is missing, unreadable, empty, cut short or of another kind.
+    Returns: "parquet", "mcap", "csv", "rosbag2" (an SQLite file) or "rosbag1". Raises InputError:
+    the file is missing, unreadable, empty, cut short or of another kind.
     """
     where = str(path)
     try:

@@ -112,10 +112,7 @@ def local_copy(path: Path) -> Iterator[Path]:
 
     Problems with the copy's content are told under the name of the log.
 
-    Raises
-    ------
-    SeqidError
-        As `stored_logs`, or what the block raises.
+    Raises SeqidError as `stored_logs`, or what the block raises.
     """
     if not isinstance(path, StoredLog):
         yield path

@@ -17,10 +17,7 @@ from seqid_cli.params.files import process_runs
 def temporary_folder(where: str) -> Iterator[Path]:
     """Yield an empty folder; those that killed runs left are removed first.
 
-    Raises
-    ------
-    InputError
-        There is no room for it; `where` is the log that is to be copied.
+    Raises InputError: there is no room for it; `where` is the log that is to be copied.
     """
     for left in Path(tempfile.gettempdir()).glob("seqid-*-*"):
         process = left.name.split("-")[1]
@@ -36,10 +33,7 @@ def temporary_folder(where: str) -> Iterator[Path]:
 def room_for_copies(where: str) -> Iterator[None]:
     """Turn an error of the file system while a log is copied into a message.
 
-    Raises
-    ------
-    InputError
-        The log `where` cannot be read, or there is no room for its copy.
+    Raises InputError: the log `where` cannot be read, or there is no room for its copy.
     """
     try:
         yield

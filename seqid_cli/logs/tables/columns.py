@@ -20,7 +20,6 @@ ROOM, MOST_TIMES = 256 << 20, 500  # bytes in memory of any table; of one byte o
 NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 # An epoch time of this size cannot be seconds: the largest that it can be in each unit.
 _EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
-_FASTEST_S = 5e-5  # no arm is logged faster than 20 kHz
 
 
 @dataclass(frozen=True)
@@ -45,10 +44,7 @@ class TimeColumn:
 def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
     """Return a column by name, dictionaries resolved.
 
-    Raises
-    ------
-    InputError
-        The table does not have it exactly once.
+    Raises InputError: the table does not have it exactly once.
     """
     if table.schema.names.count(name) != 1:
         raise InputError(
@@ -65,10 +61,7 @@ def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
 def numbers(where: str, table: pa.Table, name: str) -> Array:
     """Read a column as float64 (M,); nulls become NaN.
 
-    Raises
-    ------
-    InputError
-        It holds no numbers, or cannot be converted.
+    Raises InputError: it holds no numbers, or cannot be converted.
     """
     try:
         found = column(where, table, name)
@@ -101,15 +94,8 @@ def is_number(kind: pa.DataType) -> bool:
 def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
     """Read the stamps of the rows.
 
-    Returns
-    -------
-    tuple
-        Stamps [ns] (M,), 0 where missing; the rows that have one; warnings.
-
-    Raises
-    ------
-    InputError
-        The column holds no times.
+    Returns: stamps [ns] (M,), 0 where missing; the rows that have one; warnings. Raises InputError:
+    the column holds no times.
     """
     warnings: list[str] = []
     kind = column(where, table, time.name).type
@@ -145,7 +131,7 @@ def _from_numbers(
     return _split(values, NS_PER[unit])
 
 
-def _unit(values: Array, time: TimeColumn, warnings: list[str]) -> str:
+def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: float = 5e-05) -> str:
     """Return the unit: what the name says, or the format, or else the size of the numbers."""
     if time.unit is not None and time.sure:
         return time.unit
@@ -153,7 +139,7 @@ def _unit(values: Array, time: TimeColumn, warnings: list[str]) -> str:
     middle = float(np.median(np.abs(finite))) if len(finite) else 0.0
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    if time.unit is not None and time.unit != "s" and step * NS_PER[time.unit] * 1e-9 < _FASTEST_S:
+    if time.unit is not None and time.unit != "s" and step * NS_PER[time.unit] * 1e-9 < fastest_s:
         warnings.append(
             f"column {time.name!r} is in {time.unit} by its format, but steps by {step:.3g}: "
             "read as s"
@@ -216,10 +202,7 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
 def opened_table(path: Path, **options: object) -> pq.ParquetFile:
     """Open a Parquet file whose values have room.
 
-    Raises
-    ------
-    InputError
-        A few bytes of it stand for more values than any log has.
+    Raises InputError: a few bytes of it stand for more values than any log has.
     """
     file = pq.ParquetFile(readable(path), **options)
     size, room = path.stat().st_size, 8 * file.metadata.num_rows * file.metadata.num_columns

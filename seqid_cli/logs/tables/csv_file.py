@@ -66,10 +66,8 @@ class CsvTable:
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns as one table; lines with another number of fields are left out and counted.
 
-        Raises
-        ------
-        InputError
-            Text where a number belongs, a line without end, or too many damaged lines.
+        Raises InputError: text where a number belongs, a line without end, or too many damaged
+        lines.
         """
         places = {name: self.names.index(name) for name in columns}
         parsed = self._parse(places, threads=True)
@@ -204,10 +202,7 @@ def _ends(path: Path) -> bool:
 def list_columns(path: Path) -> tuple[list[str], int]:
     """List the columns of a CSV file, and count the lines of data.
 
-    Raises
-    ------
-    InputError
-        It is no table.
+    Raises InputError: it is no table.
     """
     form = read_form(path)
     with path.open("rb") as file:

@@ -17,7 +17,6 @@ from seqid_cli.errors import InputError
 HEAD = 1 << 20  # bytes that are looked at
 _DELIMITERS = (",", ";", "\t", " ")
 _COMMENTS = ("#", "%")
-_LOOKED_AT = 20  # data lines
 _BEGIN = 64  # bytes in which a binary file shows itself
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
@@ -48,13 +47,10 @@ def is_text(head: bytes) -> bool:
     return bool(head) and b"\0" not in begin and not _CONTROL.search(begin)
 
 
-def read_form(path: Path) -> CsvForm:
+def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
     """Look at the first lines of a CSV file.
 
-    Raises
-    ------
-    InputError
-        It is no table: no names, no numbers, or nothing that separates them.
+    Raises InputError: it is no table: no names, no numbers, or nothing that separates them.
     """
     with path.open("rb") as file:
         head = file.read(HEAD)
@@ -63,7 +59,7 @@ def read_form(path: Path) -> CsvForm:
     encoding = "utf8" if _decodes(head) else "latin-1"
     lines = _lines(head, encoding, where)
     header_at, names_line = _header(lines, where)
-    data = [line for line in lines[header_at + 1 :] if line.strip()][:_LOOKED_AT]
+    data = [line for line in lines[header_at + 1 :] if line.strip()][:looked_at]
     names_line = names_line or data[0]
     if not data:
         raise InputError(

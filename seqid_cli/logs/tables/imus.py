@@ -28,10 +28,7 @@ def imu_columns(
 ) -> tuple[list[str], list[str]] | None:
     """Find the accelerometer and gyro columns of an IMU; None where the log has none of them.
 
-    Raises
-    ------
-    InputError
-        Only some of them are there.
+    Raises InputError: only some of them are there.
     """
     for numbered, axes, gyro in _FORMS:
         found = _form(where, imu, known, numbered, axes, gyro)

@@ -27,15 +27,8 @@ def list_entries(
 ) -> tuple[dict[str, int], tuple[str, ...]]:
     """Find the place of each joint in the file's lists.
 
-    Returns
-    -------
-    tuple
-        Place of every joint, empty where the file does not name them all; and notes.
-
-    Raises
-    ------
-    InputError
-        The names of a `name` column change from row to row.
+    Returns: place of every joint, empty where the file does not name them all; and notes. Raises
+    InputError: the names of a `name` column change from row to row.
     """
     if LEROBOT_STATE in lists:
         length = lists[LEROBOT_STATE]

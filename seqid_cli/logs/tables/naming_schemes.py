@@ -14,7 +14,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import takewhile
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -156,20 +155,9 @@ def find_scheme(
 ) -> Match | None:
     """Find the scheme by which a log names all joints.
 
-    Parameters
-    ----------
-    joints : sequence of str
-        Names in the robot file, in chain order.
-    known : collection of str
-        Columns of the log.
-    entries : mapping, optional
-        Place of each joint in the log's lists, where the log names them; by default that in the
-        chain.
-
-    Returns
-    -------
-    Match or None
-        None where no scheme gives a position for every joint.
+    `joints`: names in the robot file, in chain order. `known`: columns of the log. `entries`: place
+    of each joint in the log's lists, where the log names them; by default that in the chain.
+    Returns None where no scheme gives a position for every joint.
     """
     for scheme in SCHEMES:
         places = entries if entries and _uses_lists(scheme) else None
@@ -250,36 +238,6 @@ def other_joints(match: Match, joints: Sequence[str], known: Iterable[str]) -> l
             others = [m.groupdict().get("name") or n for n, m in found.items() if m]
             return [name for name in dict.fromkeys(others) if name not in used.union(joints)]
     return []
-
-
-def survey_names(names: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
-    """Find, without a robot file, the joints of a table and the pattern of their positions.
-
-    Returns
-    -------
-    tuple
-        Names of the joints, joint_1 ... where the table only numbers them; and the `[channels]`
-        pattern of position, None for the default one or where there are no joints.
-    """
-    for scheme in SCHEMES:
-        for pattern in scheme.patterns["position"]:
-            if "{name}" in pattern:
-                before, after = pattern.split("{name}")
-                found = [
-                    name[len(before) : len(name) - len(after)]
-                    for name in names
-                    if name.startswith(before) and name.endswith(after)
-                ]
-                joints = tuple(n for n in found if re.fullmatch(r"(?!\d+$)[^./\[]+", n))
-                if {name.lower() for name in joints} & (COMMANDED | MEASURED):
-                    continue
-            else:
-                columns = (column_name(pattern, "", i) for i in range(len(names)))
-                count = len(list(takewhile(set(names).__contains__, columns)))
-                joints = tuple(f"joint_{i + 1}" for i in range(count))
-            if joints:
-                return joints, None if scheme is DEFAULT else pattern
-    return (), None
 
 
 def time_names(names: Iterable[str]) -> dict[str, str | None]:

@@ -45,10 +45,7 @@ class ParquetTable:
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged.
 
-        Raises
-        ------
-        InputError
-            The file is damaged, or lists differ in length.
+        Raises InputError: the file is damaged, or lists differ in length.
         """
         for table in read_tables(self.path, self._stored(columns), rows=rows):
             yield self._arranged(table, columns), ""
@@ -117,10 +114,7 @@ def read_tables(
     In blocks memory stays that of one row group: nothing is read ahead. Pages are checked against
     their checksums where the file has them.
 
-    Raises
-    ------
-    InputError
-        The file is damaged.
+    Raises InputError: the file is damaged.
     """
     pool = _pool()
     try:
@@ -162,10 +156,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
 
     `joints` are the names to look for where the file names the elements of its lists.
 
-    Raises
-    ------
-    InputError
-        The file is damaged.
+    Raises InputError: the file is damaged.
     """
     try:
         with opened_table(path) as file:
@@ -186,10 +177,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
 def list_columns(path: Path) -> list[tuple[str, str, int]]:
     """List name, type and number of rows of each column.
 
-    Raises
-    ------
-    InputError
-        The file is damaged.
+    Raises InputError: the file is damaged.
     """
     try:
         with opened_table(path) as file:

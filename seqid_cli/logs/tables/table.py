@@ -63,10 +63,7 @@ class TableFile(Protocol):
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns, at most `rows` rows at a time if that is given; says what was lost.
 
-        Raises
-        ------
-        InputError
-            The file is damaged.
+        Raises InputError: the file is damaged.
         """
 
 
@@ -95,8 +92,6 @@ def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterat
 
     Parameters
     ----------
-    file : TableFile
-        An opened table.
     robot : Robot
         Its joints, IMUs and `[channels]` say which columns are read.
     rows : int or None
@@ -145,10 +140,7 @@ def _raw_log(
 def make_plan(file: TableFile, robot: Robot) -> Plan:
     """Decide which columns to read: what the robot file declares, else what the names tell.
 
-    Raises
-    ------
-    InputError
-        A column that is needed is missing.
+    Raises InputError: a column that is needed is missing.
     """
     names, known, joints = file.names, set(file.names), robot.joint_names
     warnings: list[str] = []

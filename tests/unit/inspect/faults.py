@@ -194,6 +194,14 @@ FAULTS = (
         p.shifted("elbow.position", np.pi / 2),
         robot={"[-2.4, 2.4]": "[-4.4, 4.4]"},
     ),
+    Fault("load", "sensor_sign", "elbow", p.beside("elbow", ".current", ".load"), channel="load"),
+    Fault(
+        "link encoder",
+        "sensor_sign",
+        "wrist_1",
+        p.beside("wrist_1", ".position", ".link_position"),
+        channel="link_position",
+    ),
     Fault(
         "mounting",
         "gravity_direction",

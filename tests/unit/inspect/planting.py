@@ -40,6 +40,17 @@ def every(names: tuple[str, ...], factor: float) -> Plant:
     return plant
 
 
+def beside(joint: str, motor: str, sensor: str) -> Plant:
+    """A second sensor at every joint, reversed at one."""
+
+    def plant(columns: Columns, rng: np.random.Generator) -> None:
+        for name in [name for name in columns if name.endswith(motor)]:
+            sign = -1.0 if name == f"{joint}{motor}" else 1.0
+            columns[name.replace(motor, sensor)] = sign * columns[name]
+
+    return plant
+
+
 def constant(name: str, value: float) -> Plant:
     def plant(columns: Columns, rng: np.random.Generator) -> None:
         columns[name] = np.full_like(columns[name], value)

@@ -9,10 +9,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.logs.contents import survey
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
-from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
+from tests.unit.logs.samples import JOINTS, grid, make_motion
 from tests.unit.logs.writers import write_mcap, write_parquet
 
 MOTION = make_motion(grid(100))
@@ -37,7 +38,7 @@ def test_mcap(tmp_path: Path, encoding: str) -> None:
 def test_parquet_with_default_names(tmp_path: Path) -> None:
     path = write_parquet(tmp_path / "log.parquet", MOTION.t, JOINTS, MOTION.q, torque=MOTION.tau)
     found = survey(path)
-    assert found.joints == JOINTS
+    assert guess(found).joints == JOINTS
     assert next((c.name, c.kind, c.samples) for c in found.channels) == ("t", "double", 100)
 
 
@@ -46,9 +47,9 @@ def test_parquet_with_numbered_names(tmp_path: Path, prefix: str, first: int) ->
     columns = {"t": MOTION.t} | {f"{prefix}{first + i}": MOTION.q[:, i] for i in range(3)}
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(columns), path)
-    found = survey(path)
+    found = guess(survey(path))
     assert found.joints == ("joint_1", "joint_2", "joint_3")
-    recording = read_recording(path, make_robot(found.joints, channels=found.names))
+    recording = read_recording(path, stand_in(found, source=path))
     np.testing.assert_array_equal(recording.q, MOTION.q)
 
 
@@ -56,16 +57,29 @@ def test_parquet_with_numbered_names(tmp_path: Path, prefix: str, first: int) ->
 def test_other_formats(tmp_path: Path, label: str) -> None:
     data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
     path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
-    found = survey(path)
+    surveyed = survey(path)
+    found = guess(surveyed)
     named = label in ("csv", "rosbag1")
     assert set(found.joints) == set(JOINTS if named else ("joint_1", "joint_2", "joint_3"))
-    assert {channel.samples for channel in found.channels} == {100}
-    recording = read_recording(path, make_robot(found.joints, channels=found.names))
+    assert {channel.samples for channel in surveyed.channels} == {100}
+    recording = read_recording(path, stand_in(found, source=path))
     order = [found.joints.index(name) for name in JOINTS] if named else [0, 1, 2]
     np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)
+
+
+def test_names_of_few_letters_stand_for_a_quantity_of_several_joints(tmp_path: Path) -> None:
+    columns = {"time": MOTION.t, "elbow_q": MOTION.t, "wrist_q": MOTION.t}
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(columns), path)
+    assert guess(survey(path)).joints == ("elbow", "wrist")
+    pq.write_table(pa.table({"time": MOTION.t, "freq_q": MOTION.t}), path)
+    assert guess(survey(path)).joints == ()
 
 
 def test_nothing_known(tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table({"time": MOTION.t, "angle": MOTION.t}), path)
-    assert survey(path).joints == ()
+    found = guess(survey(path))
+    assert (found.joints, found.patterns) == (("joint_1",), {"position": "angle"})
+    pq.write_table(pa.table({"time": MOTION.t, "level": MOTION.t}), path)
+    assert guess(survey(path)).joints == ()

@@ -276,7 +276,7 @@ def test_files_that_are_no_tables(tmp_path: Path, content: str, fragment: str) -
 
 def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(lines()))
+    path.write_text("\n".join([*lines(), ""]))
     with pytest.raises(InputError, match="has no line of names: its columns are numbered 1 to 4"):
         read(path)
     robot = make_robot(channels=Channels(time=1, position=(2, 3, 4)))

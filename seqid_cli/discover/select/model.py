@@ -172,10 +172,9 @@ class Model:
 
     @property
     def freed(self) -> int:
-        """Parameters of the base that are not held as the file says."""
-        base, hold = self.ground.base, self.hold
-        sizes = [X.shape[1] for j, X in enumerate(base.friction) if hold.of(j) > 1.0]
-        return int(sum(sizes) + base.basis.size * (hold.rigid > 1.0))
+        """Parameters of friction that is not held as the file says."""
+        friction, hold = self.ground.base.friction, self.hold
+        return sum(int(X.shape[1]) for j, X in enumerate(friction) if hold.of(j) > 1.0)
 
     @property
     def offsets(self) -> list[float]:

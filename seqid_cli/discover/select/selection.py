@@ -135,7 +135,7 @@ class Selection:
 
     @property
     def freedom(self) -> int:
-        """Parameters of all terms, and of the parts of the base that are not held."""
+        """Parameters of all terms, and of friction that is not held."""
         return sum(term.freedom for term in self.model.terms) + self.model.freed
 
     def worth(self, noise: Noise) -> float:

@@ -24,6 +24,7 @@ GRID = 400  # frequencies, over which a band is integrated
 ROUNDS = 30
 DRAWS = 2000
 LEVEL = 0.95  # of the interval
+CLEARLY = 3.0  # log-likelihood that flicker, or an exponent other than the first, must gain
 FLICKER_COSTS = 1.0  # log-likelihood of a parameter more (Akaike's criterion)
 
 
@@ -133,13 +134,16 @@ def level_of(spectrum: Spectrum, exponents: Sequence[float]) -> Level:
     ----------
     spectrum : Spectrum
     exponents : sequence of float
-        Values of a that may be; the likeliest comes first.
+        Values of a that may be; another than the first must be clearly better to come first.
     """
     if not spectrum.density.any():
         return Level.known(spectrum.least)
     found = [_fitted(spectrum, a) for a in (None, *exponents)]
     lost = np.array([one for one, _ in found]) + FLICKER_COSTS * (np.arange(len(found)) > 0)
-    order = np.argsort(lost, kind="stable")
+    best = 0
+    for k in range(1, len(found)):
+        best = k if found[best][0] - found[k][0] > CLEARLY else best
+    order = [best, *(k for k in range(len(found)) if k != best)]
     weights = np.exp(lost.min() - lost[order])
     return Level(tuple(found[k][1] for k in order), weights / weights.sum())
 

@@ -14,14 +14,17 @@ from msgspec import structs
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed
-from seqid_cli.discover.excess import Excess, excess_residuals, expected, looks_like
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import (
+    Excess,
     deflection_notes,
     excess_notes,
+    excess_residuals,
+    expected,
     file_notes,
     free_base_notes,
+    looks_like,
     offset_notes,
     outside_notes,
     shown_offsets,

@@ -111,7 +111,7 @@ def _closed(
         after=_by_joint(after, names),
         noise_floor={names[j]: float(floor.rms[j]) for j in judged},
         noise_floor_interval={names[j]: list(floor.interval(j)) for j in judged},
-        gain_interval={name: [g.low, g.high] for name, g in changes.items() if g.known},
+        gain_interval={name: g.limits for name, g in changes.items() if g.limits},
         evaluated_on=list(logs),
         notes=[
             *found.notes,

@@ -56,11 +56,6 @@ class HeldOutError:
     outside: Array
     outside_samples: Array
 
-    def beside(self, other: HeldOutError) -> HeldOutError:
-        """The blocks of both."""
-        pairs = zip(self.parts, other.parts, strict=True)
-        return HeldOutError(*(np.vstack(pair) for pair in pairs))
-
     @property
     def parts(self) -> tuple[Array, Array, Array, Array]:
         """All four arrays."""
@@ -105,14 +100,9 @@ class Gain:
         return self.value >= LEAST_GAIN and self.low > 0.0
 
     @property
-    def known(self) -> bool:
-        """Whether there is an interval: one block of time gives none."""
-        return bool(np.isfinite(self.high - self.low))
-
-    @property
     def limits(self) -> list[float]:
-        """The interval as documents have it: empty where it is not known."""
-        return [self.low, self.high] if np.isfinite([self.low, self.high]).all() else []
+        """The interval as documents have it: empty where one block of time gives none."""
+        return [self.low, self.high] if np.isfinite(self.high - self.low) else []
 
     @property
     def loses(self) -> bool:
@@ -137,7 +127,7 @@ def held_out_error(
         if log.part == 0:
             sums.append(BlockSums.of(log))
         sums[-1].add(log, log.sliding)
-    return joined(sums)
+    return joined(own.error for own in sums)
 
 
 @dataclass
@@ -174,9 +164,9 @@ class BlockSums:
             number += _by_block(block, blocks, mask.astype(np.float64))
 
 
-def joined(sums: Sequence[BlockSums]) -> HeldOutError:
+def joined(errors: Iterable[HeldOutError]) -> HeldOutError:
     """The blocks of all logs."""
-    return HeldOutError(*map(np.vstack, zip(*(own.error.parts for own in sums), strict=True)))
+    return HeldOutError(*map(np.vstack, zip(*(error.parts for error in errors), strict=True)))
 
 
 def _by_block(block: Index, count: int, values: Array) -> Array:
@@ -204,15 +194,14 @@ class WholeLogs:
         effects = fitted_effects(stages, self.robot, unexplained=True)
         if not (streams(stages, options) and local_effects(model, effects)):
             return None
-        found: HeldOutError | None = None
+        found: list[HeldOutError] = []
         for path in self.paths:
             with local_copy(path) as file:
                 log = self._opened(Path(file))
                 if log is None:
                     return None
-                own = held_out_error([log], self.robot, stages, options=options)
-            found = own if found is None else found.beside(own)
-        return found
+                found.append(held_out_error([log], self.robot, stages, options=options))
+        return joined(found)
 
     def _opened(self, file: Path) -> Recording | SurveyedLog | None:
         """A log to be passed over, or a short one; None for a long one that must be held."""

@@ -97,4 +97,4 @@ def left_out_error(
             own = folds.of_samples(number, prediction.t - prediction.t[0], _length(log))
             sums[number].seen = 0
             sums[number].add(prediction, prediction.sliding & (own == fold)[:, None])
-    return joined(sums)
+    return joined(own.error for own in sums)

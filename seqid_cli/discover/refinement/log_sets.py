@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Stages whose logs determine the model; "effects" are those of an earlier refinement.
 FITTED_STAGES = ("friction", "gravity", "imu", "inertia", "effects")
+LOST = "logs of earlier stages that are no longer there or have changed"
+KNOWN = "held out, although the model that came in was identified from it"
 _NAMED = 3  # logs that a note names
 
 
@@ -116,8 +118,9 @@ def find_earlier(
         else:
             paths[log.sha256] = path
             by_stage.setdefault(log.stage, []).append(log.sha256)
-    names = [log.path for log in known]
-    return EarlierLogs(paths, by_stage, (*_lost_note(lost), *_known_note(names)))
+    notes = _note(lost, LOST, "the model is fitted again without them")
+    notes += _note([log.path for log in known], KNOWN, "the error before is too small")
+    return EarlierLogs(paths, by_stage, notes)
 
 
 def log_sha256(path: Path) -> str:
@@ -152,25 +155,8 @@ def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
     return None
 
 
-def _lost_note(lost: Sequence[str]) -> tuple[str, ...]:
-    if not lost:
-        return ()
-    return (
-        f"logs of earlier stages that are no longer there or have changed: {_some(lost)};"
-        " the model is fitted again without them",
-    )
-
-
-def _known_note(known: Sequence[str]) -> tuple[str, ...]:
-    if not known:
-        return ()
-    return (
-        f"held out, although the model that came in was identified from it: {_some(known)};"
-        " the error before is too small",
-    )
-
-
-def _some(paths: Sequence[str]) -> str:
+def _note(paths: Sequence[str], before: str, after: str) -> tuple[str, ...]:
     names = list(dict.fromkeys(paths))  # a log may belong to two stages
     rest = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+    some = ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+    return (f"{before}: {some}; {after}",) if names else ()

@@ -13,17 +13,16 @@ from dataclasses import dataclass, field, replace
 import msgspec
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.refinement.held_out import HeldOutError, gain, held_out_error
+from seqid_cli.discover.refinement.held_out import HeldOutError, gain, held_out_error, joined
 from seqid_cli.discover.refinement.left_out import Folds, left_out_error
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, identity, unique
 from seqid_cli.discover.refinement.reidentify import refitted
-from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
 from seqid_cli.params.schema import RefinementRound, Stages
 from seqid_cli.robot.types import Robot
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Account:
     """Which effects a model has, and the models of its folds, each fitted without one of them.
 
@@ -31,10 +30,10 @@ class Account:
     stayed as they were in the last fit. Models of the first folds only make a first look.
     """
 
-    models: tuple[Refitted, ...]
     candidates: tuple[Candidate, ...]
     late: frozenset[Key]
     kept: bool
+    models: tuple[Refitted, ...] = ()
 
 
 @dataclass
@@ -43,19 +42,20 @@ class Loop:
 
     `best` is what an effect must be better than: before the first one the file as it is, or
     identified anew without further effects, whichever predicts left-out blocks better; `base` are
-    the models that fits of folds start from. `steps` are the models of all training logs: the file,
-    then one after each effect; `without` is what the first of these is compared with.
+    the models that fits of folds start from, `parts` what they are fitted to. `steps` are the
+    models of all training logs: the file, then one after each effect; `without` is what the first
+    of these is compared with.
     """
 
     material: Material
     folds: Folds
+    parts: tuple[Material, ...]
     base: tuple[Refitted, ...]
     best: Account
     steps: list[Refitted]
     without: Refitted
     rounds: list[RefinementRound] = field(default_factory=list)
-    _materials: dict[int, tuple[Material, Material]] = field(default_factory=dict)
-    _errors: list[tuple[Account, tuple[Recording, ...], HeldOutError]] = field(default_factory=list)
+    _errors: dict[Account, HeldOutError] = field(default_factory=dict)
 
     @classmethod
     def begin(cls, material: Material, model: Refitted) -> Loop:
@@ -63,17 +63,16 @@ class Loop:
 
         What that gains is no effect's. A file that has seen these very logs must be.
         """
-        known, late = candidates_of_model(model.effects), model.late
-        folds = Folds.of(material.training)
+        known, folds = tuple(candidates_of_model(model.effects)), Folds.of(material.training)
+        parts = tuple(_without(material, folds, k) for k in range(folds.count))
         base = (model,) * folds.count
-        as_it_is = Account(base, tuple(known), late, kept=True)
-        loop = cls(material, folds, base, as_it_is, [model], model)
-        anew = loop.account(known, late, kept=False)
-        everywhere = range(material.robot.n)
+        as_it_is = Account(known, model.late, kept=True, models=base)
+        loop = cls(material, folds, parts, base, as_it_is, [model], model)
+        anew = loop.fitted(Account(known, model.late, kept=False))
         before, after = loop.error_of(as_it_is), loop.error_of(anew)
-        if material.known or gain(before, after, everywhere).certain:
+        if material.known or gain(before, after, range(material.robot.n)).certain:
             loop.best = anew
-            loop.without = refitted(material, model, known, late=late, kept=False)
+            loop.without = refitted(material, model, known, late=model.late, kept=False)
         return loop
 
     @property
@@ -86,45 +85,26 @@ class Loop:
         """Number of effects added."""
         return len(self.steps) - 1
 
-    def account(
-        self, candidates: Sequence[Candidate], late: frozenset[Key], *, kept: bool
-    ) -> Account:
-        """Fit the models of all folds with these effects."""
-        return self.completed(Account((), tuple(candidates), late, kept))
-
-    def first_look(self, account: Account) -> Account:
-        """The account with the model of the first fold alone."""
-        return replace(account, models=(self._of_fold(account, 0),))
-
-    def completed(self, account: Account) -> Account:
-        """The account with the models of all folds."""
-        rest = range(len(account.models), self.folds.count)
-        return replace(
-            account, models=(*account.models, *(self._of_fold(account, fold) for fold in rest))
-        )
-
-    def _of_fold(self, account: Account, fold: int) -> Refitted:
-        return refitted(
-            self._without(fold),
-            self.base[fold],
-            account.candidates,
-            late=account.late,
-            kept=account.kept,
-        )
+    def fitted(self, account: Account, folds: int | None = None) -> Account:
+        """The account with the models of the first folds, or of all, that it does not have yet."""
+        models = list(account.models)
+        for part, base in list(zip(self.parts, self.base, strict=True))[len(models) : folds]:
+            late, kept = account.late, account.kept
+            models.append(refitted(part, base, account.candidates, late=late, kept=kept))
+        return replace(account, models=tuple(models))
 
     def error_of(self, account: Account) -> HeldOutError:
         """Squared errors of the models of the folds where they have seen nothing."""
-        material = self.material
-        for known, training, error in self._errors:
-            if known is account and training is material.training:
-                return error
-        stages = [with_effects(model, material.robot) for model in account.models]
-        motion = material.options.motion
-        found = left_out_error(
-            material.training, self.folds, material.robot, stages, options=motion
-        )
-        self._errors.append((account, material.training, found))
-        return found
+        if account not in self._errors:
+            material = self.material
+            self._errors[account] = left_out_error(
+                material.training,
+                self.folds,
+                material.robot,
+                [with_effects(model, material.robot) for model in account.models],
+                options=material.options.motion,
+            )
+        return self._errors[account]
 
     def error_everywhere(self, account: Account) -> HeldOutError:
         """The same, beside the errors on the logs of earlier stages: they tell when effects came.
@@ -140,40 +120,32 @@ class Loop:
             return there
         stages = with_effects(replace(model, effects=tuple(model.lasting)), material.robot)
         motion = material.options.motion
-        return there.beside(held_out_error(before, material.robot, stages, options=motion))
-
-    def _without(self, fold: int) -> Material:
-        """What a fold's model is fitted to; a log of which nothing is left is nowhere in it."""
-        whole, found = self._materials.get(fold, (None, None))
-        if found is None or whole is not self.material:
-            found = self._left_in(fold)
-            self._materials[fold] = self.material, found
-        return found
-
-    def _left_in(self, fold: int) -> Material:
-        """The material without a fold; the whole model alone is asked about other cut-offs."""
-        logs = self.folds.without(self.material.training, fold)
-        gone = {identity(log) for log in logs if not log.valid.any()}
-        earlier = {
-            stage: [log for log in own if identity(log) not in gone]
-            for stage, own in self.material.earlier.items()
-        }
-        kept = tuple(log for log in logs if identity(log) not in gone)
-        options = self.material.options
-        motion = replace(options.motion, neighbours=())
-        options = replace(options, motion=motion)
-        return replace(self.material, training=kept, earlier=earlier, options=options)
+        return joined([there, held_out_error(before, material.robot, stages, options=motion)])
 
     def accept(self, told: RefinementRound, account: Account) -> None:
         """Take effects into the model of all training logs."""
         self.best, self.base = account, account.models
-        self.steps.append(self._whole(self.model, account))
+        late, kept = account.late, account.kept
+        whole = refitted(self.material, self.model, account.candidates, late=late, kept=kept)
+        self.steps.append(whole)
         self.rounds.append(told)
 
-    def _whole(self, model: Refitted, account: Account) -> Refitted:
-        return refitted(
-            self.material, model, account.candidates, late=account.late, kept=account.kept
-        )
+
+def _without(material: Material, folds: Folds, fold: int) -> Material:
+    """What a fold's model is fitted to; a log of which nothing is left is nowhere in it.
+
+    The whole model alone is asked about other cut-offs.
+    """
+    logs = folds.without(material.training, fold)
+    gone = {identity(log) for log in logs if not log.valid.any()}
+    earlier = {
+        stage: [log for log in own if identity(log) not in gone]
+        for stage, own in material.earlier.items()
+    }
+    kept = tuple(log for log in logs if identity(log) not in gone)
+    motion = replace(material.options.motion, neighbours=())
+    options = replace(material.options, motion=motion)
+    return replace(material, training=kept, earlier=earlier, options=options)
 
 
 def key_of_round(told: RefinementRound, robot: Robot) -> Key:

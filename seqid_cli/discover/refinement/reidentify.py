@@ -37,9 +37,8 @@ from seqid_cli.model.effects.fitted import FittedEffect
 from seqid_cli.params.schema import FrictionStage, Stages
 from seqid_cli.typing import Array
 
-TURNS = 6  # of effects and stages, at most
+TURNS = 4  # of effects and stages, at most
 SETTLED = 0.3  # standard errors, that coefficients still move by when they have settled
-STALLED = 0.7  # of the step before: larger ones never settle, logs of earlier stages contradict
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
 
 
@@ -84,7 +83,7 @@ def _in_turns(
     material: Material, stages: Stages, candidates: Sequence[Candidate], late: frozenset[Key]
 ) -> tuple[Stages, Sequence[Candidate]]:
     """Fit effects, then identify the stages without them, until the effects settle."""
-    before, effects, step = list[FittedEffect](), list[FittedEffect](), np.inf
+    before, effects = list[FittedEffect](), list[FittedEffect]()
     for _ in range(TURNS):
         fit = cache(partial(_fitted, material, stages, candidates, FREE))
         if candidates:
@@ -93,8 +92,7 @@ def _in_turns(
         if not candidates:
             break
         candidates = fit().candidates
-        last, step = step, _step(before, effects) if before else np.inf
-        if step <= SETTLED or step > STALLED * last:
+        if before and _step(before, effects) <= SETTLED:
             break
     return stages, candidates
 

@@ -107,7 +107,8 @@ def refine(
     smooth = options.with_unexplained and bool(found.found.smooth)
     if not (found.found.effects or smooth):
         return Refinement(material, file.stages, (), (start,), start, notes)
-    loop = Loop.begin(material, start)
+    heard = replace(material, training=quiet(training, found.events)) if found.events else material
+    loop = Loop.begin(heard, start)
     _add_effects(loop, found)
     if options.with_unexplained:
         _add_smooth(loop, _investigated(material, loop.model) if loop.added else found)
@@ -151,16 +152,12 @@ def _investigated(material: Material, model: Refitted) -> Investigation:
 def _add_effects(loop: Loop, found: Investigation) -> None:
     """Try each effect that was found, and keep those that left-out blocks agree with."""
     ordered = sorted(found.found.effects, key=lambda taken: -taken.one.predicted.total)
-    seen = loop.material
-    if found.events:
-        loop.material = replace(seen, training=quiet(seen.training, found.events))
     for number, taken in enumerate(ordered):
         what = taken.term.what
         step("trying effects on left-out blocks", number, len(ordered))
         assert isinstance(what, Candidate)
-        if loop.added < seen.options.max_effects and not _had(loop, what):
+        if loop.added < loop.material.options.max_effects and not _had(loop, what):
             _try(loop, what, found, taken)
-    loop.material = seen
 
 
 def _had(loop: Loop, candidate: Candidate) -> bool:
@@ -203,7 +200,12 @@ class Outcome:
 
 def _try(loop: Loop, candidate: Candidate, found: Investigation, taken: Taken) -> None:
     """Fit the models of the folds with one effect more; keep it if left-out blocks agree."""
-    outcome, account = _first_accepted(loop, _accounts(loop, candidate), taken.term.channels)
+    tried: list[tuple[Account, Outcome]] = []
+    for account in map(loop.fitted, _accounts(loop, candidate)):
+        tried.append((account, _outcome(loop, account, taken.term.channels)))
+        if tried[-1][1].accepted:
+            break
+    account, outcome = tried[-1] if tried[-1][1].accepted else tried[0]
     told = _shown(loop, _told(loop, candidate, account, outcome), found, taken)
     if outcome.accepted:
         loop.accept(told, account)
@@ -217,29 +219,15 @@ def _accounts(loop: Loop, candidate: Candidate) -> list[Account]:
     A first look decides which. What is in the logs that the file was identified from was there all
     along.
     """
-    known, late = candidates_of_model(loop.model.effects), loop.model.late
-    every = (*known, candidate)
-    early = Account((), every, late, kept=False)
+    every, late = (*candidates_of_model(loop.model.effects), candidate), loop.model.late
+    early = Account(every, late, kept=False)
     if loop.material.known:
         return [early]
-    after = Account((), every, late | {candidate.key}, kept=True)
-    looks = [loop.first_look(account) for account in (early, after)]
+    after = Account(every, late | {candidate.key}, kept=True)
+    looks = [loop.fitted(account, folds=1) for account in (early, after)]
     before, then = map(loop.error_everywhere, looks)
     change = gain(before, then, range(loop.material.robot.n))
     return looks[::-1] if change.value > 0.0 else looks
-
-
-def _first_accepted(
-    loop: Loop, accounts: Sequence[Account], channels: frozenset[int]
-) -> tuple[Outcome, Account]:
-    """The first account that left-out blocks accept; the first one where they accept none."""
-    refused = []
-    for account in map(loop.completed, accounts):
-        outcome = _outcome(loop, account, channels)
-        if outcome.accepted:
-            return outcome, account
-        refused.append((outcome, account))
-    return refused[0]
 
 
 def _outcome(loop: Loop, account: Account, channels: frozenset[int]) -> Outcome:
@@ -283,7 +271,7 @@ def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcom
     if outcome.losing and change.certain:
         lost = ", ".join(names[j] for j in outcome.losing)
         return f"predicts {lost} worse on left-out blocks"
-    if not change.known:
+    if not change.limits:
         return "the logs are too short to tell: a single block of time is left out"
     return "does not certainly predict left-out blocks better"
 

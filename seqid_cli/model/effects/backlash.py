@@ -106,20 +106,9 @@ class Backlash(Effect):
 
 
 def play(load: Array, inertia: Array, motion: Motion, gap: float) -> Array:
-    """Compute by how much the motor leads the link.
+    """By how much the motor leads the link (N,) rad, at most half the gap [rad] either way.
 
-    Parameters
-    ----------
-    load : (N,) array [N m]
-    inertia : (N,) array [kg m^2]
-    motion : Motion
-        Whose samples these are.
-    gap : float [rad]
-
-    Returns
-    -------
-    (N,) array
-        Within half the gap either way [rad].
+    `load` (N,) N m and `inertia` (N,) kg m^2 are at the samples of a motion.
     """
     acceleration = load / np.maximum(inertia, 1e-9)
     result = 0.5 * gap * np.where(load < 0.0, -1.0, 1.0)

@@ -24,18 +24,9 @@ class MeasurementEffect(Effect):
     def restored(
         self, recording: Recording, robot: Robot, joint: Joint, settings: Settings, c: Array
     ) -> Recording:
-        """Return the recording as it would be without the effect.
+        """Return a recording with torque as it would be without the effect.
 
-        Parameters
-        ----------
-        recording : Recording
-            With torque.
-        robot : Robot
-        joint : int or None
-            Index of the joint; None where all joints share the effect.
-        settings : mapping
-        c : (k,) array
-            Coefficients.
+        Coefficients c (k,) of a joint, or of all where it is None.
         """
 
 

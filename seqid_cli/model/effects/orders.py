@@ -90,18 +90,7 @@ class Profile:
 def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
     """Orders of the strongest lines and of those clearest above their surroundings.
 
-    Parameters
-    ----------
-    profile : Profile
-    lowest : float
-        Cycles per turn below which nothing is looked for.
-    count : int
-        How many orders at most; half of them by each rule.
-
-    Returns
-    -------
-    list of float
-        Cycles per turn.
+    In cycles per turn, from `lowest` on; at most `count`, half of them by each rule.
     """
     orders, power, clear = _lines(profile, lowest)
     if len(power) < 3:

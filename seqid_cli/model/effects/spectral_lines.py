@@ -45,15 +45,9 @@ class Signal:
 
 
 def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> list[float]:
-    """Return frequencies (Hz) at which the logs' summed power stands out, the highest peak first.
+    """Frequencies (Hz), at most `count`, at which the logs' summed power stands out.
 
-    Parameters
-    ----------
-    signals : sequence of Signal
-    low_hz : float
-        Nothing is looked for below.
-    count : int
-        At most so many.
+    From `low_hz` on, the highest peak first.
     """
     longest = max((signal.length_s for signal in signals), default=0.0)
     top = 0.45 * min((signal.rate_hz for signal in signals), default=0.0)

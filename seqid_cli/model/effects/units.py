@@ -57,14 +57,7 @@ def amplitude_and_phase(
 ) -> list[Value]:
     """Turn c_0 sin(p) + c_1 cos(p) into A sin(p + phase), errors by the delta method.
 
-    Parameters
-    ----------
-    c : (2,) array
-    covariance : (2, 2) array
-    unit : str
-        Of c.
-    name : str
-        What the amplitude is of.
+    `unit` is that of c (2,) with its covariance (2, 2), `name` what the amplitude is of.
     """
     amplitude = float(np.hypot(c[0], c[1]))
     phase = float(np.arctan2(c[1], c[0]))

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.diagnosis import described, diagnose, share_above
-from seqid_cli.discover.excess import excess_residuals, expected
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.floor import NoiseFloor
-from seqid_cli.discover.notes import file_notes, outside_notes
+from seqid_cli.discover.notes import excess_residuals, expected, file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.errors import InputError

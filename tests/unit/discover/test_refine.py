@@ -12,9 +12,9 @@ import pytest
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
-from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of, joined
 from seqid_cli.discover.refinement.left_out import FOLDS, Folds
-from seqid_cli.discover.refinement.loop import Loop
+from seqid_cli.discover.refinement.loop import Account, Loop
 from seqid_cli.discover.refinement.material import Material, Refitted
 from seqid_cli.discover.refinement.reidentify import refitted
 from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
@@ -193,7 +193,7 @@ def test_a_certain_loss_at_one_joint_is_seen() -> None:
 
 
 def test_blocks_of_two_sets_of_logs_stand_beside_each_other() -> None:
-    both = blocks([[1.0, 2.0]]).beside(blocks([[3.0, 6.0], [5.0, 1.0]]))
+    both = joined([blocks([[1.0, 2.0]]), blocks([[3.0, 6.0], [5.0, 1.0]])])
     np.testing.assert_allclose(both.rmse(), [np.sqrt(3.0), np.sqrt(3.0)])
     assert both.samples.sum() == 6
 
@@ -222,7 +222,7 @@ def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
 
 def test_of_a_single_block_nothing_is_known() -> None:
     found = gain_of(np.array([1.0]), np.array([0.1]))
-    assert not found.known
+    assert not found.limits
     assert not found.certain
 
 
@@ -249,7 +249,9 @@ def test_models_of_folds_have_not_seen_what_they_predict(before: ParameterFile) 
     bent = logs[0].tau + np.where(own == 1, 0.1 * logs[0].q[:, 0], 0.0)[:, None]
     other = replace(material, training=(replace(logs[0], tau=bent), logs[1]))
     start = Refitted(before.stages, ())
-    both = [Loop.begin(m, start).account([], frozenset(), kept=False) for m in (material, other)]
+    both = [
+        Loop.begin(m, start).fitted(Account((), frozenset(), kept=False)) for m in (material, other)
+    ]
     values = [
         [
             [p.value for p in model.stages.inertia.parameters] if model.stages.inertia else []

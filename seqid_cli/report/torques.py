@@ -199,7 +199,10 @@ def _log_rows(path: Path) -> dict[str, slice]:
     where = str(path)
     column = _read(path, ["log"]).column("log").combine_chunks().dictionary_encode()
     codes = column.indices.to_numpy(zero_copy_only=False)
-    names = column.dictionary.to_pylist()
+    try:
+        names = column.dictionary.to_pylist()
+    except UnicodeDecodeError as error:
+        raise InputError("column log: is no text", where=where, hint=_HINT) from error
     if column.null_count or len(names) > _MOST_LOGS:
         message = f"column log: must name 1 to {_MOST_LOGS} logs without gaps"
         raise InputError(message, where=where, hint=_HINT)

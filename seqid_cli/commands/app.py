@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from seqid_cli.commands.render import Screen
 
 EXIT_BUG = 70
+_NO_ROOM = ("cannot allocate memory", "failed to map segment")
 _BUG = "this is a bug in seqid"
 _HELP = "From recorded robot logs to a dynamic model that an engineer trusts."
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -139,17 +140,24 @@ def _guarded(arguments: Sequence[str]) -> int:
         problem: SeqidError = UsageError(error.format_message(), hint=f"See {name} --help.")
     except SeqidError as error:
         problem = error
-    except OSError as error:
-        if isinstance(error, BrokenPipeError) or cannot_be_written(error):
-            raise
-        return _report_bug(name, error, arguments)
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write(f"{name}: interrupted\n")
         return EXIT_INTERRUPTED
     except Exception as error:  # the last resort: a bug must not look like a verdict
-        return _report_bug(name, error, arguments)
+        if isinstance(error, OSError) and cannot_be_written(error):
+            raise
+        if not _out_of_memory(error):
+            return _report_bug(name, error, arguments)
+        hint = "Give the process more of it, or fewer logs and --jobs 1."
+        problem = UsageError(f"there is too little memory ({error})", hint=hint)
     _report(name, problem, arguments)
     return problem.exit_code
+
+
+def _out_of_memory(error: Exception) -> bool:
+    """Tell whether arrays or libraries had no room."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or any(sign in text for sign in _NO_ROOM)
 
 
 def _invoke(arguments: Sequence[str]) -> int:

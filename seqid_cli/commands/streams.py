@@ -24,8 +24,8 @@ def prepare_streams() -> None:
 
 
 def cannot_be_written(error: OSError) -> bool:
-    """Whether it is a stream that failed, of which no file is told."""
-    return error.filename is None and error.errno in FULL
+    """Whether it is a stream that failed, of which no file is told, or whose reader has left."""
+    return isinstance(error, BrokenPipeError) or (error.filename is None and error.errno in FULL)
 
 
 def give_up_output() -> None:

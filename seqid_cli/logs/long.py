@@ -24,7 +24,7 @@ from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import Array, BlockReader, Mask, Stream, TimeSource
 from seqid_cli.logs.read import ABSURD, with_torque
-from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
@@ -224,11 +224,12 @@ def open_long(
         return None
     scan, health, spool = Scan(), LongHealth(robot), Spool()
     try:
-        for rows in _rows(file, kind, robot, time_source, health):
-            scan.push(rows)
-            spool.push(rows.stamps, rows.values)
-            if watch is not None:
-                watch(1e9 / scan.usual, rows.values[:, : robot.n])
+        with unchanged(file):
+            for rows in _rows(file, kind, robot, time_source, health):
+                scan.push(rows)
+                spool.push(rows.stamps, rows.values)
+                if watch is not None:
+                    watch(1e9 / scan.usual, rows.values[:, : robot.n])
         base = scan.base()
     except UnevenError:
         return None

@@ -26,7 +26,7 @@ from seqid_cli.logs.raw import (
     TimeSource,
 )
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
@@ -138,9 +138,10 @@ def _read(
     if time_source not in ("header", "log"):
         raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
     try:
-        raw = read_whole(path, kind, robot, time_source)
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        with unchanged(path):
+            raw = read_whole(path, kind, robot, time_source)
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
     return assemble(path, kind, digest, raw, robot, rate_hz), raw

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import ABSURD
-from seqid_cli.logs.tables.columns import opened_table
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.robot.types import Array
@@ -151,7 +151,7 @@ def _guarded(path: Path) -> pq.ParquetFile:
         raise InputError(what, where=where, hint=_HINT)
     try:
         file = opened_table(path)
-    except (pa.ArrowException, OSError) as error:
+    except ARROW_ERRORS as error:
         message = f"cannot be read as Parquet: {_first_line(error)}"
         raise InputError(message, where=where, hint=_HINT) from error
     if not 0 < file.metadata.num_rows <= _MOST_ROWS:
@@ -199,7 +199,10 @@ def _log_rows(path: Path) -> dict[str, slice]:
     where = str(path)
     column = _read(path, ["log"]).column("log").combine_chunks().dictionary_encode()
     codes = column.indices.to_numpy(zero_copy_only=False)
-    names = column.dictionary.to_pylist()
+    try:
+        names = column.dictionary.to_pylist()
+    except UnicodeDecodeError as error:
+        raise InputError("column log: is no text", where=where, hint=_HINT) from error
     if column.null_count or len(names) > _MOST_LOGS:
         message = f"column log: must name 1 to {_MOST_LOGS} logs without gaps"
         raise InputError(message, where=where, hint=_HINT)
@@ -235,7 +238,7 @@ def _check_logs(rows: Mapping[str, slice], predictions: Sequence[Prediction], wh
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:
     try:
         return pq.read_table(path, columns=list(columns), partitioning=None)
-    except (pa.ArrowException, OSError, KeyError) as error:
+    except ARROW_ERRORS as error:
         message = f"is damaged: {_first_line(error)}"
         raise InputError(message, where=str(path), hint="Run seqid predict again.") from error
 
@@ -246,7 +249,8 @@ def _numbers(table: pa.Table, name: str, where: str) -> Array:
     far = np.abs(values) > ABSURD
     if np.any(far):
         row = int(np.argmax(far))
-        message = f"{name} is {values[row]:.3g} at row {row}"
+        size = "infinite" if np.isinf(values[row]) else f"{values[row]:.3g}"
+        message = f"{name} is {size} at row {row}"
         raise InputError(message, where=where, hint="Run seqid predict again.")
     return values
 

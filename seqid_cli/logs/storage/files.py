@@ -9,7 +9,8 @@ import difflib
 import glob
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from seqid_cli.errors import InputError
@@ -50,6 +51,7 @@ _OTHER_MAGIC = {
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "Run `git lfs pull`."),
 }
 _HEAD = 4096
+_STATE = ("st_size", "st_mtime_ns", "st_ino")
 _OTHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
 _NAME_IT = "Name the file itself, or write *.csv, if it is a log."
 _NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
@@ -129,6 +131,25 @@ def storage_file(path: Path) -> Path:
         hint="Name its files." if files else "Unpack what is compressed: `zstd -d FILE`.",
         where=str(path),
     )
+
+
+@contextmanager
+def unchanged(path: Path) -> Iterator[None]:
+    """Read a log that nobody writes to meanwhile.
+
+    Raises
+    ------
+    InputError
+        It is another file than at first when the block ends.
+    OSError
+        It has vanished.
+    """
+    before = path.stat()
+    yield
+    after = path.stat()
+    if any(getattr(after, name) != getattr(before, name) for name in _STATE):
+        hint = "Wait until it is recorded or copied, then run this again."
+        raise InputError("changed while it was read", hint=hint, where=str(path))
 
 
 def check_log(path: Path) -> str:

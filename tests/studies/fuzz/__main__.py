@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tests import ROOT
 from tests.studies.fuzz.run import Tally, fuzz, tell
@@ -87,25 +88,28 @@ def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
     return len(finds)
 
 
-def _with_earlier(new: Sequence[Sequence[str]], path: Path) -> str:
-    """The table of these rows and of the other kinds' that runs before left in a file."""
+def _with_earlier(new: Sequence[Sequence[Any]], path: Path) -> str:
+    """The table of these rows and of those that runs before left in a file: counts add up."""
     known = json.loads(path.read_text()) if path.is_file() else {}
-    known |= {row[0]: row for row in new}
+    for name, *numbers in new:
+        before = known.get(name, [0] * len(numbers))
+        counts = (k in (0, 1, 2, 4) for k in range(len(numbers)))
+        both = zip(counts, before, numbers, strict=True)
+        known[name] = [a + b if adds else max(a, b) for adds, a, b in both]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(known))
-    return table(HEADER, list(known.values()))
+    return table(HEADER, [(name, *map(str, numbers)) for name, numbers in known.items()])
 
 
-def rows(tallies: Mapping[str, Tally]) -> list[Sequence[str]]:
+def rows(tallies: Mapping[str, Tally]) -> list[list[Any]]:
     """How each kind was answered."""
-    cells = []
+    cells: list[list[Any]] = []
     for name, tally in tallies.items():
         refused = tally.codes[2]
         read = sum(tally.codes[code] for code in (0, 1, 3))
         total = sum(tally.codes.values())
         numbers = (total, read, refused, len(tally.answers), len(tally.finds))
-        spent = (f"{tally.slowest:.1f}", str(tally.peak >> 10))
-        cells.append((name, *map(str, numbers), *spent))
+        cells.append([name, *numbers, round(tally.slowest, 1), tally.peak >> 10])
     return cells
 
 

@@ -119,12 +119,17 @@ def _slice(
     sender.close()
 
 
+def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
+    """Put the damaged file and its folder into a command line."""
+    words = [word.replace("{}", str(folder / target.file)) for word in line]
+    return [word.replace("{@}", str(folder)) for word in words]
+
+
 def _one(
     target: Target, folder: Path, line: Sequence[str], data: bytes, damage: str, tally: Tally
 ) -> None:
     (folder / target.file).write_bytes(data)
-    arguments = [a.replace("{}", str(folder / target.file)) for a in line]
-    arguments = [a.replace("{@}", str(folder)) for a in arguments]
+    arguments = filled(line, target, folder)
     begun = time.process_time()
     code, said, why = answer(arguments)
     spent = time.process_time() - begun

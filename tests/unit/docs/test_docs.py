@@ -300,10 +300,27 @@ def test_every_function_is_told() -> None:
 def test_the_workflow_makes_targets_that_there_are() -> None:
     text = (ROOT / ".github" / "workflows" / "seqid.yml").read_text(encoding="utf-8")
     targets = re.findall(r"run: make ([\w-]+)", text)
-    assert {"lint", "types", "test-all", "golden", "docs-test"} == set(targets)
+    always = {"lint", "types", "test-all", "golden", "docs-test"}
+    assert set(targets) == always | {"test-oldest", "audit", "fuzz"}
     for target in targets:
         done = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
+
+
+def test_actions_are_pinned_and_dependencies_locked() -> None:
+    text = (ROOT / ".github" / "workflows" / "seqid.yml").read_text(encoding="utf-8")
+    actions = re.findall(r"uses: (\S+)", text)
+    assert actions
+    assert all(re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", action) for action in actions)
+    lock = (ROOT / ".ci" / "requirements.txt").read_text(encoding="utf-8")
+    blocks = re.split(r"\n(?=\S)", lock.strip())
+    assert all("--hash=sha256:" in block for block in blocks)
+    assert "://" not in lock
+    locked = {re.split(r"[=\[ ]", block)[0] for block in blocks}
+    about = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    wanted = [*about["project"]["dependencies"], *about["build-system"]["requires"]]
+    wanted += about["project"]["optional-dependencies"]["dev"]
+    assert {re.split(r"[<>=\[]", name)[0] for name in wanted} <= locked
 
 
 def test_the_first_page_names_every_command() -> None:

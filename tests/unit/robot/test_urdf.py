@@ -178,7 +178,7 @@ def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
         ),
         (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 nan 0")), "finite|usable"),
         (urdf(link("a"), link("b"), joint("turn", "a", "b", axis="0 0 0")), "finite|usable"),
-        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 x 0")), "finite|usable"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 x 0")), "has xyz=.0 x 0."),
         (urdf(link("a"), link("b"), link("c"), joint("turn", "a", "b")), "not a usable URDF"),
         (urdf(link("a"), link("b"), joint("turn", "a", "b", kind="planar")), "planar joint"),
     ],
@@ -193,3 +193,33 @@ def test_xacro_remedy(tmp_path: Path) -> None:
         _load(tmp_path, urdf('<xacro:arm prefix=""/>'), ("turn",))
     assert "xacro" in caught.value.hint
     assert caught.value.where.endswith("robot.urdf")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('mass value="3.7"', 'mass value="-3.7"', "has a mass of '-3.7'"),
+        ('xyz="0 0 0.1625"', 'xyz="0 0"', "has xyz='0 0'"),
+        ('xyz="0 0 0.1625"', 'xyz="0 0 1e300"', "beyond 1e"),
+    ],
+)
+def test_numbers_that_the_parser_takes(
+    tmp_path: Path, right: str, wrong: str, said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    axis = joint("axis", "base", "arm", xyz="0 0 0.1625")
+    text = urdf(link("base"), link("arm", mass=3.7), axis).replace(right, wrong)
+    assert wrong in text
+    with pytest.raises(ConfigError, match=said) as caught:
+        _load(tmp_path, text, ("axis",))
+    assert caught.value.where == str(tmp_path / "robot.urdf")
+    assert not capfd.readouterr().err
+
+
+def test_what_the_parser_prints_is_not_heard(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    twice = (link("base"), link("arm\u202e"), link("arm\u202e"))
+    text = urdf(*twice, joint("axis", "base", "arm\u202e"))
+    with pytest.raises(ConfigError, match="not a usable URDF"):
+        _load(tmp_path, text, ("axis",))
+    assert not capfd.readouterr().err

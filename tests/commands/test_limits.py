@@ -1,0 +1,86 @@
+"""Logs that change or vanish while they are read, little memory, few open files."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from seqid_cli.__main__ import main
+from seqid_cli.logs import read
+from tests import ROOT
+
+SAMPLES = ROOT / "sample_logs" / "one_joint"
+ROBOT = ("-r", str(SAMPLES / "robot.toml"))
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def grow(path: Path) -> None:
+    with path.open("ab") as file:
+        file.write(b"more")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(cut, "changed while"), (grow, "changed while"), (Path.unlink, "cannot be read")],
+)
+def test_a_log_that_changes_is_refused(
+    change: Callable[[Path], None],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    log, own = tmp_path / "log.parquet", read.read_whole
+    shutil.copy(SAMPLES / "validation" / "point_to_point.parquet", log)
+
+    def changing(*arguments: object) -> object:
+        raw = own(*arguments)  # type: ignore[arg-type]
+        change(log)
+        return raw
+
+    monkeypatch.setattr(read, "read_whole", changing)
+    model = ("-p", str(SAMPLES / "golden.json"))
+    assert main(["predict", str(log), *ROBOT, *model, "-o", str(tmp_path / "p.json")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "p.json").exists()
+
+
+def test_too_little_memory_is_no_bug(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise MemoryError("Unable to allocate 8 GiB")
+
+    monkeypatch.setattr(read, "read_whole", full)
+    assert (
+        main(["predict", str(SAMPLES / "validation"), *ROBOT, "-p", str(SAMPLES / "golden.json")])
+        == 2
+    )
+    assert "there is too little memory (Unable to allocate 8 GiB)" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits are those of Linux")
+def test_a_gibibyte_and_64_files_are_enough(tmp_path: Path) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+
+    command = [sys.executable, "-m", "seqid_cli", "friction", str(SAMPLES / "friction"), *ROBOT]
+    done = subprocess.run(
+        [*command, "-o", str(tmp_path / "f.json")],
+        preexec_fn=limit,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,8 +1,8 @@
-"""Effects of a refined file: those of a rigid body or rotor are exported, the others are named."""
+"""Effects of a refined file: what a format can hold is exported, the others are named."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,17 +23,24 @@ _INERTIAL = frozenset({"body", "transmission"})  # families in which such effect
 
 @dataclass(frozen=True)
 class Absorbed:
-    """Additions to the standard parameters (11 n,), rotors last, and effects that are no such."""
+    """What effects add to the exported model.
+
+    `parameters` (11 n,) standard parameters, rotors last; `springs` (n, 4) torque of a joint by
+    powers of its position [N m, N m/rad ...]; `gaps` (n,) backlash [rad].
+    """
 
     parameters: Array
-    notes: tuple[str, ...]
+    springs: Array
+    gaps: Array
+    notes: tuple[str, ...] = ()
 
 
-def absorbed_effects(stages: Stages, robot: Robot) -> Absorbed:
-    """Add up the effects whose torque is that of inertial parameters.
+def absorbed_effects(stages: Stages, robot: Robot, holds: frozenset[str] = frozenset()) -> Absorbed:
+    """Add up the effects whose torque is that of inertial parameters, and those that are held.
 
     Each effect is evaluated at random states, far apart in time, and its torque is compared with
-    the span of the standard regressor. A payload or a wrong rotor inertia lies in it.
+    the span of the standard regressor. A payload or a wrong rotor inertia lies in it. `holds` names
+    the other effects that the format has a place for: "spring", "backlash".
 
     Raises
     ------
@@ -42,21 +49,36 @@ def absorbed_effects(stages: Stages, robot: Robot) -> Absorbed:
     """
     effects = fitted_effects(stages, robot, unexplained=True)
     total = np.zeros((PER_LINK + 1) * robot.n)
+    found = Absorbed(total, np.zeros((robot.n, 4)), np.zeros(robot.n))
     if not effects:
-        return Absorbed(total, ())
+        return found
     scene = _random_scene(stages, robot)
     state = (scene.motion.q, scene.motion.dq, scene.motion.ddq)
     Y = standard_regressor(robot, *state, coupling=scene.model.coupling)
     W = Y.reshape(-1, Y.shape[2])
     notes = []
     for item in effects:
+        if isinstance(item, FittedEffect) and item.effect.name in holds:
+            _hold(item, found)
+            notes.append(f"written as it is: {_name(item, robot)}")
+            continue
         added = _as_parameters(item, scene, W)
         if added is None:
             notes.append(f"cannot be written to a model file and is left out: {_name(item, robot)}")
         else:
             total += added
             notes.append(f"added to the inertial parameters: {_name(item, robot)}")
-    return Absorbed(total, tuple(notes))
+    return replace(found, notes=tuple(notes))
+
+
+def _hold(item: FittedEffect, found: Absorbed) -> None:
+    """Add a spring's powers of position, or a gap."""
+    c, joint = item.coefficients, item.joint
+    assert joint is not None
+    if item.effect.name == "backlash":
+        found.gaps[joint] += c[0]
+    else:
+        found.springs[joint, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
 
 
 def _as_parameters(

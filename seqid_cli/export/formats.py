@@ -23,6 +23,12 @@ FORMATS: Mapping[str, str] = {
     ".yaml": "ROS 2 parameters",
     ".yml": "ROS 2 parameters",
     ".h": "C header",
+    ".py": "numpy module",
+}
+_HOLDS: Mapping[str, frozenset[str]] = {
+    "MJCF": frozenset({"spring", "backlash"}),
+    "C header": frozenset({"spring"}),
+    "numpy module": frozenset({"spring"}),
 }
 
 
@@ -53,7 +59,9 @@ def format_of(path: Path) -> str:
     return kind
 
 
-def export(robot: Robot, stages: Stages, *, kind: str) -> Exported:
+def export(
+    robot: Robot, stages: Stages, *, kind: str, errors: Mapping[str, float] | None = None
+) -> Exported:
     """Write an identified arm in one of the forms of `FORMATS`.
 
     Parameters
@@ -63,6 +71,8 @@ def export(robot: Robot, stages: Stages, *, kind: str) -> Exported:
         Whatever was identified.
     kind : str
         A value of `FORMATS`.
+    errors : mapping of str to float, optional
+        RMS error of the torque of each joint on new logs [N m], for thresholds.
 
     Returns
     -------
@@ -80,7 +90,8 @@ def export(robot: Robot, stages: Stages, *, kind: str) -> Exported:
 
     urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
     bodies = None if urdf is None else bodies_of_urdf(urdf.root, robot.joint_names)
-    model = export_model(robot, stages, bodies)
+    holds = _HOLDS.get(kind, frozenset())
+    model = export_model(robot, stages, bodies, holds=holds, errors=errors)
     return Exported(model, _text(kind, model, urdf, bodies))
 
 
@@ -93,12 +104,15 @@ def _text(
         return mjcf_of_chain(model)
     if kind == "ROS 2 parameters":
         from seqid_cli.export.ros2_yaml import ros2_parameters
+        from seqid_cli.export.urdf_tree import root_link
 
-        return ros2_parameters(model)
-    if kind == "C header":
-        from seqid_cli.export.c_header import c_header
+        if urdf is None or bodies is None:
+            return ros2_parameters(model, "base_link", f"{model.robot.joint_names[-1]}_link")
+        return ros2_parameters(model, root_link(urdf.root), bodies[-1].link)
+    if kind in ("C header", "numpy module"):
+        from seqid_cli.export.code import c_header, numpy_module
 
-        return c_header(model)
+        return c_header(model) if kind == "C header" else numpy_module(model)
     from seqid_cli.export.urdf import edited_urdf, urdf_of_chain
 
     if urdf is None or bodies is None:

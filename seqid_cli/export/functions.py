@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 
 
 def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
-    """Write a model as URDF, MJCF, ROS 2 parameters or C header, by the suffix of `output`.
+    """Write a model in the form that the suffix of `output` stands for.
 
-    Links get inertial parameters that a body can have, with the identified torque, as near as
-    possible to those of the URDF.
+    Forms are URDF, MJCF, ROS 2 parameters, a C header and a numpy module. Links get inertial
+    parameters that a body can have, with the identified torque, as near as possible to those of the
+    URDF.
 
     Parameters
     ----------
@@ -49,7 +50,9 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
     if arm.urdf is not None:
         check_output(target, [arm.urdf])
 
-    done = written(arm, previous.stages, kind=kind)
+    loop = previous.closed_loop
+    errors = {name: joint.rmse for name, joint in loop.after.items()} if loop else None
+    done = written(arm, previous.stages, kind=kind, errors=errors)
     write_text_atomic(target, done.text)
     model = done.model
     return ExportFile(

@@ -1,8 +1,9 @@
 """MJCF: the arm as MuJoCo simulates it, with rotor inertia as armature.
 
 Bodies are nested like the chain, in the joints' own frames; links behind joints that were not
-identified are part of the body that carries them, locked at zero. Capsules along the links show the
-arm; they have no mass and touch nothing.
+identified are part of the body that carries them, locked at zero. A spring is the joint's
+stiffness (where it is not linear, several numbers, which needs MuJoCo 4), backlash a joint of its
+own. Capsules along the links show the arm; they have no mass and touch nothing.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ def _body(parent: Element, model: ExportModel, k: int, *, min_length: float = 1e
     )
     _inertial(body, model.bodies[k])
     body.append(Element("joint", _joint(model, k)))
+    if model.gaps[k] > 0.0 and model.armature[k] > 0.0:
+        body.append(Element("joint", _gap(model, k)))
     if k + 1 < chain.n and float(np.linalg.norm(chain.position[k + 1])) > min_length:
         _capsule(body, chain.position[k + 1])
     return body
@@ -67,7 +70,34 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
         values |= {"damping": real(fit.viscous), "frictionloss": real(fit.coulomb)}
     if joint.position_limits is not None:
         values["range"] = reals(joint.position_limits)
+    if model.springs[k].any():
+        values |= _spring(np.polynomial.Polynomial(model.springs[k]))
     return values
+
+
+def _spring(torque: np.polynomial.Polynomial) -> dict[str, str]:
+    """Stiffness about a position where the spring is slack, by powers of the way from there."""
+    roots = torque.trim().roots()
+    slack = float(min(roots, key=lambda root: (abs(root.imag), abs(root))).real)
+    moved = torque(np.polynomial.Polynomial([slack, 1.0])).trim().coef
+    return {"stiffness": reals(moved[1:]), "springref": real(slack)}
+
+
+def _gap(model: ExportModel, k: int, *, share: float = 0.01) -> dict[str, str]:
+    """Backlash: the link's joint behind the motor's, free between two stops.
+
+    It gets a `share` of the motor's armature, which only relative acceleration feels.
+    """
+    name, half = model.robot.joints[k].name, 0.5 * model.gaps[k]
+    return {
+        "name": f"{name}_backlash",
+        "type": "slide" if model.robot.joints[k].prismatic else "hinge",
+        "axis": reals(model.robot.chain.axis[k]),
+        "armature": real(share * model.armature[k]),
+        "range": reals([-half, half]),
+        "solreflimit": "0.004 1",
+        "solimplimit": "0.99 0.999 0.0001",  # stiff stops
+    }
 
 
 def _capsule(body: Element, reach: Array, *, thickness: float = 0.1) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.effects import absorbed_effects
 from seqid_cli.export.friction_fit import SimpleFriction, simple_friction
+from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody
 from seqid_cli.model.bodies.demand import Deviation, Identified, identified
 from seqid_cli.model.bodies.nearest import Expected, nearest_bodies
@@ -42,6 +44,12 @@ class ExportModel:
         Whether the identified base parameters are met exactly.
     from_cad : tuple of bool
         Whether a link's expected inertial came from the URDF.
+    springs : (n, 4) array
+        Torque of a spring at each joint by powers of its position [N m, N m/rad ...].
+    gaps : (n,) array
+        Backlash of each joint [rad].
+    observer : Thresholds
+        When a momentum observer raises an alarm.
     notes : tuple of str
         What the reader of the file has to know.
     """
@@ -56,6 +64,9 @@ class ExportModel:
     deviations: tuple[Deviation, ...]
     exact: bool
     from_cad: tuple[bool, ...]
+    springs: Array
+    gaps: Array
+    observer: Thresholds
     notes: tuple[str, ...]
 
     @property
@@ -77,7 +88,12 @@ class ExportModel:
 
 
 def export_model(
-    robot: Robot, stages: Stages, bodies: tuple[UrdfBody, ...] | None = None
+    robot: Robot,
+    stages: Stages,
+    bodies: tuple[UrdfBody, ...] | None = None,
+    *,
+    holds: frozenset[str] = frozenset(),
+    errors: Mapping[str, float] | None = None,
 ) -> ExportModel:
     """Find physically consistent parameters of a whole arm.
 
@@ -88,6 +104,11 @@ def export_model(
         Whatever was identified. Without an inertia stage the URDF must say what is missing.
     bodies : tuple of UrdfBody, optional
         The links of the URDF that belong to each joint.
+    holds : frozenset of str
+        Effects that the format has a place for.
+    errors : mapping of str to float, optional
+        RMS error of the torque of each joint [N m] on new logs; those of the inertia stage if left
+        out.
 
     Returns
     -------
@@ -101,7 +122,7 @@ def export_model(
         If no physically consistent parameters are found.
     """
     _check_enough(robot, stages)
-    effects = absorbed_effects(stages, robot)
+    effects = absorbed_effects(stages, robot, holds)
     demand = identified(stages, robot, more=effects.parameters)
     kept = np.zeros((robot.n, PER_LINK))
     if bodies is not None:
@@ -111,6 +132,8 @@ def export_model(
     coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
     surfaces = tuple(friction_surfaces(stages, robot))
     friction = tuple(None if s is None else simple_friction(s) for s in surfaces)
+    armature = gear_ratios(robot) ** 2 * nearest.rotor
+    mass = largest_mass(robot, nearest.links + kept, armature)
     return ExportModel(
         robot=robot,
         own=nearest.links,
@@ -122,6 +145,9 @@ def export_model(
         deviations=demand.deviations(nearest.links + kept, nearest.rotor),
         exact=nearest.exact,
         from_cad=nearest.expected.from_cad,
+        springs=effects.springs,
+        gaps=effects.gaps,
+        observer=thresholds(robot, stages, surfaces, mass, errors),
         notes=(
             *_notes_on_links(robot, stages, demand, nearest.expected),
             *_notes_on_friction(robot, friction),

@@ -1,7 +1,9 @@
 """URDF: the original file with other inertials and joint dynamics, or a new one of a DH robot.
 
 URDF has no place for rotor inertia. It is written where readers look for it: as `drake:` tags in
-the joint's transmission (with the gear ratio beside it, as Drake reads them), and in a comment.
+the joint's transmission (with the gear ratio beside it, as Drake reads them), in a comment, and
+beside friction as a parameter of the joint in a `ros2_control` system, which is added to a URDF
+that has none.
 """
 
 from __future__ import annotations
@@ -45,6 +47,8 @@ def edited_urdf(raw: bytes, bodies: Sequence[UrdfBody], model: ExportModel) -> s
             _drop_inertial(document, links[name], body.link)
         _set_joint(document, joints[model.robot.joint_names[k]], model, k)
         _set_transmission(document, root, model, k)
+    if not _children(root, "ros2_control"):
+        _add_control(document, root, model)
     _head(document, root, model)
     return _text(document)
 
@@ -70,6 +74,7 @@ def urdf_of_chain(model: ExportModel) -> str:
         _set_joint(document, element, model, k)
         _set_transmission(document, root, model, k)
         parent = child
+    _add_control(document, root, model)
     _head(document, root, model)
     return _pretty(document)
 
@@ -96,7 +101,6 @@ def _limits(joint: Joint, kind: str, *, no_limit: float = 1000.0) -> dict[str, s
 def _set_inertial(document: Document, link: Element, phi: Array) -> None:
     body = Body.of(phi)
     inertial = document.createElement("inertial")
-    inertial.appendChild(document.createTextNode("\n    "))
     _add(document, inertial, "origin", 3, xyz=reals(body.center), rpy="0 0 0")
     _add(document, inertial, "mass", 3, value=real(body.mass))
     names = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2))
@@ -151,18 +155,36 @@ def _actuator(root: Element, joint: str) -> Element | None:
 def _new_actuator(document: Document, root: Element, joint: str, ratio: float) -> Element:
     transmission = document.createElement("transmission")
     transmission.setAttribute("name", f"{joint}_transmission")
-    transmission.appendChild(document.createTextNode("\n  "))
-    kind = _add(document, transmission, "type", 2)
-    kind.appendChild(document.createTextNode("transmission_interface/SimpleTransmission"))
+    _text_in(document, transmission, "type", "transmission_interface/SimpleTransmission", 2)
     of = _add(document, transmission, "joint", 2, name=joint)
-    interface = _add(document, of, "hardwareInterface")
-    interface.appendChild(document.createTextNode("hardware_interface/EffortJointInterface"))
+    _text_in(document, of, "hardwareInterface", "hardware_interface/EffortJointInterface")
     actuator = _add(document, transmission, "actuator", 2, name=f"{joint}_motor")
-    actuator.appendChild(document.createTextNode("\n    "))
-    reduction = _add(document, actuator, "mechanicalReduction", 3)
-    reduction.appendChild(document.createTextNode(real(ratio)))
+    _text_in(document, actuator, "mechanicalReduction", real(ratio), 3)
     _place(document, root, transmission, 1)
     return actuator
+
+
+def _add_control(document: Document, root: Element, model: ExportModel) -> None:
+    """Add a ros2_control system: effort commands, the identified drive as parameters."""
+    system = _add(document, root, "ros2_control", 1, name=model.robot.name, type="system")
+    hardware = _add(document, system, "hardware", 2)
+    _text_in(document, hardware, "plugin", "mock_components/GenericSystem", 3)
+    for k, joint in enumerate(model.robot.joints):
+        element = _add(document, system, "joint", 2, name=joint.name)
+        _add(document, element, "command_interface", 3, name="effort")
+        for name in ("position", "velocity", "effort"):
+            _add(document, element, "state_interface", 3, name=name)
+        drive, fit = {"armature": model.armature[k]}, model.friction[k]
+        if fit is not None:
+            drive |= {"coulomb": fit.coulomb, "viscous": fit.viscous}
+        for name, value in drive.items():
+            _text_in(document, element, "param", real(value), 3).setAttribute("name", name)
+
+
+def _text_in(document: Document, parent: Element, tag: str, text: str, depth: int = 0) -> Element:
+    element = _add(document, parent, tag, depth)
+    element.appendChild(document.createTextNode(text))
+    return element
 
 
 def _head(document: Document, root: Element, model: ExportModel) -> None:
@@ -187,7 +209,9 @@ def _add(
 
 
 def _place(document: Document, parent: Element, node: Element | Comment, depth: int) -> None:
-    """Append a node on a line of its own where the parent's children have theirs."""
+    """Append a node on a line of its own, where the parent is empty or its children have theirs."""
+    if depth and parent.lastChild is None:
+        parent.appendChild(document.createTextNode("\n" + "  " * (depth - 1)))
     last = parent.lastChild
     if depth and isinstance(last, Text) and last.data.isspace():
         parent.insertBefore(document.createTextNode("\n" + "  " * depth), last)

@@ -55,6 +55,12 @@ def bodies_of_urdf(root: ElementTree.Element, joints: Sequence[str]) -> tuple[Ur
         ) from None
 
 
+def root_link(root: ElementTree.Element) -> str:
+    """Return the link of a URDF that no joint moves; gravity is given in its axes."""
+    moved = {_end(joint, "child") for joint in root.findall("joint")}
+    return next(n for link in root.findall("link") if (n := link.get("name", "")) not in moved)
+
+
 def _bodies(root: ElementTree.Element, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
     children: dict[str, list[ElementTree.Element]] = {}
     by_name = {}

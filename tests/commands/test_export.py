@@ -35,7 +35,9 @@ def two(rig: Rig) -> Rig:
     return rig
 
 
-@pytest.mark.parametrize("name", ["a.urdf", "a.xml", "a.mjcf", "a.yaml", "a.yml", "a.h", "A.URDF"])
+@pytest.mark.parametrize(
+    "name", ["a.urdf", "a.xml", "a.mjcf", "a.yaml", "a.yml", "a.h", "a.py", "A.URDF"]
+)
 def test_every_suffix_is_written(two: Rig, name: str) -> None:
     done = two.run("export", "inertia.json", "-r", "robot.toml", "-o", name)
     assert done.code == 0, done.err
@@ -65,17 +67,18 @@ def test_robot_name_with_marks_makes_files_that_parse(rig: Rig) -> None:
     import numpy as np
 
     text = (SAMPLES / "two_joint" / "robot.toml").read_text()
-    text = text.replace('name = "two_joint"', 'name = "a */ -- <b> \\"c\\""')
+    text = text.replace('name = "two_joint"', 'name = "a */ -- <b> \\"\\"\\"c\\""')
     (rig.folder / "robot.toml").write_text(text)
     robot = load_robot(rig.folder / "robot.toml")
     file = file_of(stages_of(robot, random_bodies(np.random.default_rng(0), 2)))
     file.robot.name = robot.name
     rig.params("inertia.json", file)
-    for name in ("a.urdf", "a.xml", "a.h"):
+    for name in ("a.urdf", "a.xml", "a.h", "a.py"):
         assert rig.run("export", "inertia.json", "-r", "robot.toml", "-o", name).code == 0
     for name in ("a.urdf", "a.xml"):
         ElementTree.parse(rig.folder / name)
     assert (rig.folder / "a.h").read_text().split("*/")[0].count("two standard") == 0
+    compile((rig.folder / "a.py").read_text(), "a.py", "exec")
 
 
 @pytest.mark.parametrize(

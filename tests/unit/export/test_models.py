@@ -1,123 +1,37 @@
-"""What other tools make of the exported files: Pinocchio, MuJoCo, a C compiler, a YAML reader."""
+"""What other tools make of the model files: Pinocchio, MuJoCo, a YAML reader."""
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 from ruamel.yaml import YAML
 
-from seqid_cli.export.c_header import identifier
-from seqid_cli.export.formats import Exported, export
-from seqid_cli.export.urdf_tree import bodies_of_urdf
+from seqid_cli.export.formats import export
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
+from seqid_cli.model.effects.fitted import FittedEffect, as_stage
+from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
-from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, NAMES_GANTRY, urdf_6r, urdf_gantry
-from tests.plants.robots.stages import (
-    SAMPLES,
-    friction_stage,
-    inertia_stage,
-    random_bodies,
-    save_robot,
-    seven_joints,
-    stages_of,
+from tests.plants.robots.stages import SAMPLES, inertia_stage, random_bodies, save_robot, stages_of
+from tests.unit.export.arms import (
+    Arm,
+    made,
+    mujoco_torque,
+    pinocchio_torque,
+    rigid,
+    sample,
+    states,
+    written,
 )
-
-Arm = tuple[Robot, Stages]
-
-
-def made(folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: bool = False) -> Arm:
-    rng = np.random.default_rng(seed)
-    extra = "gear_ratio = 50.0\n" + "rotor_inertia = 1e-4\n" * known
-    robot = save_robot(folder, text, names, joint_extra=extra)
-    rotor = np.zeros(robot.n) if known else np.full(robot.n, 1e-4)
-    kept = np.array([body.kept for body in bodies_of_urdf(ElementTree.fromstring(text), names)])
-    return robot, stages_of(robot, random_bodies(rng, robot.n) + kept, rotor)
-
-
-def sample(rig: str) -> Arm:
-    """A sample robot with bodies that exist; the real files are tested with the commands."""
-    rng = np.random.default_rng(len(rig))
-    robot = sample_robot(rig)
-    phi = random_bodies(rng, robot.n) if robot.nominal is None else 0.9 * robot.nominal
-    return robot, stages_of(robot, phi)
-
-
-ARMS: dict[str, Callable[[Path], Arm]] = {
-    "one_joint": lambda _: sample("one_joint"),
-    "two_joint": lambda _: sample("two_joint"),
-    "six_joint": lambda _: sample("six_joint"),
-    "seven": lambda folder: made(folder, *seven_joints(np.random.default_rng(3)), 4),
-    "gantry": lambda folder: made(folder, urdf_gantry(), NAMES_GANTRY, 5),
-    "tool": lambda folder: made(folder, urdf_6r(), NAMES_6R, 6, known=True),
-    "gripper": lambda folder: made(folder, urdf_6r(), NAMES_6R[:4], 7),
-}
-
-
-@pytest.fixture(params=ARMS)
-def arm(request: pytest.FixtureRequest, tmp_path: Path) -> Arm:
-    return ARMS[request.param](tmp_path)
-
-
-def states(n: int) -> Array:
-    """States (3, N, n): positions, velocities, accelerations."""
-    return (
-        np.random.default_rng(11).normal(size=(3, 25, n)) * np.array([1.5, 2.0, 5.0])[:, None, None]
-    )
-
-
-def written(arm: Arm, kind: str) -> Exported:
-    robot, stages = arm
-    return export(robot, stages, kind=kind)
-
-
-def rigid(arm: Arm) -> Array:
-    robot, stages = arm
-    return TorqueModel.from_stages(stages, robot).rigid(*states(robot.n))
-
-
-def pinocchio_torque(robot: Robot, text: str, armature: Array) -> Array:
-    """Torque by Pinocchio of a URDF, joints that are not the arm's locked at zero."""
-    model = pin.buildModelFromXML(text)
-    others = [k for k in range(1, model.njoints) if model.names[k] not in robot.joint_names]
-    model = pin.buildReducedModel(model, others, pin.neutral(model))
-    assert tuple(model.names)[1:] == robot.joint_names
-    model.gravity.linear = robot.gravity
-    model.armature = armature
-    data, start = model.createData(), pin.neutral(model)
-    q, dq, ddq = states(robot.n)
-    rows = [
-        pin.rnea(model, data, pin.integrate(model, start, x), v, a).copy()
-        for x, v, a in zip(q, dq, ddq, strict=True)
-    ]
-    return np.reshape(rows, q.shape)
-
-
-def mujoco_torque(robot: Robot, text: str) -> Array:
-    """Torque by MuJoCo's inverse dynamics, without friction, limits and contacts."""
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
-    model.dof_damping[:] = 0.0
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    rows = []
-    for x, v, a in zip(*states(robot.n), strict=True):
-        data.qpos[:], data.qvel[:], data.qacc[:] = x, v, a
-        mujoco.mj_inverse(model, data)
-        rows.append(data.qfrc_inverse.copy())
-    return np.array(rows)
 
 
 def test_pinocchio_finds_the_identified_torque_in_the_urdf(arm: Arm) -> None:
@@ -154,62 +68,6 @@ def test_every_link_is_a_body_that_can_exist(arm: Arm) -> None:
     assert (model.rotor >= 0.0).all()
 
 
-def c_torques(folder: Path, robot: Robot, text: str) -> Array:
-    """Compile the header and run it over the states."""
-    name, n = identifier(robot.name), robot.n
-    (folder / "arm.h").write_text(text)
-    read = 'for (i = 0; i < N; ++i) if (scanf("%lf", &{0}[i]) != 1) return {1};'
-    (folder / "main.c").write_text(
-        f'#include <stdio.h>\n#include "arm.h"\nenum {{ N = {n} }};\n'
-        "int main(void) { double q[N], dq[N], ddq[N], tau[N]; int i; for (;;) {\n"
-        f"{read.format('q', 0)}\n{read.format('dq', 1)}\n{read.format('ddq', 1)}\n"
-        f'{name}_torque(q, dq, ddq, tau);\nfor (i = 0; i < N; ++i) printf("%.17g ", tau[i]);'
-        '\nprintf("\\n"); } }\n'
-    )
-    flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-    compiler = shutil.which("cc") or "cc"
-    command = [compiler, *flags, "-o", str(folder / "main"), str(folder / "main.c"), "-lm"]
-    built = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert built.returncode == 0, built.stderr
-    rows = np.concatenate(states(n), axis=1)
-    typed = "\n".join(" ".join(f"{x!r}" for x in row) for row in rows.tolist())
-    ran = subprocess.run(
-        [str(folder / "main")], input=typed, capture_output=True, text=True, check=True
-    )
-    return np.array([[float(word) for word in line.split()] for line in ran.stdout.splitlines()])
-
-
-needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
-
-
-@needs_cc
-def test_the_c_header_computes_the_predicted_torque(arm: Arm, tmp_path: Path) -> None:
-    robot, stages = arm
-    q, dq, ddq = states(robot.n)
-    model = TorqueModel.from_stages(stages, robot)
-    expected = model.rigid(q, dq, ddq) + model.friction(q, dq)
-    torque = c_torques(tmp_path, robot, written(arm, "C header").text)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-
-
-@needs_cc
-@pytest.mark.parametrize("log", [False, True])
-def test_the_c_header_keeps_directions_speed_scales_and_coupled_rotors(
-    tmp_path: Path, log: bool
-) -> None:
-    robot, stages = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 8, known=True)
-    assert stages.inertia is not None
-    stages.inertia.rotor_coupling = "gyroscopic"
-    stages.friction = friction_stage(robot, directional=True, log=log)
-    stages.friction.joints.pop("reach")
-    q, dq, ddq = states(robot.n)
-    model = TorqueModel.from_stages(stages, robot)
-    expected = model.rigid(q, dq, ddq) + model.friction(q, dq)
-    done = export(robot, stages, kind="C header")
-    torque = c_torques(tmp_path, robot, done.text)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-
-
 def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
     done = written(arm, "ROS 2 parameters")
     robot = arm[0]
@@ -231,6 +89,102 @@ def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
     chain = robot.chain
     torque = inverse_dynamics(chain, robot.gravity, np.array(phi), q, dq, ddq) + armature * ddq
     np.testing.assert_allclose(torque, rigid(arm), rtol=0, atol=1e-9 * np.abs(torque).max())
+
+
+def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> None:
+    """KDL takes the joints from `root` to `tip` with the URDF's inertials, without armature."""
+    robot = arm[0]
+    parameters = YAML(typ="safe").load(written(arm, "ROS 2 parameters").text)["/**"]
+    kdl = parameters["ros__parameters"]["kdl"]
+    urdf = written(arm, "URDF")
+    before = {
+        child.get("link"): joint
+        for joint in ElementTree.fromstring(urdf.text).findall("joint")
+        if (child := joint.find("child")) is not None
+    }
+    at, chain = kdl["tip"], []
+    while at != kdl["root"]:
+        joint = before[at]
+        chain.append((joint.get("name"), joint.get("type")))
+        at = joint.find("parent").get("link")  # type: ignore[union-attr]
+    assert tuple(name for name, kind in reversed(chain) if kind != "fixed") == robot.joint_names
+    assert kdl["gravity"] == robot.gravity.tolist()
+    torque = pinocchio_torque(robot, urdf.text, np.zeros(robot.n))
+    expected = rigid(arm) - urdf.model.armature * states(robot.n)[2]
+    if len(arm[0].joints) != 4:  # KDL leaves out what the gripper's fingers carry
+        np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def test_ros2_control_commands_the_torque_of_every_joint(arm: Arm) -> None:
+    done = written(arm, "URDF")
+    systems = ElementTree.fromstring(done.text).findall("ros2_control")
+    assert len(systems) == 1
+    assert systems[0].findtext("hardware/plugin") == "mock_components/GenericSystem"
+    joints = systems[0].findall("joint")
+    assert tuple(joint.get("name") for joint in joints) == arm[0].joint_names
+    for joint, armature, fit in zip(joints, done.model.armature, done.model.friction, strict=True):
+        assert [e.get("name") for e in joint.findall("command_interface")] == ["effort"]
+        given = {e.get("name"): float(e.text or "") for e in joint.findall("param")}
+        assert fit is not None
+        expected = {"armature": armature, "coulomb": fit.coulomb, "viscous": fit.viscous}
+        assert given == pytest.approx(expected)
+
+
+def test_a_system_that_the_urdf_has_stays_the_only_one(tmp_path: Path) -> None:
+    own = '<ros2_control name="driver" type="system"/></robot>'
+    robot = save_robot(tmp_path, urdf_6r().replace("</robot>", own), NAMES_6R)
+    assert robot.nominal is not None
+    done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
+    systems = ElementTree.fromstring(done.text).findall("ros2_control")
+    assert [system.get("name") for system in systems] == ["driver"]
+
+
+def with_effect(name: str, joint: int, settings: dict[str, float], c: list[float]) -> Arm:
+    """The six-joint sample robot with one effect more."""
+    robot, stages = sample("six_joint")
+    item = FittedEffect(CATALOGUE[name], joint, settings, np.array(c), np.eye(len(c)))
+    stages.effects = [as_stage(item, robot)]
+    return robot, stages
+
+
+SPRINGS = {
+    "linear": [30.0, -12.0],
+    "counterbalance": [-20.0, 3.0],
+    "cubic": [30.0, -12.0, 4.0, 2.0],
+}
+
+
+@pytest.mark.parametrize("law", SPRINGS)
+def test_mujoco_pulls_at_a_spring_as_the_effect_does(law: str) -> None:
+    if law == "cubic" and int(mujoco.__version__.split(".")[0]) < 4:
+        pytest.skip("MuJoCo before 4 has linear springs only")
+    arm = with_effect("spring", 2, {"cubic": float(law == "cubic")}, SPRINGS[law])
+    done = written(arm, "MJCF")
+    assert "written as it is: spring (elbow)" in " ".join(done.model.notes)
+    q = states(6)[0][:, 2]
+    expected = rigid(arm)
+    k, zero, cubic, squared = [*SPRINGS[law], 0.0, 0.0][:4]
+    expected[:, 2] += zero + k * q + squared * q**2 + cubic * q**3
+    torque = mujoco_torque(arm[0], done.text)
+    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+def test_mujoco_lets_the_link_fall_through_its_backlash() -> None:
+    """The motor held still, the link rests on the flank to which gravity pulls it."""
+    arm = with_effect("backlash", 1, {"trial_gap": 0.01}, [0.01])
+    model = mujoco.MjModel.from_xml_string(written(arm, "MJCF").text)
+    assert model.nv == 7
+    data = mujoco.MjData(model)
+    motors = [model.joint(name).id for name in arm[0].joint_names]
+    gap = model.joint(f"{arm[0].joint_names[1]}_backlash").id
+    model.dof_armature[motors] = 1e6  # they stay where they are
+    for side in (-1.0, 1.0):
+        mujoco.mj_resetData(model, data)
+        data.qpos[motors] = [0.0, 0.3, 0.0, 0.0, 0.0, 0.0]
+        data.qfrc_applied[gap] = side * 300.0
+        for _ in range(1000):
+            mujoco.mj_step(model, data)
+        assert data.qpos[gap] == pytest.approx(side * 0.005, abs=0.0005)
 
 
 def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:

@@ -163,7 +163,7 @@ def branched() -> str:
     )
 
 
-def test_urdf_keeps_all_but_the_inertials_and_dynamics_of_the_arm(tmp_path: Path) -> None:
+def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: Path) -> None:
     text = branched().replace("<robot", "<!-- by hand -->\n<robot", 1)
     robot = save_robot(tmp_path, text, ("shoulder", "elbow"))
     assert robot.nominal is not None
@@ -182,7 +182,7 @@ def test_urdf_keeps_all_but_the_inertials_and_dynamics_of_the_arm(tmp_path: Path
     for tree in (before, after):
         for parent in tree.iter():
             for child in list(parent):
-                if child.tag in {"inertial", "dynamics", "transmission"}:
+                if child.tag in {"inertial", "dynamics", "transmission", "ros2_control"}:
                     parent.remove(child)
     flat = [
         [(e.tag, sorted(e.attrib.items())) for e in tree.iter() if isinstance(e.tag, str)]

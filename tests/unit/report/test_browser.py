@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,6 +43,22 @@ def test_it_opens_alone_and_fits(tab: Tab, page: Path, width: int, dark: bool) -
     assert tab.run("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
     ground = tab.run("getComputedStyle(document.body).backgroundColor")
     assert ground == ("rgb(20, 24, 28)" if dark else "rgb(252, 252, 251)")
+
+
+def test_no_table_is_wider_than_its_place_on_a_screen(tab: Tab, page: Path) -> None:
+    tab.open(page, width=1280)
+    tab.run("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+    wide = tab.run(
+        "Array.from(document.querySelectorAll('.scroll')).filter((item) =>"
+        " item.scrollWidth > item.clientWidth + 1).map((item) => item.ariaLabel)"
+    )
+    assert wide == []
+
+
+def test_it_prints_on_few_sheets(tab: Tab, page: Path) -> None:
+    tab.open(page, width=1280)
+    pdf = base64.b64decode(tab.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+    assert 1 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 9
 
 
 def test_text_in_drawings_stays_readable_on_a_phone(tab: Tab, page: Path) -> None:

@@ -1,6 +1,7 @@
-"""A self-contained C99 header: the joint torque by recursive Newton-Euler, numbers inlined.
+"""A self-contained C99 header or numpy module: inverse dynamics and a momentum observer.
 
-Unlike model files it keeps the whole friction surface and the coupling of rotors.
+The joint torque is that of recursive Newton-Euler, with the numbers inlined. Unlike model files
+they keep the whole friction surface and the coupling of rotors.
 """
 
 from __future__ import annotations
@@ -21,12 +22,21 @@ if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel
     from seqid_cli.model.friction import FrictionSurface
 
-_TEMPLATE = "arm.h.jinja"
+_NO_LIMIT = 1e300  # N m: no alarm from a joint whose error is not known
 _KEYWORDS = frozenset({"auto", "double", "float", "int", "long", "short", "static", "void"})
 
 
 def c_header(model: ExportModel) -> str:
     """Return the header; its functions and macros start with the robot's name."""
+    return _rendered("arm.h.jinja", model)
+
+
+def numpy_module(model: ExportModel) -> str:
+    """Return the same as a Python module that needs numpy only."""
+    return _rendered("arm.py.jinja", model)
+
+
+def _rendered(template: str, model: ExportModel) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("seqid_cli.export", "templates"),
         undefined=jinja2.StrictUndefined,
@@ -35,12 +45,13 @@ def c_header(model: ExportModel) -> str:
         lstrip_blocks=True,
         autoescape=False,
     )
-    return environment.get_template(_TEMPLATE).render(_content(model))
+    return environment.get_template(template).render(_content(model))
 
 
 def _content(model: ExportModel) -> dict[str, object]:
     chain, robot = model.robot.chain, model.robot
     surfaces = [_surface(surface) for surface in model.surfaces]
+    observer = model.observer
     return {
         "name": identifier(robot.name),
         "remarks": remarks(model),
@@ -61,7 +72,12 @@ def _content(model: ExportModel) -> dict[str, object]:
         "armature": _row(model.armature),
         "coupled": model.coupling == "gyroscopic" and bool(model.rotor.any()),
         "coupling": _row(np.where(chain.prismatic, 0.0, gear_ratios(robot) * model.rotor)),
+        "springs": [_row(row) for row in model.springs] if model.springs.any() else [],
         "surfaces": surfaces,
+        "gain": real(observer.gain),
+        "limit": _row(np.nan_to_num(observer.limit, posinf=_NO_LIMIT)),
+        "stiction": _row(observer.stiction),
+        "slow": _row(observer.slow),
     }
 
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from seqid_cli.commands.job import any_poor, exit_code, listening
 from seqid_cli.commands.options import Output, RobotPath, Strict, positive
 from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.params.results.plan import PlanFile
-from seqid_cli.plan.options import PlanOptions
+from seqid_cli.params.results.plan import EffectSeparation, PlanFile
+from seqid_cli.plan.options import PlanOptions, What
 
 EXAMPLES = (
     "seqid plan all -r sample_logs/six_joint/robot.toml -o plan.json --trajectories moves",
     "seqid plan inertia -r sample_logs/six_joint/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
     " --trajectories moves",
+    "seqid plan discriminate -r robot.toml -p inertia.json --joint elbow"
+    " --between load_dependent_friction,gear_efficiency",
 )
 
 
@@ -30,9 +32,9 @@ def _share(value: float) -> float:
 
 _seconds = positive("time")
 
-What = Annotated[
-    Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"],
-    typer.Argument(help="The stage to record for, or a whole session."),
+Chosen = Annotated[
+    What,
+    typer.Argument(help="The stage to record for, a whole session, or two effects to tell apart."),
 ]
 PlanParameters = Annotated[
     list[Path] | None,
@@ -90,12 +92,23 @@ SpeedScale = Annotated[
         metavar="X", callback=_share, help="Slow the files down, for the first run on the robot."
     ),
 ]
+Between = Annotated[
+    str | None,
+    typer.Option(metavar="EFFECT,EFFECT", help="Of discriminate: the two effects to tell apart."),
+]
+OfJoint = Annotated[
+    str | None, typer.Option("--joint", metavar="JOINT", help="Of discriminate: where they are.")
+]
+Load = Annotated[
+    float,
+    typer.Option(metavar="KG", min=0.0, help="Of payload: the heaviest, for the torque limits."),
+]
 Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Of the moves that are drawn.")]
 
 
 def run(
     context: typer.Context,
-    what: What,
+    what: Chosen,
     robot: RobotPath,
     parameters: PlanParameters = None,
     have: Have = None,
@@ -108,6 +121,9 @@ def run(
     share: LimitShare = PlanOptions.share,
     lock: Lock = None,
     speed_scale: SpeedScale = PlanOptions.speed_scale,
+    between: Between = None,
+    joint: OfJoint = None,
+    load: Load = PlanOptions.load_kg,
     seed: Seed = PlanOptions.seed,
     strict: Strict = False,
 ) -> int:
@@ -127,6 +143,9 @@ def run(
             share=share,
             locked=tuple(lock or ()),
             speed_scale=speed_scale,
+            between=tuple(between.split(",")) if between else (),
+            joint=joint,
+            load_kg=load,
         )
         file = plan.plan(
             what,
@@ -160,6 +179,8 @@ def _show(screen: Screen, plan: PlanFile) -> None:
     for name, stage in plan.stages.items():
         for note in stage.notes:
             screen.remark(note)
+        if stage.separation:
+            _show_separation(screen, stage.separation)
         if stage.rank is None:
             continue
         screen.table(
@@ -167,9 +188,10 @@ def _show(screen: Screen, plan: PlanFile) -> None:
             [(p.name, number(p.value), number(p.std_error), p.unit) for p in stage.parameters],
         )
         errors = ", ".join(f"{joint} {number(x)}" for joint, x in stage.torque_error.items())
+        tail = f"; torque error by the parameters, N m: {errors}" if errors else ""
         screen.result(
             f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
-            f" {number(stage.condition)}; torque error by the parameters, N m: {errors}"
+            f" {number(stage.condition)}{tail}"
         )
         if stage.not_excited:
             screen.remark(f"not excited: {'; '.join(stage.not_excited)}")
@@ -183,3 +205,14 @@ def _show(screen: Screen, plan: PlanFile) -> None:
         f"{len(plan.moves)} moves, {plan.duration_s:.0f} s of motion,"
         f" {plan.total_s:.0f} s with the ways between them"
     )
+
+
+def _show_separation(screen: Screen, told: EffectSeparation) -> None:
+    first, second = told.between
+    screen.result(
+        f"{first} or {second}, of {number(told.size)} N m RMS: the right one is found with"
+        f" probability {percent(told.power)}; 95 % need {number(told.seconds_needed)} s"
+    )
+    screen.result(f"either imitates up to {percent(told.imitated)} of the other on these moves")
+    if told.special_case:
+        screen.remark(f"{told.special_case} is a special case of the other: it can be refuted only")

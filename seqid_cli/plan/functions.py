@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
@@ -16,12 +16,10 @@ from seqid_cli.params.files import check_output, writing
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import ParameterFile, Stages
-from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.options import PlanOptions, What
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
-
-What = Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"]
 
 
 def plan(
@@ -38,8 +36,9 @@ def plan(
 
     Parameters
     ----------
-    what : {"friction", "gravity", "imu-calib", "inertia", "validation", "all"}
-        The stage to record for, or a whole session.
+    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", "all", \
+"discriminate"}
+        The stage to record for, a whole session, or the question which of two effects it is.
     robot : path or Robot
         Limits are the tighter of the robot file's and its URDF's.
     parameters : path or ParameterFile, or a sequence of them
@@ -59,7 +58,7 @@ def plan(
     target, folder = optional(output), optional(trajectories)
     files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
     inputs = [*([Path(robot)] if is_place(robot) else []), *files]  # type: ignore[arg-type]
-    _check(what, options, logs, target, folder, inputs)
+    _check(what, options, given, logs, target, folder, inputs)
     found = expanded(logs)
     # The robot file comes first: its faults are reported before a parameter file's faults.
     arm = robot_of(robot, ())
@@ -84,6 +83,7 @@ def plan(
 def _check(
     what: str,
     options: PlanOptions,
+    parameters: Sequence[object],
     have: Sequence[object],
     output: Path | None,
     trajectories: Path | None,
@@ -101,6 +101,12 @@ def _check(
         total, length = options.duration_s, options.length_s
         message = f"--duration {total:g} s is shorter than one move of {length:g} s"
         raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
+    if what in ("payload", "discriminate") and not parameters:
+        hint = "Give -p with the result of seqid inertia."
+        raise UsageError(f"{what} is planned for a model that is identified", hint=hint)
+    if (what == "discriminate") != bool(options.between):
+        hint = "As in plan discriminate --between stribeck,quadratic_drag --joint elbow."
+        raise UsageError("discriminate needs --between, and no other plan takes it", hint=hint)
     if have and what not in ("inertia", "all"):
         hint = "Leave it out, or plan the inertia stage."
         raise UsageError(f"--have counts for the inertia stage, not for {what}", hint=hint)

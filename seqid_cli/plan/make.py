@@ -21,10 +21,12 @@ from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.discriminate import plan_discriminate
 from seqid_cli.plan.stages.friction import plan_friction
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.imu import plan_imu
 from seqid_cli.plan.stages.inertia import Planned, plan_inertia
+from seqid_cli.plan.stages.payload import plan_payload
 from seqid_cli.plan.stages.validation import plan_validation
 from seqid_cli.robot.types import Array, Robot
 
@@ -73,6 +75,7 @@ def make_plan(
         stages={name: planned.stage for name, planned in found.items()},
         duration_s=sum(durations),
         total_s=sum(durations) + _ways(moves, limits, names),
+        speed_scale=options.speed_scale,
         verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned.stage)],
         notes=_notes(belief),
     )
@@ -94,15 +97,15 @@ def _planned(
     known: Array,
 ) -> Planned:
     """Plan a stage; inertia adds to what is `known` (b, b) by logs and by the gravity plan."""
-    if name == "friction":
-        return plan_friction(belief, options)
-    if name == "gravity":
-        return plan_gravity(belief, stages, options)
+    if name == "inertia":
+        return plan_inertia(belief, stages, options, known)
     if name == "imu-calib":
         return plan_imu(belief, options)
-    if name == "validation":
-        return plan_validation(belief, options)
-    return plan_inertia(belief, stages, options, known)
+    if name in ("friction", "validation"):
+        make = plan_friction if name == "friction" else plan_validation
+        return make(belief, options)
+    others = {"gravity": plan_gravity, "payload": plan_payload, "discriminate": plan_discriminate}
+    return others[name](belief, stages, options)
 
 
 def _limits(limits: Limits, j: int) -> JointLimits:
@@ -126,7 +129,15 @@ def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) ->
     return total
 
 
-def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
+def _verdicts(what: str, stage: PlannedStage, *, most_imitated: float = 0.95) -> list[Verdict]:
+    told = stage.separation
+    if told is not None:
+        reason = (
+            f"{' and '.join(told.between)}: either imitates up to {told.imitated:.0%} of the other"
+        )
+        return [Verdict(good=told.imitated <= most_imitated, reason=reason)]
+    if what == "discriminate":
+        return [Verdict(good=False, reason=stage.notes[0])]
     if stage.rank is None or stage.structural_rank is None:
         return []
     reason = f"{what}: rank {stage.rank} of {stage.structural_rank}"

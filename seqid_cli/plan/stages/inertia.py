@@ -62,6 +62,24 @@ def plan_inertia(
     """
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
+    moves, coarse, each = optimised(belief, goal, options, known, "inertia")
+    stage = predicted_stage(belief, goal, stages, coarse.every(SPARSE), each, known)
+    return Planned(moves, stage)
+
+
+def optimised(
+    belief: Belief, goal: Goal, options: PlanOptions, known: Array, stage: str
+) -> tuple[list[PlannedMove], Moves, Array]:
+    """Draw, choose and refine moves for a goal.
+
+    Returns
+    -------
+    moves : list of PlannedMove
+    coarse : Moves
+        The same on few samples.
+    each : (M, b, b) array
+        Their scaled information.
+    """
     shapes = Shapes.over(options.length_s, COARSE_HZ)
     count = max(1, int(options.duration_s / options.length_s))
     groups = groups_of(belief.limits, together=options.together)
@@ -73,8 +91,7 @@ def plan_inertia(
     drawn, moves = within_torque(belief, refined, options)
     coarse = shapes.moves(drawn, belief.limits)
     each, _ = assess(belief, goal, coarse)
-    stage = predicted_stage(belief, goal, stages, coarse.every(SPARSE), each, known)
-    return Planned(described(belief, drawn, moves, options), stage)
+    return described(belief, drawn, moves, options, stage), coarse, each
 
 
 def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
@@ -115,7 +132,7 @@ def _dense_overload(belief: Belief, moves: Moves) -> Array:
 
 
 def described(
-    belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions
+    belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions, stage: str
 ) -> list[PlannedMove]:
     """The moves in the form of the plan file."""
     names = belief.robot.joint_names
@@ -128,8 +145,8 @@ def described(
         motions = {names[int(j)]: _fourier(moves, drawn, k, int(j)) for j in moving}
         found.append(
             PlannedMove(
-                name=f"inertia_{k + 1:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
-                stage="inertia",
+                name=f"{stage}_{k + 1:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
+                stage=stage,
                 joints=joints,
                 duration_s=options.length_s,
                 start={name: float(x) for name, x in zip(names, start, strict=True)},

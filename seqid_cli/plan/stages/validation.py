@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 
 from seqid_cli.params.results.plan import PlannedStage
@@ -32,8 +31,5 @@ def plan_validation(
     pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
     check_torque(belief, pool, own)
     drawn, moves = within_torque(belief, pool.drawn[slice(count)], own)
-    named = [
-        msgspec.structs.replace(move, name=f"validation_{k}", stage="validation")
-        for k, move in enumerate(described(belief, drawn, moves, own), start=1)
-    ]
+    named = described(belief, drawn, moves, own, "validation")
     return Planned(named, PlannedStage(duration_s=own.length_s * len(named)))

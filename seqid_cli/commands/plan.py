@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +19,7 @@ EXAMPLES = (
     "seqid plan inertia -r sample_logs/six_joint/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
     " --trajectories moves",
-    "seqid plan discriminate -r robot.toml -p inertia.json --joint elbow"
+    "seqid plan discriminate -r sample_logs/six_joint/robot.toml -p inertia.json --joint elbow"
     " --between load_dependent_friction,gear_efficiency",
 )
 
@@ -28,6 +29,17 @@ def _share(value: float) -> float:
         message = f"{value} is not above 0 and at most 1"
         raise typer.BadParameter(message)
     return value
+
+
+def _box(text: str) -> tuple[float, ...]:
+    try:
+        corners = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        corners = ()
+    if len(corners) != 6 or not all(map(isfinite, corners)):
+        message = f"{text!r} is not six numbers x,y,z,x,y,z"
+        raise typer.BadParameter(message)
+    return corners
 
 
 _seconds = positive("time")
@@ -55,7 +67,7 @@ Have = Annotated[
 ]
 Trajectories = Annotated[
     Path | None,
-    typer.Option(metavar="FOLDER", help="Where each move goes as a CSV file; made if missing."),
+    typer.Option(metavar="FOLDER", help="Where the moves go as CSV, ROS 2 and UR files."),
 ]
 Duration = Annotated[
     float,
@@ -103,6 +115,13 @@ Load = Annotated[
     float,
     typer.Option(metavar="KG", min=0.0, help="Of payload: the heaviest, for the torque limits."),
 ]
+KeepOut = Annotated[
+    list[str] | None,
+    typer.Option(metavar="BOX", help="Box that no link enters: x,y,z,x,y,z in m; repeat it."),
+]
+Workspace = Annotated[
+    str | None, typer.Option(metavar="BOX", help="Box that no link leaves: x,y,z,x,y,z in m.")
+]
 Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Of the moves that are drawn.")]
 
 
@@ -124,6 +143,8 @@ def run(
     between: Between = None,
     joint: OfJoint = None,
     load: Load = PlanOptions.load_kg,
+    keep_out: KeepOut = None,
+    workspace: Workspace = None,
     seed: Seed = PlanOptions.seed,
     strict: Strict = False,
 ) -> int:
@@ -146,6 +167,8 @@ def run(
             between=tuple(between.split(",")) if between else (),
             joint=joint,
             load_kg=load,
+            keep_out=tuple(_box(text) for text in keep_out or ()),
+            workspace=None if workspace is None else _box(workspace),
         )
         file = plan.plan(
             what,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from seqid_cli.errors import UsageError
+from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
 from seqid_cli.params.document import join
@@ -19,7 +19,9 @@ from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.plan.options import PlanOptions, What
 
 if TYPE_CHECKING:
+    from seqid_cli.plan.limits import Limits
     from seqid_cli.robot.types import Robot
+    from seqid_cli.robot.urdf.geometry import Geometry
 
 
 def plan(
@@ -47,7 +49,7 @@ def plan(
     have : path, table, recording, or a sequence of them
         Logs that the inertia stage will get as well.
     output, trajectories : path, optional
-        Where the plan goes, and the folder for a CSV file of each move.
+        Where the plan goes, and the folder for the files of each move.
 
     Raises
     ------
@@ -72,9 +74,10 @@ def plan(
     limits = limits_of(arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked)
     ids = [model_id(name, file, files) for name, file in models]
     recorded = LogSet(found, arm).again(imus=False)
-    made = make_plan(what, arm, limits, stages, options, ids, recorded)
+    geometry = _geometry(arm, limits, options)
+    made = make_plan(what, arm, limits, stages, options, ids, recorded, geometry)
     if folder is not None:
-        made = _with_trajectories(made, folder, options.speed_scale)
+        made = _with_trajectories(made, folder, arm, options.speed_scale)
     if target is not None:
         write_json_atomic(target, made, inputs=inputs)
     return made
@@ -112,10 +115,31 @@ def _check(
         raise UsageError(f"--have counts for the inertia stage, not for {what}", hint=hint)
 
 
-def _with_trajectories(plan: PlanFile, folder: Path, speed_scale: float) -> PlanFile:
-    from seqid_cli.plan.moves.trajectories import write_csv
+def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | None:
+    """The arm's shapes and the boxes around it; None where the URDF has no shapes.
+
+    Raises
+    ------
+    ConfigError
+        Boxes are given for an arm without shapes.
+    """
+    import numpy as np
+
+    from seqid_cli.plan.moves.strokes import postures_of
+    from seqid_cli.robot.urdf.geometry import geometry_of
+
+    postures = postures_of(limits, 200, np.random.default_rng(0))
+    found = geometry_of(robot, postures, options.keep_out, options.workspace)
+    if found is None and (options.keep_out or options.workspace):
+        hint = "Give a URDF with <collision> shapes and their meshes, or leave the boxes out."
+        message = "--workspace and --keep-out need the shapes of the links"
+        raise ConfigError(message, where=str(robot.source), hint=hint)
+    return found
+
+
+def _with_trajectories(plan: PlanFile, folder: Path, robot: Robot, scale: float) -> PlanFile:
+    from seqid_cli.plan.moves.files import write_moves
 
     with writing(folder):
         folder.mkdir(exist_ok=True)
-    moves = write_csv(folder, plan.moves, plan.robot.joints, speed_scale)
-    return structs.replace(plan, moves=moves)
+    return structs.replace(plan, moves=write_moves(folder, plan.moves, robot, scale))

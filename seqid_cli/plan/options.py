@@ -22,6 +22,8 @@ class PlanOptions:
     are kept still, and `speed_scale` slows down the files, for the first run on the robot.
     `between` are the two effects at `joint` to tell apart, `size_share` their torque over the
     joint's usual one. `load_kg` is the heaviest payload, with which torques are checked.
+    No link comes into the boxes `keep_out` or out of `workspace`: x, y, z of two corners, m in the
+    base frame.
     """
 
     duration_s: float = 150.0
@@ -39,6 +41,8 @@ class PlanOptions:
     joint: str | None = None
     size_share: float = 0.05
     load_kg: float = 0.0
+    keep_out: tuple[tuple[float, ...], ...] = ()
+    workspace: tuple[float, ...] | None = None
 
     @property
     def length_s(self) -> float:

@@ -48,7 +48,8 @@ class PlannedMove(Struct, kw_only=True):
 
     `start` is where all joints stand before. Joints move by `fourier` or, one after the other way,
     by `strokes` of the only joint in `joints`; all others stay. `torque_share` is the largest
-    torque that is expected, three standard errors added, over the joint's limit (null: not known).
+    torque that is expected, three standard errors added, over the joint's limit (null: not known);
+    `torque` that torque (N m) in equal parts of the time, by joint (empty: not known).
     """
 
     name: str
@@ -59,6 +60,7 @@ class PlannedMove(Struct, kw_only=True):
     fourier: dict[str, FourierMotion] = {}
     strokes: list[Stroke] = []
     torque_share: float | None = None
+    torque: dict[str, list[float]] = {}
     file: str = ""
 
 

@@ -22,13 +22,14 @@ from seqid_cli.plan.moves.strokes import (
     REST_S,
     overloads,
     postures_of,
+    reachable,
     stroke_move,
     there_and_back,
     top_speed,
 )
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, draw_pool
-from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_torque
+from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_limits
 from seqid_cli.plan.stages.separation import Question, Separation, scenes_of, separation_of
 from seqid_cli.robot.types import Robot
 
@@ -130,7 +131,7 @@ def _pool(
         pool = draw_pool(slower, goal, shapes, groups, each, rng)
         if pool.joints:
             found += described(
-                slower, *within_torque(slower, pool.drawn, options), options, "discriminate"
+                slower, *within_limits(slower, pool.drawn, options), options, "discriminate"
             )
         elif pace == min(PACES) and not found:
             check_torque(slower, pool, options)
@@ -148,13 +149,13 @@ def _strokes(
     for speed in np.geomspace(0.03 * fastest, fastest, speeds):
         ramp = np.pi * speed / (2.0 * limits.acceleration[j])
         way = speed * (max(seconds / 2 - 1.5 * REST_S, 2.0 * ramp) - ramp)
-        half = min(way, float(limits.range[j])) / 2
-        for posture in postures_of(limits, 4, rng):
-            if overloads(belief, j, posture[None], float(speed))[0] > 1.0:
+        postures, spans = reachable(belief, j, postures_of(limits, 4, rng), 1.0, 0.3)
+        for posture, (low, high) in zip(postures, spans, strict=True):
+            half = min(way, high - low) / 2
+            if half <= ramp * speed / 2 or overloads(belief, j, posture[None], speed)[0] > 1.0:
                 continue
-            middle = float(np.clip(posture[j], limits.lower[j] + half, limits.upper[j] - half))
-            ends = (middle - half, middle + half)
-            strokes = there_and_back(limits, j, [float(speed)], ends)
+            middle = float(np.clip(posture[j], low + half, high - half))
+            strokes = there_and_back(limits, j, [float(speed)], (middle - half, middle + half))
             found.append(stroke_move(belief, "stroke", "discriminate", j, posture, strokes))
     return found
 

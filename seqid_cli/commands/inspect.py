@@ -25,13 +25,20 @@ OptionalRobot = Annotated[
     Path | None,
     typer.Option("-r", "--robot", metavar="FILE", help="Robot file; guessed when left out."),
 ]
-StrictErrors = Annotated[bool, typer.Option("--strict", help="Exit with 1 on warnings as well.")]
+Plan = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="A plan: say which of its moves these logs hold."),
+]
+StrictErrors = Annotated[
+    bool, typer.Option("--strict", help="Exit with 1 on warnings and unrecorded moves as well.")
+]
 
 
 def run(
     context: typer.Context,
     logs: Logs,
     robot: OptionalRobot = None,
+    plan: Plan = None,
     output: Output = None,
     time: Clock = "header",
     strict: StrictErrors = False,
@@ -44,7 +51,7 @@ def run(
     with listening(screen_of(context)) as told:
         from seqid_cli.inspect import inspect
 
-        report = inspect(logs, robot, time_source=time, output=output, on_progress=told)
+        report = inspect(logs, robot, time_source=time, plan=plan, output=output, on_progress=told)
     screen = told.screen
     screen.document(report)
     show_inspection(screen, report)
@@ -61,6 +68,7 @@ def _exit_code(screen: Screen, report: InspectionFile, *, strict: bool) -> int:
         sys.stderr.write(visible(f"{said}  hint: {first.remedy}\n"))
         return EXIT_UNREADABLE
     grave = ("error", "warning") if strict else ("error",)
-    if any(finding.severity in grave for finding in report.findings):
+    lacking = strict and any(part.status != "recorded" for part in report.planned)
+    if lacking or any(finding.severity in grave for finding in report.findings):
         return EXIT_UNTRUSTED
     return EXIT_PARTIAL if any(log.partial for log in report.logs) else EXIT_DONE

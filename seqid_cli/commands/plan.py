@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from seqid_cli.commands.job import any_poor, exit_code, listening
 from seqid_cli.commands.options import Output, RobotPath, Strict, positive
 from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.params.results.plan import PlanFile
-from seqid_cli.plan.options import PlanOptions
+from seqid_cli.params.results.plan import EffectSeparation, PlanFile
+from seqid_cli.plan.options import PlanOptions, What
 
 EXAMPLES = (
     "seqid plan all -r sample_logs/six_joint/robot.toml -o plan.json --trajectories moves",
     "seqid plan inertia -r sample_logs/six_joint/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
     " --trajectories moves",
+    "seqid plan discriminate -r sample_logs/six_joint/robot.toml -p inertia.json --joint elbow"
+    " --between load_dependent_friction,gear_efficiency",
 )
 
 
@@ -28,11 +31,22 @@ def _share(value: float) -> float:
     return value
 
 
+def _box(text: str) -> tuple[float, ...]:
+    try:
+        corners = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        corners = ()
+    if len(corners) != 6 or not all(map(isfinite, corners)):
+        message = f"{text!r} is not six numbers x,y,z,x,y,z"
+        raise typer.BadParameter(message)
+    return corners
+
+
 _seconds = positive("time")
 
-What = Annotated[
-    Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"],
-    typer.Argument(help="The stage to record for, or a whole session."),
+Chosen = Annotated[
+    What,
+    typer.Argument(help="The stage to record for, a whole session, or two effects to tell apart."),
 ]
 PlanParameters = Annotated[
     list[Path] | None,
@@ -53,7 +67,7 @@ Have = Annotated[
 ]
 Trajectories = Annotated[
     Path | None,
-    typer.Option(metavar="FOLDER", help="Where each move goes as a CSV file; made if missing."),
+    typer.Option(metavar="FOLDER", help="Where the moves go as CSV, ROS 2 and UR files."),
 ]
 Duration = Annotated[
     float,
@@ -90,12 +104,30 @@ SpeedScale = Annotated[
         metavar="X", callback=_share, help="Slow the files down, for the first run on the robot."
     ),
 ]
+Between = Annotated[
+    str | None,
+    typer.Option(metavar="EFFECT,EFFECT", help="Of discriminate: the two effects to tell apart."),
+]
+OfJoint = Annotated[
+    str | None, typer.Option("--joint", metavar="JOINT", help="Of discriminate: where they are.")
+]
+Load = Annotated[
+    float,
+    typer.Option(metavar="KG", min=0.0, help="Of payload: the heaviest, for the torque limits."),
+]
+KeepOut = Annotated[
+    list[str] | None,
+    typer.Option(metavar="BOX", help="Box that no link enters: x,y,z,x,y,z in m; repeat it."),
+]
+Workspace = Annotated[
+    str | None, typer.Option(metavar="BOX", help="Box that no link leaves: x,y,z,x,y,z in m.")
+]
 Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Of the moves that are drawn.")]
 
 
 def run(
     context: typer.Context,
-    what: What,
+    what: Chosen,
     robot: RobotPath,
     parameters: PlanParameters = None,
     have: Have = None,
@@ -108,6 +140,11 @@ def run(
     share: LimitShare = PlanOptions.share,
     lock: Lock = None,
     speed_scale: SpeedScale = PlanOptions.speed_scale,
+    between: Between = None,
+    joint: OfJoint = None,
+    load: Load = PlanOptions.load_kg,
+    keep_out: KeepOut = None,
+    workspace: Workspace = None,
     seed: Seed = PlanOptions.seed,
     strict: Strict = False,
 ) -> int:
@@ -127,6 +164,11 @@ def run(
             share=share,
             locked=tuple(lock or ()),
             speed_scale=speed_scale,
+            between=tuple(between.split(",")) if between else (),
+            joint=joint,
+            load_kg=load,
+            keep_out=tuple(_box(text) for text in keep_out or ()),
+            workspace=None if workspace is None else _box(workspace),
         )
         file = plan.plan(
             what,
@@ -160,6 +202,8 @@ def _show(screen: Screen, plan: PlanFile) -> None:
     for name, stage in plan.stages.items():
         for note in stage.notes:
             screen.remark(note)
+        if stage.separation:
+            _show_separation(screen, stage.separation)
         if stage.rank is None:
             continue
         screen.table(
@@ -167,9 +211,10 @@ def _show(screen: Screen, plan: PlanFile) -> None:
             [(p.name, number(p.value), number(p.std_error), p.unit) for p in stage.parameters],
         )
         errors = ", ".join(f"{joint} {number(x)}" for joint, x in stage.torque_error.items())
+        tail = f"; torque error by the parameters, N m: {errors}" if errors else ""
         screen.result(
             f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
-            f" {number(stage.condition)}; torque error by the parameters, N m: {errors}"
+            f" {number(stage.condition)}{tail}"
         )
         if stage.not_excited:
             screen.remark(f"not excited: {'; '.join(stage.not_excited)}")
@@ -183,3 +228,14 @@ def _show(screen: Screen, plan: PlanFile) -> None:
         f"{len(plan.moves)} moves, {plan.duration_s:.0f} s of motion,"
         f" {plan.total_s:.0f} s with the ways between them"
     )
+
+
+def _show_separation(screen: Screen, told: EffectSeparation) -> None:
+    first, second = told.between
+    screen.result(
+        f"{first} or {second}, of {number(told.size)} N m RMS: the right one is found with"
+        f" probability {percent(told.power)}; 95 % need {number(told.seconds_needed)} s"
+    )
+    screen.result(f"either imitates up to {percent(told.imitated)} of the other on these moves")
+    if told.special_case:
+        screen.remark(f"{told.special_case} is a special case of the other: it can be refuted only")

@@ -9,7 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from seqid_cli.commands.render import Screen, number, percent
-from seqid_cli.params.results.inspection import InspectedLog, InspectionFile, InspectionFinding
+from seqid_cli.params.results.inspection import (
+    InspectedLog,
+    InspectionFile,
+    InspectionFinding,
+    PlannedPart,
+)
 
 _WORDS = {
     "good": "nothing wrong was found",
@@ -36,8 +41,20 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
         _details(screen, log)
     if readable and not detailed:
         screen.note("joints and moves of each log: add -v")
+    _planned(screen, file.planned)
     for line in file.advice:
         screen.note(f"next: {line}")
+
+
+def _planned(screen: Screen, parts: Sequence[PlannedPart]) -> None:
+    """Print what is still to record of a plan."""
+    if not parts:
+        return
+    open_ = [part for part in parts if part.status != "recorded"]
+    columns = ("still to record", "stage", "status", "why", "log")
+    rows = [(p.move, p.stage, p.status, p.reason or "-", p.log or "-") for p in open_]
+    screen.table(columns, rows)
+    screen.result(f"plan: {len(parts) - len(open_)} of {len(parts)} moves are recorded")
 
 
 def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:

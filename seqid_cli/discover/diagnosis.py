@@ -38,8 +38,9 @@ from seqid_cli.discover.survey.events import GATE, Interval
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
+from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import fitted_effects
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.results.diagnosis import (
@@ -213,7 +214,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
         name_confidence=name.by_itself,
         explains=_explains(found, taken),
         confusable_with=list(name.others),
-        separate_by=effect.separate_by,
+        separate_by=separate_by(effect, name.others, robot, what.joint),
         gain=taken.one.predicted.share,
         parameters=[
             EffectParameter(name=v.name, value=v.value, std_error=v.std_error, unit=v.unit)
@@ -225,6 +226,24 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
         evidence=evidence_of(found, robot, taken),
         rivals=rivals_of(robot, taken, name.others),
     )
+
+
+def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int | None) -> str:
+    """What to record, and the command that plans it against the first rival where it can."""
+    known = catalogue_of(robot)
+    whole = joint is None
+    rivals = [
+        name
+        for name in others
+        if name in known
+        and known[name].by_motion
+        and (not whole or known[name].arm or known[name].shared)
+    ]
+    if not rivals or not effect.by_motion:
+        return effect.separate_by
+    where = "" if joint is None else f" --joint {robot.joint_names[joint]}"
+    between = f"--between {effect.name},{rivals[0]}{where}"
+    return f"{effect.separate_by}; seqid plan discriminate {between} plans it"
 
 
 def _explains(found: Investigation, taken: Taken) -> float:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec import structs
+
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
 from seqid_cli.params.files import check_output
@@ -24,6 +26,7 @@ def inspect(
     robot: PathLike | Robot | None = None,
     *,
     time_source: TimeSource = "header",
+    plan: PathLike | None = None,
     output: PathLike | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
@@ -37,6 +40,8 @@ def inspect(
         Torque and IMUs are compared with its geometry; joints are guessed without it.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
+    plan : path, optional
+        A plan file: which of its moves are recorded goes into `planned`.
     output : path, optional
         Where the inspection goes.
     on_progress : callable, optional
@@ -53,10 +58,17 @@ def inspect(
         raise UsageError("a recording has been read already", hint="Give its path or its table.")
     if target is not None:
         check_output(target, [*files, *([Path(robot)] if is_place(robot) else [])])  # type: ignore[arg-type]
+    if plan is not None and robot is None:
+        raise UsageError("--plan needs the robot file", hint="Give it with -r.")
     arm = load_robot(Path(robot)) if is_place(robot) else robot  # type: ignore[arg-type]
     from seqid_cli.inspect.inspection import inspect_logs
 
     report = inspect_logs(files, arm, time_source=time_source, on_progress=on_progress)  # type: ignore[arg-type]
+    if plan is not None:
+        from seqid_cli.plan.recorded import recorded_parts
+
+        parts = recorded_parts(Path(plan), arm, files, time_source)  # type: ignore[arg-type]
+        report = structs.replace(report, planned=parts)
     if target is not None:
         write_json_atomic(target, report, inputs=files)
     return report

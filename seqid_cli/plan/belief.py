@@ -8,9 +8,11 @@ surface, of standard deviation r, changes slowly: it adds r^2 over `friction_hz`
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
@@ -30,6 +32,9 @@ from seqid_cli.robot.base_parameters import (
     standard_names,
 )
 from seqid_cli.robot.types import Array, Robot
+
+if TYPE_CHECKING:
+    from seqid_cli.robot.urdf.geometry import Geometry
 
 NOISE_HZ = 25.0  # the bandwidth of that noise
 
@@ -62,6 +67,28 @@ class Belief:
     prior: Array
     slow: Array
     noise_origin: str
+    geometry: Geometry | None = None
+
+    def collides(self, q: Array) -> NDArray[np.bool_]:
+        """Return which of moves or sweeps q (M, N, n) rad touch something."""
+        if self.geometry is None:
+            return np.zeros(len(q), dtype=bool)
+        return np.array([self.geometry.collides(one).any() for one in q])
+
+    def free_span(self, j: int, posture: Array, *, points: int = 60) -> tuple[float, float]:
+        """The longest part of joint j's range that touches nothing, all others at `posture`."""
+        low, high = float(self.limits.lower[j]), float(self.limits.upper[j])
+        if self.geometry is None:
+            return low, high
+        places = np.linspace(low, high, points)
+        q = np.tile(posture, (points, 1))
+        q[:, j] = places
+        edges = np.flatnonzero(np.diff(np.r_[True, self.geometry.collides(q), True]))
+        if not len(edges):
+            return low, low
+        starts, ends = edges[::2], edges[1::2] - 1
+        best = int(np.argmax(ends - starts))
+        return float(places[starts[best]]), float(places[ends[best]])
 
     @property
     def checks_torque(self) -> bool:
@@ -101,7 +128,14 @@ class Belief:
         return np.asarray(share.max(axis=(1, 2)))
 
 
-def belief_of(robot: Robot, stages: Stages, limits: Limits, *, rest_share: float = 0.02) -> Belief:
+def belief_of(
+    robot: Robot,
+    stages: Stages,
+    limits: Limits,
+    *,
+    geometry: Geometry | None = None,
+    rest_share: float = 0.02,
+) -> Belief:
     """Collect the knowledge of a robot from stages and the URDF."""
     basis = free_basis(robot)
     surfaces = friction_surfaces(stages, robot)
@@ -111,7 +145,7 @@ def belief_of(robot: Robot, stages: Stages, limits: Limits, *, rest_share: float
     slow = np.maximum(slowest_speeds(surfaces), rest_share * limits.speed)
     blank = Belief(robot, basis, limits, surfaces, theta, root, np.ones(robot.n), known, slow, "")
     density, origin = _density(blank, stages)
-    return Belief(robot, basis, limits, surfaces, theta, root, density, known, slow, origin)
+    return replace(blank, density=density, noise_origin=origin, geometry=geometry)
 
 
 def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from seqid_cli.errors import UsageError
+from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
 from seqid_cli.params.document import join
@@ -16,12 +16,12 @@ from seqid_cli.params.files import check_output, writing
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import ParameterFile, Stages
-from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.options import PlanOptions, What
 
 if TYPE_CHECKING:
+    from seqid_cli.plan.limits import Limits
     from seqid_cli.robot.types import Robot
-
-What = Literal["friction", "gravity", "imu-calib", "inertia", "validation", "all"]
+    from seqid_cli.robot.urdf.geometry import Geometry
 
 
 def plan(
@@ -38,8 +38,9 @@ def plan(
 
     Parameters
     ----------
-    what : {"friction", "gravity", "imu-calib", "inertia", "validation", "all"}
-        The stage to record for, or a whole session.
+    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", "all", \
+"discriminate"}
+        The stage to record for, a whole session, or the question which of two effects it is.
     robot : path or Robot
         Limits are the tighter of the robot file's and its URDF's.
     parameters : path or ParameterFile, or a sequence of them
@@ -48,7 +49,7 @@ def plan(
     have : path, table, recording, or a sequence of them
         Logs that the inertia stage will get as well.
     output, trajectories : path, optional
-        Where the plan goes, and the folder for a CSV file of each move.
+        Where the plan goes, and the folder for the files of each move.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def plan(
     target, folder = optional(output), optional(trajectories)
     files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
     inputs = [*([Path(robot)] if is_place(robot) else []), *files]  # type: ignore[arg-type]
-    _check(what, options, logs, target, folder, inputs)
+    _check(what, options, given, logs, target, folder, inputs)
     found = expanded(logs)
     # The robot file comes first: its faults are reported before a parameter file's faults.
     arm = robot_of(robot, ())
@@ -73,9 +74,10 @@ def plan(
     limits = limits_of(arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked)
     ids = [model_id(name, file, files) for name, file in models]
     recorded = LogSet(found, arm).again(imus=False)
-    made = make_plan(what, arm, limits, stages, options, ids, recorded)
+    geometry = _geometry(arm, limits, options)
+    made = make_plan(what, arm, limits, stages, options, ids, recorded, geometry)
     if folder is not None:
-        made = _with_trajectories(made, folder, options.speed_scale)
+        made = _with_trajectories(made, folder, arm, options.speed_scale)
     if target is not None:
         write_json_atomic(target, made, inputs=inputs)
     return made
@@ -84,6 +86,7 @@ def plan(
 def _check(
     what: str,
     options: PlanOptions,
+    parameters: Sequence[object],
     have: Sequence[object],
     output: Path | None,
     trajectories: Path | None,
@@ -101,15 +104,42 @@ def _check(
         total, length = options.duration_s, options.length_s
         message = f"--duration {total:g} s is shorter than one move of {length:g} s"
         raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
+    if what in ("payload", "discriminate") and not parameters:
+        hint = "Give -p with the result of seqid inertia."
+        raise UsageError(f"{what} is planned for a model that is identified", hint=hint)
+    if (what == "discriminate") != bool(options.between):
+        hint = "As in plan discriminate --between stribeck,quadratic_drag --joint elbow."
+        raise UsageError("discriminate needs --between, and no other plan takes it", hint=hint)
     if have and what not in ("inertia", "all"):
         hint = "Leave it out, or plan the inertia stage."
         raise UsageError(f"--have counts for the inertia stage, not for {what}", hint=hint)
 
 
-def _with_trajectories(plan: PlanFile, folder: Path, speed_scale: float) -> PlanFile:
-    from seqid_cli.plan.moves.trajectories import write_csv
+def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | None:
+    """The arm's shapes and the boxes around it; None where the URDF has no shapes.
+
+    Raises
+    ------
+    ConfigError
+        Boxes are given for an arm without shapes.
+    """
+    import numpy as np
+
+    from seqid_cli.plan.moves.strokes import postures_of
+    from seqid_cli.robot.urdf.geometry import geometry_of
+
+    postures = postures_of(limits, 200, np.random.default_rng(0))
+    found = geometry_of(robot, postures, options.keep_out, options.workspace)
+    if found is None and (options.keep_out or options.workspace):
+        hint = "Give a URDF with <collision> shapes and their meshes, or leave the boxes out."
+        message = "--workspace and --keep-out need the shapes of the links"
+        raise ConfigError(message, where=str(robot.source), hint=hint)
+    return found
+
+
+def _with_trajectories(plan: PlanFile, folder: Path, robot: Robot, scale: float) -> PlanFile:
+    from seqid_cli.plan.moves.files import write_moves
 
     with writing(folder):
         folder.mkdir(exist_ok=True)
-    moves = write_csv(folder, plan.moves, plan.robot.joints, speed_scale)
-    return structs.replace(plan, moves=moves)
+    return structs.replace(plan, moves=write_moves(folder, plan.moves, robot, scale))

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from msgspec import structs
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import now, robot_id, tool
@@ -20,13 +21,18 @@ from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
 from seqid_cli.plan.limits import Limits
+from seqid_cli.plan.moves.fourier import Moves
+from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.discriminate import plan_discriminate
 from seqid_cli.plan.stages.friction import plan_friction
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.imu import plan_imu
 from seqid_cli.plan.stages.inertia import Planned, plan_inertia
+from seqid_cli.plan.stages.payload import loaded, plan_payload
 from seqid_cli.plan.stages.validation import plan_validation
 from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.urdf.geometry import Geometry
 
 
 def make_plan(
@@ -37,6 +43,7 @@ def make_plan(
     options: PlanOptions,
     parameters: Sequence[FileId] = (),
     have: Iterable[Recording] = (),
+    geometry: Geometry | None = None,
 ) -> PlanFile:
     """Plan the moves of one stage, or of all in the order of the work.
 
@@ -47,7 +54,7 @@ def make_plan(
     ConfigError
         Nothing can be moved within the limits.
     """
-    belief = belief_of(robot, stages, limits)
+    belief = belief_of(robot, stages, limits, geometry=geometry)
     found: dict[str, Planned] = {}
     known = information_of(belief, have)
     for name in _stages(what, robot):
@@ -55,6 +62,9 @@ def make_plan(
         added = found[name].information
         known = known if added is None else known + added
     moves = [move for planned in found.values() for move in planned.moves]
+    if belief.theta is not None:
+        heavy = loaded(belief, options.load_kg)
+        moves = [_with_torque(heavy if m.stage == "payload" else belief, m) for m in moves]
     names = robot.joint_names
     noise = np.sqrt(2.0 / belief.density)
     durations = [move.duration_s for move in moves]
@@ -73,6 +83,7 @@ def make_plan(
         stages={name: planned.stage for name, planned in found.items()},
         duration_s=sum(durations),
         total_s=sum(durations) + _ways(moves, limits, names),
+        speed_scale=options.speed_scale,
         verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned.stage)],
         notes=_notes(belief),
     )
@@ -94,15 +105,29 @@ def _planned(
     known: Array,
 ) -> Planned:
     """Plan a stage; inertia adds to what is `known` (b, b) by logs and by the gravity plan."""
-    if name == "friction":
-        return plan_friction(belief, options)
-    if name == "gravity":
-        return plan_gravity(belief, stages, options)
+    if name == "inertia":
+        return plan_inertia(belief, stages, options, known)
     if name == "imu-calib":
         return plan_imu(belief, options)
-    if name == "validation":
-        return plan_validation(belief, options)
-    return plan_inertia(belief, stages, options, known)
+    if name in ("friction", "validation"):
+        make = plan_friction if name == "friction" else plan_validation
+        return make(belief, options)
+    others = {"gravity": plan_gravity, "payload": plan_payload, "discriminate": plan_discriminate}
+    return others[name](belief, stages, options)
+
+
+def _with_torque(
+    belief: Belief, move: PlannedMove, *, rate_hz: float = 50.0, points: int = 40
+) -> PlannedMove:
+    """The torque that is expected along a move: the largest of each of `points` parts of it."""
+    names = belief.robot.joint_names
+    t, *states = sampled(move, names, rate_hz)
+    moves = Moves(t, *(x[None] for x in states))
+    torque = belief.torque(moves, belief.regressor(moves))[0]
+    parts = np.array([part.max(axis=0) for part in np.array_split(torque, points)])
+    share = float((torque / belief.limits.torque).max()) if belief.checks_torque else None
+    shown = {name: [float(f"{x:.4g}") for x in parts[:, j]] for j, name in enumerate(names)}
+    return structs.replace(move, torque=shown, torque_share=share)
 
 
 def _limits(limits: Limits, j: int) -> JointLimits:
@@ -126,7 +151,15 @@ def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) ->
     return total
 
 
-def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
+def _verdicts(what: str, stage: PlannedStage, *, most_imitated: float = 0.95) -> list[Verdict]:
+    told = stage.separation
+    if told is not None:
+        reason = (
+            f"{' and '.join(told.between)}: either imitates up to {told.imitated:.0%} of the other"
+        )
+        return [Verdict(good=told.imitated <= most_imitated, reason=reason)]
+    if what == "discriminate":
+        return [Verdict(good=False, reason=stage.notes[0])]
     if stage.rank is None or stage.structural_rank is None:
         return []
     reason = f"{what}: rank {stage.rank} of {stage.structural_rank}"
@@ -143,6 +176,10 @@ def _notes(belief: Belief) -> list[str]:
         notes.append(f"no torque limit in a URDF, none was checked: {', '.join(open_ended)}")
     if not any(belief.surfaces):
         notes.append("friction is not known: it is not part of the torque that was checked")
+    if belief.geometry is None:
+        notes.append("no collision shapes in a URDF: watch the first run for collisions")
+    else:
+        notes.append("the ways between moves are not checked for collisions")
     still = names[~belief.limits.moves]
     if len(still):
         notes.append(f"kept still: {', '.join(still)}")

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+What = Literal[
+    "friction", "gravity", "imu-calib", "inertia", "payload", "validation", "all", "discriminate"
+]
 
 
 @dataclass(frozen=True)
@@ -15,6 +20,10 @@ class PlanOptions:
     times `ramp_s`), gets from rest to the largest speed in `ramp_s`, and uses a `share` of all
     limits, the rest of which is for the controller's overshoot; `locked` joints
     are kept still, and `speed_scale` slows down the files, for the first run on the robot.
+    `between` are the two effects at `joint` to tell apart, `size_share` their torque over the
+    joint's usual one. `load_kg` is the heaviest payload, with which torques are checked.
+    No link comes into the boxes `keep_out` or out of `workspace`: x, y, z of two corners, m in the
+    base frame.
     """
 
     duration_s: float = 150.0
@@ -28,6 +37,12 @@ class PlanOptions:
     share: float = 0.95
     locked: tuple[str, ...] = ()
     speed_scale: float = 1.0
+    between: tuple[str, ...] = ()
+    joint: str | None = None
+    size_share: float = 0.05
+    load_kg: float = 0.0
+    keep_out: tuple[tuple[float, ...], ...] = ()
+    workspace: tuple[float, ...] | None = None
 
     @property
     def length_s(self) -> float:

@@ -28,6 +28,7 @@ class Drift(Effect):
     over = "session_time"
     linear = (Coefficient("offset", "N m"), Coefficient("rate", "N m/s"))
     alike = ("torque_bias", "thermal_friction")
+    by_motion = False
     separate_by = (
         "ten seconds at rest with the brakes on at the start and at the end of the session, and "
         "the first log repeated as the last"

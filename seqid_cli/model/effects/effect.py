@@ -115,6 +115,9 @@ class Effect(abc.ABC):
         Whether it turns with the direction of motion, so that it is shown times the direction.
     alike : tuple of str
         Names that this one can be taken for in principle, whatever the motion.
+    by_motion : bool
+        Whether the joints' motion alone makes it show, so that moves can be planned for it; not
+        time, warmth or somebody's hand.
     separate_by : str
         What to record to tell it from those, as an instruction.
     """
@@ -137,6 +140,7 @@ class Effect(abc.ABC):
     over: Over = "torque"
     sided: bool = False
     alike: tuple[str, ...] = ()
+    by_motion: bool = True
     separate_by: str
 
     def local(self, settings: Settings) -> bool:

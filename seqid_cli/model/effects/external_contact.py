@@ -18,6 +18,7 @@ class ExternalContact(Effect):
     name = "external_contact"
     family = "measurement"
     alike = ("backlash",)
+    by_motion = False
     separate_by = (
         "the same motion again, at least three times, with nothing within reach: a contact does "
         "not repeat"

@@ -29,6 +29,7 @@ class FrictionChange(Effect):
     sided = True
     linear = (Coefficient("coulomb_change", "N m"), Coefficient("viscous_change", "N m s/rad"))
     alike = ("thermal_friction", "load_dependent_friction", "nonlinear_viscous", "torque_constant")
+    by_motion = False
     separate_by = (
         "the recordings of the friction stage again, at the temperature of the first time: at "
         "once after a cold start and once after ten minutes of motion"

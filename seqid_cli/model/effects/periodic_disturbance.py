@@ -44,6 +44,7 @@ class PeriodicDisturbance(Effect):
     wide = True
     over = "wave"
     alike = ("torque_ripple",)
+    by_motion = False
     separate_by = (
         "the same motion at two speeds: a disturbance keeps its frequency, what the motion makes "
         "moves with the speed; a motion whose period is no multiple of the disturbance's"

@@ -43,6 +43,7 @@ class ThermalFriction(Effect):
     over = "session_time"
     sided = True
     alike = ("torque_constant", "drift", "friction_change")
+    by_motion = False
     separate_by = (
         "the same trajectory cold, after five and after twenty minutes of motion, with motor "
         "temperature logged if the drive offers it; payload and mounting untouched"

@@ -88,6 +88,22 @@ class InspectedLog(Struct, kw_only=True):
     partial: str
 
 
+class PlannedPart(Struct, kw_only=True):
+    """What the logs hold of one move of a plan.
+
+    `status` is recorded, missing or spoiled (with the `reason`); `start` is the time in `log` at
+    which it begins, `share` how much of it is there.
+    """
+
+    move: str
+    stage: str
+    status: str
+    reason: str = ""
+    log: str = ""
+    start: float | None = None
+    share: float = 0.0
+
+
 class InspectionFile(Document, kw_only=True):
     """The whole document."""
 
@@ -99,3 +115,4 @@ class InspectionFile(Document, kw_only=True):
     logs: list[InspectedLog]
     findings: list[InspectionFinding]
     advice: list[str]
+    planned: list[PlannedPart] = []

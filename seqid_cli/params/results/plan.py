@@ -48,7 +48,8 @@ class PlannedMove(Struct, kw_only=True):
 
     `start` is where all joints stand before. Joints move by `fourier` or, one after the other way,
     by `strokes` of the only joint in `joints`; all others stay. `torque_share` is the largest
-    torque that is expected, three standard errors added, over the joint's limit (null: not known).
+    torque that is expected, three standard errors added, over the joint's limit (null: not known);
+    `torque` that torque (N m) in equal parts of the time, by joint (empty: not known).
     """
 
     name: str
@@ -59,6 +60,7 @@ class PlannedMove(Struct, kw_only=True):
     fourier: dict[str, FourierMotion] = {}
     strokes: list[Stroke] = []
     torque_share: float | None = None
+    torque: dict[str, list[float]] = {}
     file: str = ""
 
 
@@ -85,6 +87,26 @@ class PlanGrowth(Struct, kw_only=True):
     error: float
 
 
+class EffectSeparation(Struct, kw_only=True):
+    """How well the moves tell two effects apart.
+
+    `size` is the root mean square torque (N m) of the effect that is assumed; the two explanations
+    lie `distance` standard deviations of the noise apart, so that a test of level 0.05 finds the
+    right one with probability `power`; `seconds_needed` give 0.95. `imitated` is the largest share
+    of an effect that the other one imitates on these moves, which no time lowers. `special_case`
+    is the effect that the other one contains: it can be refuted, not shown.
+    """
+
+    between: list[str]
+    joint: str | None
+    size: float
+    distance: float
+    power: float
+    seconds_needed: float | None
+    imitated: float
+    special_case: str | None = None
+
+
 class PlannedStage(Struct, kw_only=True):
     """The standard errors that the moves of one stage will give.
 
@@ -101,6 +123,7 @@ class PlannedStage(Struct, kw_only=True):
     growth: list[PlanGrowth] = []
     duration_s: float = 0.0
     notes: list[str] = []
+    separation: EffectSeparation | None = None
 
 
 class PlanFile(Document, kw_only=True):
@@ -120,5 +143,6 @@ class PlanFile(Document, kw_only=True):
     stages: dict[str, PlannedStage]
     duration_s: float  # of all moves
     total_s: float  # with the ways between them
+    speed_scale: float = 1.0  # of the trajectories' files
     verdicts: list[Verdict] = []
     notes: list[str] = []

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
@@ -90,16 +91,49 @@ def stroke_move(
     )
 
 
-def sweeps(
-    belief: Belief, j: int, postures: Array, speed: float, seconds: float, *, points: int = 9
-) -> Moves:
-    """Joint j at `points` positions of its range in each of `postures` (P, n), both ways.
+def reachable(
+    belief: Belief, j: int, postures: Array, share: float, widest: float
+) -> tuple[Array, Array]:
+    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad.
 
-    The times share out `seconds`, so that information is that of so long a way.
+    Raises
+    ------
+    ConfigError
+        It touches something wherever it goes.
     """
     limits = belief.limits
+    middle, half = (limits.lower[j] + limits.upper[j]) / 2, share * limits.range[j] / 2
+    ends = np.array([belief.free_span(j, posture) for posture in postures])
+    ends = np.clip(ends, middle - half, middle + half)
+    width = np.diff(ends)[:, 0]
+    if width.max() <= 0.0:
+        name = belief.robot.joint_names[j]
+        message = f"joint {name!r} touches something in all of {len(postures)} postures"
+        hint = "Narrow position_limits, or widen --workspace and --keep-out."
+        raise ConfigError(message, where=str(belief.robot.source), hint=hint)
+    kept = width >= widest * width.max()
+    return postures[kept], ends[kept]
+
+
+def sweeps(
+    belief: Belief,
+    j: int,
+    postures: Array,
+    speed: float,
+    seconds: float,
+    ends: Array | None = None,
+    *,
+    points: int = 9,
+) -> Moves:
+    """Joint j at `points` positions in each of `postures` (P, n), both ways.
+
+    They lie between `ends` (P, 2), by default those of its range. The times share out `seconds`, so
+    that information is that of so long a way.
+    """
+    limits = belief.limits
+    low, high = (limits.lower[j], limits.upper[j]) if ends is None else (ends[:, :1], ends[:, 1:])
     q = np.repeat(postures[:, None], 2 * points, axis=1)
-    q[:, :, j] = np.tile(np.linspace(limits.lower[j], limits.upper[j], points), 2)
+    q[:, :, j] = low + np.tile(np.linspace(0.0, 1.0, points), 2) * (high - low)
     dq = np.zeros_like(q)
     dq[:, :, j] = np.repeat([speed, -speed], points)
     return Moves(np.arange(2 * points) * seconds / (2 * points), q, dq, np.zeros_like(q))

@@ -1,13 +1,11 @@
-"""Planned moves as time series, and files that robot controllers and people read."""
+"""Planned moves as time series."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, Shapes
 from seqid_cli.plan.moves.strokes import REST_S, profile
@@ -46,32 +44,3 @@ def _swept(move: PlannedMove, names: Sequence[str], rate_hz: float) -> tuple[Arr
     dq, ddq = np.zeros_like(q), np.zeros_like(q)
     q[:, j], dq[:, j], ddq[:, j] = joined
     return np.arange(len(q)) / rate_hz, q, dq, ddq
-
-
-def write_csv(
-    folder: Path, moves: Sequence[PlannedMove], names: Sequence[str], speed_scale: float
-) -> list[PlannedMove]:
-    """Write each move as a CSV file; return the moves with the names of their files.
-
-    `speed_scale` below 1 makes all of them slower, for the first run on a robot.
-    """
-    return [_write(folder, move, names, speed_scale) for move in moves]
-
-
-def _write(
-    folder: Path, move: PlannedMove, names: Sequence[str], speed_scale: float
-) -> PlannedMove:
-    t, q, dq, ddq = sampled(move, names, RATE_HZ)
-    kinds = ("position", "velocity", "acceleration")
-    head = ["time", *(f"{kind}_{name}" for kind in kinds for name in names)]
-    rows = np.column_stack([t / speed_scale, q, speed_scale * dq, speed_scale**2 * ddq])
-    text = "\n".join(",".join(f"{x:.9g}" for x in row) for row in rows + 0.0)
-    path = folder / f"{move.name}.csv"
-    write_text_atomic(path, f"{','.join(head)}\n{text}\n")
-    return _with_file(move, path.name)
-
-
-def _with_file(move: PlannedMove, name: str) -> PlannedMove:
-    import msgspec
-
-    return msgspec.structs.replace(move, file=name)

@@ -92,14 +92,17 @@ def draw_pool(
     *,
     at_once: int = 60,
 ) -> Pool:
-    """Draw moves of each group in turn; those of too much torque are made smaller or left out."""
+    """Draw moves of each group in turn; those of too much torque or that collide are left out."""
     drawn, joints = _drawn(belief.limits, groups, size, rng)
     parts = [
         _reduced(belief, goal, shapes, drawn[start : start + at_once])
         for start in range(0, size, at_once)
     ]
-    fit = np.flatnonzero(np.concatenate([overload <= 1.0 for _, _, overload in parts]))
+    within = np.concatenate([overload <= 1.0 for _, _, overload in parts])
     whole = joined([drawn for drawn, _, _ in parts])
+    if belief.geometry is not None:
+        within &= ~belief.collides(shapes.moves(whole, belief.limits).every(2).q)
+    fit = np.flatnonzero(within)
     information = np.concatenate([information for _, information, _ in parts])
     return Pool(whole[fit], information[fit], [joints[int(k)] for k in fit])
 

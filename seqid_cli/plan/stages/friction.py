@@ -10,6 +10,7 @@ from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.strokes import (
     overloads,
     postures_of,
+    reachable,
     reduced_accelerations,
     seconds_of,
     stroke_move,
@@ -51,39 +52,48 @@ def _sweeps(
     belief: Belief, j: int, rng: np.random.Generator, *, slowest: float = 0.08
 ) -> PlannedMove:
     name = belief.robot.joint_names[j]
-    belief, posture = lightest_posture(belief, j, float(belief.limits.range[j]), rng)
+    belief, posture, ends = lightest_posture(belief, j, rng)
     limits = belief.limits
-    top = top_speed(limits, j, float(limits.range[j]))
+    top = top_speed(limits, j, ends[1] - ends[0])
     speeds = np.geomspace(slowest * top, top, SPEEDS).tolist()
-    ends = (float(limits.lower[j]), float(limits.upper[j]))
     strokes = there_and_back(limits, j, speeds, ends)
     return stroke_move(belief, f"friction_{name}", "friction", j, posture, strokes)
 
 
 def lightest_posture(
-    belief: Belief, j: int, span: float, rng: np.random.Generator
-) -> tuple[Belief, Array]:
+    belief: Belief, j: int, rng: np.random.Generator, *, share: float = 1.0, widest: float = 0.9
+) -> tuple[Belief, Array, tuple[float, float]]:
     """The posture (n,) of those drawn in which a sweep of joint j needs least of the torques.
 
-    Also returns the belief with the acceleration that the load allows.
+    The sweep covers `share` of the range, about its middle, as far as it touches nothing: postures
+    count in which it reaches `widest` of the farthest.
+
+    Returns
+    -------
+    reduced : Belief
+        With the acceleration that the load allows.
+    posture : (n,) array
+    ends : tuple of float
+        Of the sweep, rad.
 
     Raises
     ------
     ConfigError
-        It needs too much in all of them.
+        A torque limit or a collision is in the way in all of them.
     """
-    postures = postures_of(belief.limits, POSTURES, rng)
+    postures, ends = reachable(belief, j, postures_of(belief.limits, POSTURES, rng), share, widest)
     for reduced in reduced_accelerations(belief):
-        load = overloads(reduced, j, postures, top_speed(reduced.limits, j, span))
+        speed = top_speed(reduced.limits, j, float(ends[0, 1] - ends[0, 0]))
+        load = overloads(reduced, j, postures, speed)
         best = int(np.argmin(load))
         if load[best] <= 1.0:
-            return reduced, np.asarray(postures[best])
+            return reduced, np.asarray(postures[best]), (float(ends[best, 0]), float(ends[best, 1]))
     names = belief.robot.joint_names
-    swept = sweeps(reduced, j, postures[[best]], top_speed(reduced.limits, j, span), 1.0)
-    share = reduced.torque(swept, reduced.regressor(swept)).max(axis=(0, 1)) / reduced.limits.torque
+    swept = sweeps(reduced, j, postures[[best]], speed, 1.0)
+    load = reduced.torque(swept, reduced.regressor(swept)).max(axis=(0, 1)) / reduced.limits.torque
     message = (
         f"a sweep of joint {names[j]!r} breaks the torque limit of joint"
-        f" {names[int(np.argmax(share))]!r} in all of {POSTURES} postures"
+        f" {names[int(np.argmax(load))]!r} in all of {POSTURES} postures"
     )
     hint = "Correct effort in the URDF, or narrow position_limits in the robot file."
     raise ConfigError(message, where=str(belief.robot.source), hint=hint)

@@ -20,6 +20,7 @@ from seqid_cli.plan.moves.fourier import Drawn, Moves
 from seqid_cli.plan.moves.strokes import (
     overloads,
     postures_of,
+    reachable,
     reduced_accelerations,
     stroke_move,
     sweeps,
@@ -38,10 +39,11 @@ SLOW = 0.3  # of the largest speed
 
 @dataclass(frozen=True)
 class _Sweeps:
-    """All sweeps of the pool: `joint` (M,), `posture` (M, n), `moves`, scaled information."""
+    """All sweeps of the pool, M of them, `ends` rad, with their scaled information."""
 
     joint: NDArray[np.intp]
     posture: Array
+    ends: Array
     moves: Moves
     information: Array
 
@@ -87,20 +89,22 @@ def plan_gravity(
 def _pool(belief: Belief, goal: Goal, rng: np.random.Generator) -> _Sweeps:
     """Sweeps of every joint that moves and that gravity loads, within the torque limits."""
     limits = belief.limits
-    joints, postures, moves, found = [], [], [], []
+    joints, postures, spans, moves, found = [], [], [], [], []
     for j in limits.moving:
-        drawn = postures_of(limits, POSTURES, rng)
-        drawn = drawn[overloads(belief, j, drawn, SLOW * limits.speed[j]) <= 1.0]
+        drawn, ends = reachable(belief, j, postures_of(limits, POSTURES, rng), 1.0, 0.5)
+        fit = overloads(belief, j, drawn, SLOW * limits.speed[j]) <= 1.0
+        drawn, ends = drawn[fit], ends[fit]
         if not len(drawn):
             continue
         speed = SLOW * float(limits.speed[j])
-        swept = sweeps(belief, j, drawn, speed, 2 * float(limits.range[j]) / speed)
+        swept = sweeps(belief, j, drawn, speed, 2 * float(limits.range[j]) / speed, ends)
         own = belief.regressor(swept) * (np.arange(belief.robot.n) == j)[:, None]
         own[..., ~belief.basis.gravity] = 0.0
         information = goal.scaled(belief.information(swept, own))
         if information.any():
             joints.append(np.full(len(drawn), j))
             postures.append(drawn)
+            spans.append(ends)
             moves.append(swept)
             found.append(information)
     if not moves:
@@ -111,6 +115,7 @@ def _pool(belief: Belief, goal: Goal, rng: np.random.Generator) -> _Sweeps:
     return _Sweeps(
         np.concatenate(joints),
         np.concatenate(postures),
+        np.concatenate(spans),
         Moves(moves[0].t, *parts),
         np.concatenate(found),
     )
@@ -155,9 +160,9 @@ def _described(belief: Belief, pool: _Sweeps, chosen: list[int]) -> list[Planned
         j = int(pool.joint[k])
         name = belief.robot.joint_names[j]
         number = 1 + sum(move.joints == [name] for move in moves)
-        speed = min(SLOW * float(limits.speed[j]), top_speed(limits, j, float(limits.range[j])))
-        ends = (float(limits.lower[j]), float(limits.upper[j]))
-        strokes = there_and_back(limits, j, [speed], ends)
+        low, high = (float(x) for x in pool.ends[k])
+        speed = min(SLOW * float(limits.speed[j]), top_speed(limits, j, high - low))
+        strokes = there_and_back(limits, j, [speed], (low, high))
         label = f"gravity_{name}_{number}"
         moves.append(stroke_move(belief, label, "gravity", j, pool.posture[k], strokes))
     return moves

@@ -16,6 +16,7 @@ from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.strokes import (
     overloads,
     postures_of,
+    reachable,
     reduced_accelerations,
     stroke_move,
     there_and_back,
@@ -45,12 +46,14 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
         raise ConfigError("the robot file lists no IMU", where=str(robot.source), hint=hint)
     rng = np.random.default_rng(options.seed)
     drawn = postures_of(belief.limits, pool, rng)
-    reduced, postures = _turned(belief, first, drawn)
+    reduced, postures, ends = _turned(belief, first, *reachable(belief, first, drawn, SPAN, 0.5))
     chosen = _chosen(_directions(belief, first, postures))
-    moves = [_swing(reduced, first, postures[k], f"_{i}") for i, k in enumerate(chosen, start=1)]
+    moves = [
+        _swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in enumerate(chosen, start=1)
+    ]
     for j in belief.limits.moving[1:]:
-        own, posture = lightest_posture(belief, j, float(SPAN * belief.limits.range[j]), rng)
-        moves.append(_swing(own, j, posture))
+        own, posture, ends = lightest_posture(belief, j, rng, share=SPAN)
+        moves.append(_swing(own, j, posture, np.array(ends)))
     least = _least_information(_directions(belief, first, postures)[:, chosen])
     notes = [
         f"{imu.name}: turns about the worst axis are told {worst:.2f} times as well as by"
@@ -61,12 +64,13 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
     return Planned(moves, PlannedStage(duration_s=seconds, notes=notes))
 
 
-def _turned(belief: Belief, first: int, drawn: Array) -> tuple[Belief, Array]:
+def _turned(belief: Belief, first: int, drawn: Array, ends: Array) -> tuple[Belief, Array, Array]:
     """The postures in which the first joint can swing, with the acceleration that they allow."""
     for reduced in reduced_accelerations(belief):
-        fit = overloads(reduced, first, drawn, _swing_speed(reduced, first)) <= 1.0
+        speed = top_speed(reduced.limits, first, float(np.diff(ends).max()))
+        fit = overloads(reduced, first, drawn, speed) <= 1.0
         if np.sum(fit) >= POSTURES:
-            return reduced, drawn[fit]
+            return reduced, drawn[fit], ends[fit]
     name = belief.robot.joint_names[first]
     message = f"swings of joint {name!r} break a torque limit in nearly all postures"
     hint = "Correct effort in the URDF, or narrow position_limits in the robot file."
@@ -97,21 +101,11 @@ def _chosen(directions: Array) -> list[int]:
     return chosen
 
 
-def _ends(belief: Belief, j: int) -> tuple[float, float]:
-    limits = belief.limits
-    middle, half = (limits.lower[j] + limits.upper[j]) / 2, SPAN * limits.range[j] / 2
-    return float(middle - half), float(middle + half)
-
-
-def _swing_speed(belief: Belief, j: int) -> float:
-    low, high = _ends(belief, j)
-    return top_speed(belief.limits, j, high - low)
-
-
 def _swing(
-    belief: Belief, j: int, posture: Array, label: str = "", *, turns: int = 3
+    belief: Belief, j: int, posture: Array, ends: Array, label: str = "", *, turns: int = 3
 ) -> PlannedMove:
-    speeds = [_swing_speed(belief, j)] * turns
-    strokes = there_and_back(belief.limits, j, speeds, _ends(belief, j))
+    low, high = float(ends[0]), float(ends[1])
+    speeds = [top_speed(belief.limits, j, high - low)] * turns
+    strokes = there_and_back(belief.limits, j, speeds, (low, high))
     name = f"imu_{belief.robot.joint_names[j]}{label}"
     return stroke_move(belief, name, "imu-calib", j, posture, strokes)

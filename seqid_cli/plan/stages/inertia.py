@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import FourierMotion, PlannedMove, PlannedStage
@@ -62,6 +63,24 @@ def plan_inertia(
     """
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
+    moves, coarse, each = optimised(belief, goal, options, known, "inertia")
+    stage = predicted_stage(belief, goal, stages, coarse.every(SPARSE), each, known)
+    return Planned(moves, stage)
+
+
+def optimised(
+    belief: Belief, goal: Goal, options: PlanOptions, known: Array, stage: str
+) -> tuple[list[PlannedMove], Moves, Array]:
+    """Draw, choose and refine moves for a goal.
+
+    Returns
+    -------
+    moves : list of PlannedMove
+    coarse : Moves
+        The same on few samples.
+    each : (M, b, b) array
+        Their scaled information.
+    """
     shapes = Shapes.over(options.length_s, COARSE_HZ)
     count = max(1, int(options.duration_s / options.length_s))
     groups = groups_of(belief.limits, together=options.together)
@@ -70,42 +89,58 @@ def plan_inertia(
     check_torque(belief, pool, options)
     chosen = pool.drawn[choose(goal, pool, count, known)]
     refined = refine(belief, goal, shapes, chosen, known, sweeps=options.sweeps)
-    drawn, moves = within_torque(belief, refined, options)
+    drawn, moves = within_limits(belief, refined, options)
     coarse = shapes.moves(drawn, belief.limits)
     each, _ = assess(belief, goal, coarse)
-    stage = predicted_stage(belief, goal, stages, coarse.every(SPARSE), each, known)
-    return Planned(described(belief, drawn, moves, options), stage)
+    return described(belief, drawn, moves, options, stage), coarse, each
 
 
 def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
     """Stop where the pool is empty, naming the joint that the load is too heavy for."""
     if pool.joints:
         return
-    still = Shapes.over(options.length_s, COARSE_HZ)
     n = belief.robot.n
-    rng = np.random.default_rng(options.seed)
-    places = rng.uniform(size=(200, n))
-    nothing = Drawn(np.zeros((200, n, len(still.y))), places, np.ones_like(places))
-    moves = still.moves(nothing, belief.limits).every(len(still.t) - 1)
-    load = belief.torque(moves, belief.regressor(moves)).min(axis=(0, 1))
-    j = int(np.argmax(load / belief.limits.torque))
+    places = np.random.default_rng(options.seed).uniform(size=(200, n))
+    q = (belief.limits.lower + places * belief.limits.range)[:, None]
+    still = Moves(np.arange(2.0), q, np.zeros_like(q), np.zeros_like(q))
+    load = belief.torque(still, belief.regressor(still)) / belief.limits.torque
+    where = str(belief.robot.source)
+    if load.max(axis=(1, 2)).min() <= 1.0 and belief.geometry is not None:
+        message = f"no move of {options.pool} keeps the arm off itself and the boxes"
+        hint = "Narrow position_limits, or widen --workspace and --keep-out."
+        raise ConfigError(message, where=where, hint=hint)
+    j = int(np.argmax(load.min(axis=(0, 1))))
     text = OVERLOADED.format(
         count=options.pool, joint=belief.robot.joint_names[j], torque=belief.limits.torque[j]
     )
     hint = "Correct effort in the URDF, or lower speeds with a longer --ramp."
-    raise ConfigError(text, where=str(belief.robot.source), hint=hint)
+    raise ConfigError(text, where=where, hint=hint)
 
 
-def within_torque(belief: Belief, drawn: Drawn, options: PlanOptions) -> tuple[Drawn, Moves]:
-    """Make moves smaller until their torques hold on dense samples too."""
+def within_limits(
+    belief: Belief, drawn: Drawn, options: PlanOptions, *, most: int = 40
+) -> tuple[Drawn, Moves]:
+    """Make moves smaller until torques hold on dense samples and nothing is touched.
+
+    Those that touch something even when they are small are left out.
+    """
     shapes = Shapes.over(options.length_s, DENSE_HZ)
     moves = shapes.moves(drawn, belief.limits)
-    overload = _dense_overload(belief, moves)
-    while (over := np.flatnonzero(overload > 1.0)).size:
-        drawn = drawn.smaller(over, 1.0 - (1.0 - REDUCTION) / 10)
+    bad = _dense_faults(belief, moves)
+    for _ in range(most):
+        if not bad.any():
+            break
+        where = np.flatnonzero(bad)
+        drawn = drawn.smaller(where, 1.0 - (1.0 - REDUCTION) / 10)
         moves = shapes.moves(drawn, belief.limits)
-        overload[over] = _dense_overload(belief, moves[over])
-    return drawn, moves
+        bad[where] = _dense_faults(belief, moves[where])
+    kept = np.flatnonzero(~bad)
+    return drawn[kept], moves[kept]
+
+
+def _dense_faults(belief: Belief, moves: Moves) -> NDArray[np.bool_]:
+    """Which moves (M,) need too much torque or touch something."""
+    return np.asarray((_dense_overload(belief, moves) > 1.0) | belief.collides(moves.every(4).q))
 
 
 def _dense_overload(belief: Belief, moves: Moves) -> Array:
@@ -115,7 +150,7 @@ def _dense_overload(belief: Belief, moves: Moves) -> Array:
 
 
 def described(
-    belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions
+    belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions, stage: str
 ) -> list[PlannedMove]:
     """The moves in the form of the plan file."""
     names = belief.robot.joint_names
@@ -128,8 +163,8 @@ def described(
         motions = {names[int(j)]: _fourier(moves, drawn, k, int(j)) for j in moving}
         found.append(
             PlannedMove(
-                name=f"inertia_{k + 1:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
-                stage="inertia",
+                name=f"{stage}_{k + 1:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
+                stage=stage,
                 joints=joints,
                 duration_s=options.length_s,
                 start={name: float(x) for name, x in zip(names, start, strict=True)},

@@ -16,6 +16,8 @@ from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.stages.choose import VAGUE, Goal
 from seqid_cli.robot.types import Array
 
+OPEN_SHARE = 0.1  # of the vague prior, from which an error leaves a parameter open
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -88,7 +90,6 @@ def predicted_stage(
     have: Array,
     *,
     wanted: NDArray[np.bool_] | None = None,
-    open_share: float = 0.1,
 ) -> PlannedStage:
     """Describe what moves add to `have`; `each` (M, b, b) is their scaled information.
 
@@ -100,7 +101,7 @@ def predicted_stage(
     total = have + each.sum(axis=0)
     spread = spread_of(belief, goal, stages, moves, total)
     errors = np.sqrt(np.diag(spread.whole))
-    vague = errors * goal.scale > open_share * VAGUE
+    vague = errors * goal.scale > OPEN_SHARE * VAGUE
     known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
     earlier = goal.prior - np.eye(len(total)) / VAGUE**2
     rank, condition = rank_and_condition((total + earlier)[np.ix_(wanted, wanted)])

@@ -101,4 +101,5 @@ def _improved(problem: _Problem, *, iterations: int = 8) -> Drawn:
     moves = problem.shapes.moves(better, problem.belief.limits)
     _, overload = assess(problem.belief, problem.goal, moves)
     worse = found.fun >= problem.values(x[None])[0]
-    return problem.start if worse or overload[0] > 1.0 else better
+    kept = worse or overload[0] > 1.0 or problem.belief.collides(moves.q)[0]
+    return problem.start if kept else better

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 
 from seqid_cli.params.results.plan import PlannedStage
@@ -12,7 +11,7 @@ from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, draw_pool
-from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_torque
+from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_limits
 
 
 def plan_validation(
@@ -31,9 +30,6 @@ def plan_validation(
     rng = np.random.default_rng(own.seed)
     pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
     check_torque(belief, pool, own)
-    drawn, moves = within_torque(belief, pool.drawn[slice(count)], own)
-    named = [
-        msgspec.structs.replace(move, name=f"validation_{k}", stage="validation")
-        for k, move in enumerate(described(belief, drawn, moves, own), start=1)
-    ]
+    drawn, moves = within_limits(belief, pool.drawn[slice(count)], own)
+    named = described(belief, drawn, moves, own, "validation")
     return Planned(named, PlannedStage(duration_s=own.length_s * len(named)))

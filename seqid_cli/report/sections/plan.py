@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from seqid_cli.params.results.plan import PlanFile, PlannedStage
 from seqid_cli.report.collection import Collection
+from seqid_cli.report.figures.plan import move_figure
 from seqid_cli.report.views import Column, Group, Section, Table
 from seqid_cli.report.words import number, percent
 
@@ -27,10 +28,18 @@ def _group(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
         facts.append(("rank", f"{stage.rank} of {stage.structural_rank}"))
     if stage.condition is not None:
         facts.append(("condition", number(stage.condition)))
+    told = stage.separation
+    if told is not None:
+        facts += [
+            ("to tell apart", " and ".join(told.between)),
+            ("power", percent(told.power)),
+            ("imitated at most", percent(told.imitated)),
+        ]
     return Group(
         key,
         name,
         facts=facts,
+        figures=[move_figure(move, file) for move in file.moves if move.stage == name],
         tables=[table for table in (_moves(name, file), _errors(stage)) if table.rows],
         notes=stage.notes,
     )

@@ -17,6 +17,8 @@ from seqid_cli.params.results.payload import (
 )
 from seqid_cli.params.results.plan import (
     PLAN_SCHEMA,
+    FourierMotion,
+    JointLimits,
     PlanFile,
     PlannedMove,
     PlannedStage,
@@ -66,8 +68,11 @@ def plan_file() -> PlanFile:
         joints=list(JOINTS),
         duration_s=8.0,
         start=dict.fromkeys(JOINTS, 0.0),
+        fourier={JOINTS[0]: FourierMotion(centre=0.0, sine=[0.5] * 5, cosine=[0.0] * 5)},
         torque_share=0.625,
+        torque={name: [10.0, 20.0] for name in JOINTS},
     )
+    limit = JointLimits(position=[-1.0, 1.0], speed=1.0, acceleration=2.0, torque=40.0, moves=True)
     error = PredictedParameter(
         name="Izz_2", joint="elbow", unit="kg m^2", std_error=0.0375, value=None
     )
@@ -79,7 +84,7 @@ def plan_file() -> PlanFile:
         what="inertia",
         seed=1,
         parameters=[],
-        limits={},
+        limits=dict.fromkeys(JOINTS, limit),
         noise_density=dict.fromkeys(JOINTS, 0.01),
         noise_origin="",
         moves=[move],
@@ -97,7 +102,7 @@ def test_a_payload_has_a_section_with_its_settings() -> None:
     assert [name for name in made.sections if name in ("payload", "plan")] == ["payload", "plan"]
     for text in ("2.345", "not determined", "set_payload(2.345", "of joint elbow"):
         assert text in made.html
-    for text in ("pair_1", "0.0375", "9 of 10", "62.5"):
+    for text in ("pair_1", "0.0375", "9 of 10", "62.5", "torque over its limit"):
         assert text in made.html
 
 

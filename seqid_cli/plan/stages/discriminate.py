@@ -1,0 +1,186 @@
+"""Plan the motion that tells two effects apart, and say how sure the answer will be."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from statistics import NormalDist
+
+import msgspec
+import numpy as np
+
+from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.registry import catalogue_of
+from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, PlannedStage
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import Belief, typical
+from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
+from seqid_cli.plan.moves.strokes import (
+    REST_S,
+    overloads,
+    postures_of,
+    reachable,
+    stroke_move,
+    there_and_back,
+    top_speed,
+)
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.choose import Goal, draw_pool
+from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_limits
+from seqid_cli.plan.stages.separation import Question, Separation, scenes_of, separation_of
+from seqid_cli.robot.types import Robot
+
+PACES = (1.0, 0.3, 0.1)  # shares of the speed limits that the drawn moves keep to
+
+
+def plan_discriminate(
+    belief: Belief, stages: Stages, options: PlanOptions, *, alpha: float = 0.05
+) -> Planned:
+    """Choose the moves that leave most of either effect unexplained by the other.
+
+    Raises
+    ------
+    UsageError
+        The effects or the joint are not named rightly, or no motion can tell such effects apart.
+    ConfigError
+        The model does not allow to look for one of them, or no move keeps the torque limits.
+    """
+    effects, joint = asked(belief.robot, options)
+    pool = _pool(belief, joint, options)
+    scenes = scenes_of(belief, stages, pool)
+    for effect in effects:
+        if not effect.available(scenes, joint):
+            hint = "Give a file with friction and inertia, and a robot file with the joint's drive."
+            text = f"{effect.name} cannot be looked for with this model"
+            raise ConfigError(text, where=str(belief.robot.source), hint=hint)
+    question = Question.of(effects, joint, scenes[:: max(1, len(scenes) // 12)])
+    found = separation_of(belief, question, scenes)
+    names = [effect.name for effect in effects]
+    if not found.ways:
+        note = f"no motion tells {names[0]} from {names[1]}: record {effects[0].separate_by}"
+        return Planned([], PlannedStage(notes=[note], separation=None))
+    chosen, seconds = _chosen(found, pool, options.duration_s)
+    size = _size(belief, joint, options.size_share)
+    total = found.of[chosen].sum(axis=0)
+    T = size**2 * float(found.value(total))
+    level = NormalDist().inv_cdf(1.0 - alpha)
+    separation = EffectSeparation(
+        between=names,
+        joint=None if joint is None else belief.robot.joint_names[joint],
+        size=size,
+        distance=float(np.sqrt(T)),
+        power=NormalDist().cdf(float(np.sqrt(T)) - level),
+        seconds_needed=seconds * (2.0 * level) ** 2 / T if T > 0.0 else None,
+        imitated=found.imitated(total),
+        special_case=None if len(found.ways) == 2 else names[1 - found.ways[0]],
+    )
+    moves = [
+        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
+        for i, k in enumerate(chosen, start=1)
+    ]
+    return Planned(moves, PlannedStage(duration_s=seconds, separation=separation))
+
+
+def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], int | None]:
+    """The two effects and the joint (None where both are of the whole arm)."""
+    known = catalogue_of(robot)
+    for name in options.between:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"Did you mean {near[0]}?" if near else "docs/effects.md lists their names."
+            raise UsageError(f"--between names no effect: {name!r}", hint=hint)
+    if len(set(options.between)) != 2:
+        hint = "As in --between load_dependent_friction,gear_efficiency."
+        raise UsageError("--between takes two effects with a comma between them", hint=hint)
+    first, second = (known[name] for name in options.between)
+    for effect in (first, second):
+        if not effect.by_motion:
+            hint = f"Record {effect.separate_by}."
+            raise UsageError(f"no planned motion settles whether it is {effect.name}", hint=hint)
+    if options.joint is None and all(one.arm or one.shared for one in (first, second)):
+        return (first, second), None
+    if options.joint not in robot.joint_names:
+        text = f"--joint names no joint: {options.joint!r}" if options.joint else "needs --joint"
+        raise UsageError(text, hint=f"The robot's joints: {', '.join(robot.joint_names)}.")
+    return (first, second), robot.joint_names.index(options.joint)
+
+
+def _pool(
+    belief: Belief, joint: int | None, options: PlanOptions, *, each: int = 48
+) -> list[PlannedMove]:
+    """Moves of the joint alone, with others, and of all, at several speeds, and steady strokes."""
+    moving = belief.limits.moving
+    if joint is not None and joint not in moving:
+        name = belief.robot.joint_names[joint]
+        raise UsageError(f"joint {name!r} is locked: none of its effects shows", hint="Free it.")
+    groups = [(joint,), *((joint, k) for k in moving if k != joint)] if joint is not None else []
+    groups += [tuple(moving)] * max(1, len(groups) // 2)
+    if joint is None:
+        groups += list(combinations(moving, 2))
+    goal = Goal.of(belief, options.seed)
+    rng = np.random.default_rng(options.seed)
+    shapes = Shapes.over(options.length_s, COARSE_HZ)
+    found: list[PlannedMove] = []
+    for pace in PACES:
+        limits = belief.limits
+        slowed = replace(limits, speed=pace * limits.speed, acceleration=pace * limits.acceleration)
+        slower = replace(belief, limits=slowed)
+        pool = draw_pool(slower, goal, shapes, groups, each, rng)
+        if pool.joints:
+            found += described(
+                slower, *within_limits(slower, pool.drawn, options), options, "discriminate"
+            )
+        elif pace == min(PACES) and not found:
+            check_torque(slower, pool, options)
+    for j in moving if joint is None else [joint]:
+        found += _strokes(belief, j, options.length_s, rng)
+    return found
+
+
+def _strokes(
+    belief: Belief, j: int, seconds: float, rng: np.random.Generator, *, speeds: int = 6
+) -> list[PlannedMove]:
+    """Strokes there and back, each as long as a move, in several postures."""
+    limits, found = belief.limits, []
+    fastest = top_speed(limits, j, float(limits.range[j]))
+    for speed in np.geomspace(0.03 * fastest, fastest, speeds):
+        ramp = np.pi * speed / (2.0 * limits.acceleration[j])
+        way = speed * (max(seconds / 2 - 1.5 * REST_S, 2.0 * ramp) - ramp)
+        postures, spans = reachable(belief, j, postures_of(limits, 4, rng), 1.0, 0.3)
+        for posture, (low, high) in zip(postures, spans, strict=True):
+            half = min(way, high - low) / 2
+            if half <= ramp * speed / 2 or overloads(belief, j, posture[None], speed)[0] > 1.0:
+                continue
+            middle = float(np.clip(posture[j], low + half, high - half))
+            strokes = there_and_back(limits, j, [float(speed)], (middle - half, middle + half))
+            found.append(stroke_move(belief, "stroke", "discriminate", j, posture, strokes))
+    return found
+
+
+def _chosen(
+    found: Separation, pool: Sequence[PlannedMove], most_s: float
+) -> tuple[list[int], float]:
+    """Moves taken one by one that raise T most for their time, as long as time is left."""
+    seconds = np.array([move.duration_s for move in pool])
+    chosen: list[int] = []
+    total, spent, now = np.zeros_like(found.prior), 0.0, 0.0
+    while True:
+        open_ = (spent + seconds <= most_s) & ~np.isin(np.arange(len(pool)), chosen)
+        if not open_.any():
+            return chosen, spent
+        gain = (found.value(total + found.of) - now) / seconds
+        best = int(np.argmax(np.where(open_, gain, -np.inf)))
+        chosen.append(best)
+        total, spent = total + found.of[best], spent + float(seconds[best])
+        now = float(found.value(total))
+
+
+def _size(belief: Belief, joint: int | None, share: float) -> float:
+    """Root mean square torque N m of an effect of the usual size."""
+    moves = typical(belief, seed=0)
+    torque = belief.torque(moves, belief.regressor(moves), sigmas=0.0)
+    which = slice(None) if joint is None else slice(joint, joint + 1)
+    return share * float(np.sqrt(np.mean(torque[..., which] ** 2)))

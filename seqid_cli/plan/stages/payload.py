@@ -1,0 +1,132 @@
+"""Plan the logs that `seqid payload` needs: the body at the flange, told from changed friction.
+
+The unknowns are the body's ten standard parameters phi (the columns H E_n of the last link) and the
+two changes of each joint's friction that the payload stage frees. What the model's own parameters
+are uncertain by is passed on: phi is what their torque leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from seqid_cli.params.results.plan import PlannedStage, PredictedParameter
+from seqid_cli.params.schema import Stages
+from seqid_cli.payload.options import PayloadOptions
+from seqid_cli.payload.rows import FRICTION_TERMS
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.moves.fourier import SPARSE, Moves
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.choose import VAGUE, Goal
+from seqid_cli.plan.stages.inertia import Planned, optimised
+from seqid_cli.plan.stages.predicted_errors import OPEN_SHARE, growth_of, rank_and_condition
+from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
+from seqid_cli.robot.regressor import PER_LINK
+from seqid_cli.robot.types import Array
+
+
+@dataclass(frozen=True)
+class LoadedBelief(Belief):
+    """A belief whose unknowns are the body at the flange and how friction has changed."""
+
+    @property
+    def last_link(self) -> Array:
+        """E_n (b, 10): base parameters from the standard ones of the last link."""
+        n = self.robot.n
+        return np.asarray(self.basis.expression[:, PER_LINK * (n - 1) : PER_LINK * n])
+
+    def wide(self, moves: Moves, H: Array) -> Array:
+        """Columns (M, N, n, 10 + 2 n) of the unknowns."""
+        M, N, n = moves.q.shape
+        found = np.zeros((M, N, n, PER_LINK + FRICTION_TERMS * n))
+        found[..., :PER_LINK] = H @ self.last_link
+        for j, surface in enumerate(self.surfaces):
+            if surface is None:
+                continue
+            torque = surface.torque(moves.q[..., j].ravel(), moves.dq[..., j].ravel())
+            torque = torque.reshape(M, N)
+            own = PER_LINK + FRICTION_TERMS * j
+            found[:, :, j, own] = torque
+            found[:, :, j, own + 1] = torque * np.abs(moves.dq[..., j]) / self.limits.speed[j]
+        return found
+
+    def information(self, moves: Moves, H: Array) -> Array:
+        """Information (M, 10 + 2 n, 10 + 2 n) on the unknowns."""
+        return super().information(moves, self.wide(moves, H))
+
+    def passed_on(self, moves: Moves, C: Array) -> Array:
+        """Covariance (k, k) by the model's own parameters, `root`, given the noise's alone."""
+        H = self.regressor(moves)
+        wide = self.wide(moves, H)
+        step = float(moves.t[1] - moves.t[0])
+        slide = moves.dq**2 / (moves.dq**2 + self.slow**2)
+        cross = np.einsum("mnjk,mnj,mnjb->kb", wide, step * self.density * slide, H, optimize=True)
+        moved = C @ cross @ self.root
+        return np.asarray(moved @ moved.T)
+
+
+def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
+    """Put a body of `mass` kg at the flange, its centre within some `lever` m of the last joint."""
+    n = belief.robot.n
+    size = PER_LINK + FRICTION_TERMS * n
+    prior = np.zeros((size, size))
+    changes = np.arange(PER_LINK, size)
+    prior[changes, changes] = 1.0 / PayloadOptions.friction_change**2
+    found = LoadedBelief(**{**vars(belief), "prior": prior})
+    if belief.theta is None or mass == 0.0:
+        return found
+    E = found.last_link
+    theta = belief.theta + mass * E[:, 0]
+    spread = mass * lever * E[:, 1:4]
+    return replace(found, theta=theta, root=np.hstack([belief.root, spread]))
+
+
+def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planned:
+    """Choose the moves that tell mass, centre and inertia of the body best.
+
+    Raises
+    ------
+    ConfigError
+        No move keeps the torque limits with the load.
+    """
+    whole = loaded(belief, options.load_kg)
+    goal = Goal.of(whole, options.seed)
+    W = goal.W.copy()
+    W[PER_LINK:] = W[:, PER_LINK:] = 0.0
+    goal = replace(goal, W=W)
+    nothing = np.zeros_like(W)
+    moves, coarse, each = optimised(whole, goal, options, nothing, "payload")
+    total = each.sum(axis=0)
+    C = goal.covariance(total)
+    spread = C + loaded(belief, 0.0).passed_on(coarse.every(SPARSE), C)
+    known = goal.prior - np.eye(len(W)) / VAGUE**2
+    body = slice(0, PER_LINK)
+    rank, condition = rank_and_condition((total + known)[body, body])
+    errors = np.sqrt(np.diag(spread))
+    vague = errors * goal.scale > OPEN_SHARE * VAGUE
+    parameters = [
+        PredictedParameter(
+            name=f"payload_{kind}",
+            joint=belief.robot.joint_names[-1],
+            unit=parameter_unit(f"{kind}_1"),
+            std_error=float(errors[k]),
+            value=None,
+            expression=f"payload_{kind}",
+        )
+        for k, kind in enumerate(STANDARD)
+        if not vague[k]
+    ]
+    seconds = options.length_s
+    return Planned(
+        moves,
+        PlannedStage(
+            parameters=parameters,
+            rank=rank,
+            structural_rank=rank_and_condition(W[body, body])[0],
+            condition=condition,
+            not_excited=[f"payload_{STANDARD[int(k)]}" for k in np.flatnonzero(vague[body])],
+            growth=growth_of(goal, nothing, each, seconds),
+            duration_s=seconds * len(moves),
+        ),
+    )

@@ -1,0 +1,159 @@
+"""Collisions of an arm with itself and with boxes around it, by Pinocchio and coal.
+
+Meshes count by their convex hulls. Neighbouring links are not checked against each other, nor are
+links that overlap in most postures: their hulls touch at the joint between them.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.urdf.joints import readable
+from seqid_cli.robot.urdf.text import read_urdf_text
+
+WALL_M = 20.0  # thickness of the walls around the workspace
+Box = Sequence[float]  # x, y, z of one corner, x, y, z of the other, in m in the base frame
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """An arm's links and the boxes around it, ready to be checked."""
+
+    model: Any
+    data: Any
+    shapes: Any
+    found: Any
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs that are checked."""
+        return len(self.shapes.collisionPairs)
+
+    def collides(self, q: Array) -> NDArray[np.bool_]:
+        """Return which of the postures q (N, n) let a pair come nearer than the clearance."""
+        zero = pin.neutral(self.model)
+        return np.array(
+            [
+                pin.computeCollisions(
+                    self.model,
+                    self.data,
+                    self.shapes,
+                    self.found,
+                    pin.integrate(self.model, zero, posture),
+                    True,
+                )
+                for posture in q
+            ],
+            dtype=bool,
+        )
+
+
+def geometry_of(
+    robot: Robot, postures: Array, boxes: Sequence[Box] = (), workspace: Box | None = None,
+    *, clearance_m: float = 0.02, usual_contact: float = 0.5,
+) -> Geometry | None:  # fmt: skip
+    """Read the collision geometry of a URDF.
+
+    Parameters
+    ----------
+    robot : Robot
+    postures : (P, n) array
+        Drawn ones, by which links that always touch are found.
+    boxes : sequence of box
+        Where no link may be.
+    workspace : box, optional
+        Out of which no link may reach.
+    clearance_m : float
+        How near counts as a collision, m.
+    usual_contact : float
+        Share of the postures in which links that touch are not checked against each other.
+
+    Returns
+    -------
+    Geometry or None
+        None where there is no URDF, or its links have no shapes, or a mesh is not found.
+    """
+    if robot.urdf is None:
+        return None
+    xml = readable(read_urdf_text(robot.urdf)).decode("utf-8")
+    whole = pin.buildModelFromXML(xml)
+    folders = [str(folder) for folder in robot.urdf.resolve().parents]
+    folders += os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            shapes = pin.buildGeomFromUrdfString(whole, xml, pin.COLLISION, folders)
+    except ValueError:
+        return None
+    if not shapes.ngeoms:
+        return None
+    others = [k for k in range(1, whole.njoints) if whole.names[k] not in robot.joint_names]
+    model, shapes = pin.buildReducedModel(whole, shapes, others, pin.neutral(whole))
+    for shape in shapes.geometryObjects:
+        if isinstance(shape.geometry, coal.BVHModelBase):
+            shape.geometry.buildConvexHull(True, "Qt")
+            shape.geometry = shape.geometry.convex
+    count = shapes.ngeoms
+    parents = [shape.parentJoint for shape in shapes.geometryObjects]
+    for a in range(count):
+        for b in range(a):
+            if abs(parents[a] - parents[b]) > 1:
+                shapes.addCollisionPair(pin.CollisionPair(b, a))
+    _without_usual_contact(model, shapes, postures, clearance_m, usual_contact)
+    for box in [*boxes, *([] if workspace is None else _walls(workspace))]:
+        number = shapes.addGeometryObject(_box(f"box_{shapes.ngeoms}", box))
+        for a in range(count):
+            if parents[a] > 0:
+                shapes.addCollisionPair(pin.CollisionPair(a, number))
+    return Geometry(model, model.createData(), shapes, _with_clearance(shapes, clearance_m))
+
+
+def _with_clearance(shapes: Any, clearance_m: float) -> Any:
+    found = shapes.createData()
+    for request in found.collisionRequests:
+        request.security_margin = clearance_m
+    return found
+
+
+def _without_usual_contact(
+    model: Any, shapes: Any, postures: Array, clearance_m: float, share: float
+) -> None:
+    data, found = model.createData(), _with_clearance(shapes, clearance_m)
+    touching = np.zeros(len(shapes.collisionPairs))
+    for posture in postures:
+        q = pin.integrate(model, pin.neutral(model), posture)
+        pin.computeCollisions(model, data, shapes, found, q, False)
+        touching += [result.isCollision() for result in found.collisionResults]
+    usual = touching > share * len(postures)
+    pairs = [(pair.first, pair.second) for pair in shapes.collisionPairs]
+    for pair in (pair for pair, out in zip(pairs, usual, strict=True) if out):
+        shapes.removeCollisionPair(pin.CollisionPair(*pair))
+
+
+def _box(name: str, corners: Box) -> Any:
+    low, high = np.array(corners[:3]), np.array(corners[3:])
+    place = pin.SE3(np.eye(3), (low + high) / 2)
+    return pin.GeometryObject(name, 0, place, coal.Box(*np.abs(high - low)))
+
+
+def _walls(workspace: Box) -> list[Box]:
+    """Six boxes around a box."""
+    low, high = np.minimum(workspace[:3], workspace[3:]), np.maximum(workspace[:3], workspace[3:])
+    outer_low, outer_high = low - WALL_M, high + WALL_M
+    walls = []
+    for axis in range(3):
+        for start, stop in ((outer_low, low), (high, outer_high)):
+            corners = [outer_low.copy(), outer_high.copy()]
+            corners[0][axis], corners[1][axis] = start[axis], stop[axis]
+            walls.append([*corners[0], *corners[1]])
+    return walls

@@ -1,0 +1,45 @@
+"""Planned moves on a plant: as references, and recorded as a robot's controller would run them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from seqid_cli.logs.recording import Recording
+from seqid_cli.params.results.plan import PlannedMove
+from seqid_cli.plan.moves.trajectories import sampled
+from tests.plants.robots.lab import recording_of
+from tests.plants.simulate import Plant, simulate
+from tests.plants.trajectories import Reference, hold, join
+
+RATE_HZ = 1000.0
+REST_S = 0.5  # before and after each move
+PAUSE_S = 10.0  # between moves
+
+
+def reference_of(move: PlannedMove, plant: Plant) -> Reference:
+    """A planned move at the control rate, with a rest before and after it."""
+    _, q, dq, ddq = sampled(move, plant.arm.names, RATE_HZ)
+    ends = [hold(q[k], REST_S, RATE_HZ) for k in (0, -1)]
+    return join([ends[0], Reference(q, dq, ddq, RATE_HZ), ends[1]])
+
+
+def recorded(
+    plant: Plant,
+    moves: Sequence[PlannedMove],
+    seed: int,
+    *,
+    every: int = 2,
+    start: float = 0.0,
+    imus: bool = False,
+) -> list[Recording]:
+    """Run planned moves one after the other, a log each."""
+    logs = []
+    for number, move in enumerate(moves):
+        motion = reference_of(move, plant)
+        noise = int(np.random.default_rng([seed, number]).integers(2**31))
+        log = simulate(plant, motion, noise, every=every, imus=imus, start=start)
+        logs.append(recording_of(plant, move.name, log))
+        start += motion.duration + PAUSE_S
+    return logs

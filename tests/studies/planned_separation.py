@@ -1,0 +1,107 @@
+"""Does `plan discriminate` separate what the logs at hand do not tell apart? On two joints.
+
+Each case: an effect at a joint, one slow or fast log in which its name is open, the motion planned
+against the first rival that motion can settle, recorded on the same plant, and a second diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from seqid_cli.discover.diagnosis import diagnose
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.results.diagnosis import FindingEntry
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import belief_of
+from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.discriminate import plan_discriminate
+from seqid_cli.robot.types import Robot
+from tests.plants.planned import recorded
+from tests.studies.undeclared_cases import Condition, built
+from tests.studies.undeclared_logs import logs_of, stages_of
+
+SECONDS = 48.0
+MOVE_S = 8.0
+LATER_S = 2000.0  # s since power-on, when the planned moves are recorded
+EARLIER = 50  # added to the seed: the model is of logs without the effect
+NAMES = tuple(
+    name for name, effect in CATALOGUE.items() if effect.by_motion and name != "rotor_inertia"
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One case: the rivals before and after, and what the plan said."""
+
+    effect: str
+    joint: str
+    log: str
+    before: Sequence[str]
+    rival: str
+    imitated: float | None
+    after: Sequence[str] | None
+
+
+def cases(
+    cache: Path, *, seeds: Sequence[int], names: Sequence[str] = NAMES, joints: Sequence[int]
+) -> Iterator[Outcome]:
+    """All cases in which a log leaves the name open."""
+    for seed in seeds:
+        stages = stages_of(Condition("clean", "two", seed + EARLIER), cache)
+        for name in names:
+            for joint in joints:
+                if name == "transmission_coupling" and joint == 0:
+                    continue
+                case = Condition("catalogue", "two", seed, ((name, joint, 1.0),))
+                logs = logs_of(case, cache)
+                for log in logs.training:
+                    if log.path.name in ("slow", "fast"):
+                        yield from _outcome(case, logs.robot, stages, log)
+
+
+def _finding(
+    logs: Sequence[Recording], robot: Robot, stages: Stages, effect: str
+) -> FindingEntry | None:
+    """The finding that is the effect, or may be it."""
+    found = diagnose(logs, robot, stages, options=DiscoverOptions()).findings
+    return next((f for f in found if effect in (f.effect, *f.confusable_with)), None)
+
+
+def _outcome(case: Condition, robot: Robot, stages: Stages, log: Recording) -> Iterator[Outcome]:
+    effect, joint, _ = case.effects[0]
+    before = _finding([log], robot, stages, effect)
+    if before is None:
+        return
+    names = [n for n in (before.effect, *before.confusable_with) if n != effect]
+    for rival in names:
+        if CATALOGUE[rival].by_motion:
+            yield _separated(case, robot, stages, log, names, rival)
+            return
+    if names:
+        at = robot.joint_names[joint]
+        yield Outcome(effect, at, log.path.name, names, names[0], None, None)
+
+
+def _separated(
+    case: Condition, robot: Robot, stages: Stages, log: Recording, names: list[str], rival: str
+) -> Outcome:
+    effect, joint, _ = case.effects[0]
+    at = robot.joint_names[joint]
+    belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.4))
+    options = PlanOptions(
+        duration_s=SECONDS, move_s=MOVE_S, between=(effect, rival), joint=at, seed=case.seed
+    )
+    planned = plan_discriminate(belief, stages, options)
+    told = planned.stage.separation
+    outcome = Outcome(effect, at, log.path.name, names, rival, told and told.imitated, None)
+    if told is None:
+        return outcome
+    more = recorded(built(case)[0], planned.moves, case.seed, start=LATER_S)
+    after = _finding([log, *more], robot, stages, effect)
+    left = None if after is None else [after.effect, *after.confusable_with]
+    return Outcome(effect, at, log.path.name, names, rival, told.imitated, left)

@@ -1,0 +1,29 @@
+"""The command that a finding prints to have its name settled."""
+
+from __future__ import annotations
+
+import pytest
+
+from seqid_cli.discover.diagnosis import separate_by
+from seqid_cli.model.effects.registry import CATALOGUE
+from tests.plants.robots.sample import sample_robot
+
+
+@pytest.mark.parametrize(
+    ("effect", "others", "joint", "command"),
+    [
+        ("stribeck", ("quadratic_drag",), 1, "--between stribeck,quadratic_drag --joint joint_2"),
+        ("torque_bias", ("drift", "spring"), 0, "--between torque_bias,spring --joint joint_1"),
+        ("payload", ("base_tilt",), None, "--between payload,base_tilt"),
+        ("payload", ("spring",), None, ""),
+        ("drift", ("torque_bias",), 0, ""),
+        ("stribeck", (), 0, ""),
+    ],
+)
+def test_the_command_names_a_rival_that_motion_can_settle(
+    effect: str, others: tuple[str, ...], joint: int | None, command: str
+) -> None:
+    text = separate_by(CATALOGUE[effect], others, sample_robot("two_joint"), joint)
+    assert text.startswith(CATALOGUE[effect].separate_by)
+    assert text.endswith(f"; seqid plan discriminate {command} plans it" if command else "")
+    assert ("seqid plan" in text) == bool(command)

@@ -1,0 +1,103 @@
+"""Files of planned moves: each holds the move, read back by somebody else's reader."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from ruamel.yaml import YAML
+
+from seqid_cli.params.results.plan import PlanFile
+from seqid_cli.plan.functions import plan
+from seqid_cli.plan.moves.trajectories import sampled
+from seqid_cli.plan.options import PlanOptions
+from tests.plants.robots.sample import SAMPLES, sample_robot
+
+SCALE = 0.5
+ROBOT = sample_robot("six_joint")
+NAMES = ROBOT.joint_names
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, PlanFile]:
+    folder = tmp_path_factory.mktemp("plan")
+    options = PlanOptions(duration_s=10.0, move_s=5.0, pool=20, sweeps=0, speed_scale=SCALE)
+    moves = plan("inertia", ROBOT, options=options, trajectories=folder / "moves")
+    sweeps = plan("friction", ROBOT, options=options, trajectories=folder / "sweeps")
+    return folder, msgspec.structs.replace(moves, moves=[*moves.moves, sweeps.moves[2]])
+
+
+def rows_of(move_name: str, folder: Path) -> list[dict[str, list[float]]]:
+    text = (folder / f"{move_name}.yaml").read_text()
+    loaded = YAML(typ="safe").load(text)["trajectory"]
+    assert loaded["joint_names"] == list(NAMES)
+    return list(loaded["points"])
+
+
+def test_yaml_and_mcap_hold_the_same_slowed_move(made: tuple[Path, PlanFile]) -> None:
+    folder, file = made
+    move = file.moves[0]
+    points = rows_of(move.name, folder / "moves")
+    times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]  # type: ignore[call-overload]
+    assert times[-1] == pytest.approx(move.duration_s / SCALE)
+    t, q, dq, ddq = sampled(move, NAMES, 1000.0)
+    for kind, truth, factor in (
+        ("positions", q, 1),
+        ("velocities", dq, SCALE),
+        ("accelerations", ddq, SCALE**2),
+    ):
+        own = np.array([p[kind] for p in points])
+        for j in range(6):
+            expected = factor * np.interp(np.array(times) * SCALE, t, truth[:, j])
+            assert own[:, j] == pytest.approx(expected, abs=2e-3 * np.abs(truth).max() + 1e-9)
+    with (folder / "moves" / "moves.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        found = {
+            channel.topic: message for _, channel, _, message in reader.iter_decoded_messages()
+        }
+    assert list(found) == [f"/{m.name}" for m in file.moves[:2]]
+    trajectory = found[f"/{move.name}"]
+    assert list(trajectory.joint_names) == list(NAMES)
+    assert len(trajectory.points) == len(points)
+    for point, other in zip(trajectory.points, points, strict=True):
+        assert list(point.positions) == pytest.approx(other["positions"], abs=1e-8)
+        assert point.time_from_start.sec == other["time_from_start"]["sec"]  # type: ignore[call-overload]
+
+
+def test_urscript_follows_the_move(made: tuple[Path, PlanFile]) -> None:
+    folder, file = made
+    text = (folder / "moves" / f"{file.moves[0].name}.script").read_text()
+    assert re.match(r"def (\w+)\(\):\n.*\nend\n\1\(\)\n$", text, re.S)
+    poses = np.array(
+        [row.split(",") for row in re.findall(r"servoj\(\[(.*?)\]", text)], dtype=float
+    )
+    _, q, _, _ = sampled(file.moves[0], NAMES, 1000.0)
+    assert len(poses) == round(50 * file.moves[0].duration_s / SCALE)
+    assert np.abs(poses[0] - q[0]).max() < 1e-6
+    middle = np.abs(q[:, None] - poses[len(poses) // 2]).sum(axis=2).min()
+    assert middle < 0.01 * np.ptp(q, axis=0).max()
+
+
+def test_urscript_of_strokes_keeps_speed_and_acceleration(made: tuple[Path, PlanFile]) -> None:
+    folder, file = made
+    move = file.moves[-1]
+    text = (folder / "sweeps" / f"{move.name}.script").read_text()
+    found = re.findall(r"movej\(\[(.*?)\], a=(\S+), v=(\S+)\)", text)[1:]
+    j = NAMES.index(move.joints[0])
+    for stroke, (pose, a, v) in zip(move.strokes, found, strict=True):
+        assert float(pose.split(",")[j]) == pytest.approx(stroke.end, abs=1e-6)
+        assert float(v) == pytest.approx(SCALE * stroke.speed, rel=1e-4)
+        assert float(a) == pytest.approx(SCALE**2 * stroke.acceleration, rel=1e-4)
+
+
+def test_other_arms_get_no_urscript(tmp_path: Path) -> None:
+    two = SAMPLES / "two_joint" / "robot.toml"
+    options = PlanOptions(duration_s=5.0, move_s=5.0, pool=10, sweeps=0)
+    plan("inertia", two, options=options, trajectories=tmp_path / "moves")
+    kinds = {path.suffix for path in (tmp_path / "moves").iterdir()}
+    assert kinds == {".csv", ".yaml", ".mcap"}

@@ -1,0 +1,120 @@
+"""Collisions: found where shapes meet, with boxes around the arm, and kept out of a plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.params.schema import Stages
+from seqid_cli.plan.belief import belief_of
+from seqid_cli.plan.functions import plan
+from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.moves.trajectories import sampled
+from seqid_cli.plan.options import PlanOptions
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from seqid_cli.robot.urdf.geometry import geometry_of
+
+LENGTH = 0.5
+BAR = (
+    '<collision><origin xyz="{half} 0 0"/><geometry><box size="{length} 0.06 0.06"/></geometry>'
+    "</collision>"
+)
+OPTIONS = PlanOptions(duration_s=16.0, move_s=4.0, pool=60, sweeps=1)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """Three bars of half a metre in a plane; elbow and wrist fold onto the first."""
+    folder = tmp_path_factory.mktemp("arm")
+    bar = BAR.format(half=LENGTH / 2, length=LENGTH)
+    parts = ['<link name="base"/>']
+    for k in range(3):
+        inertia = '<inertia ixx="0.01" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+        body = f'<inertial><origin xyz="0.25 0 0"/><mass value="2"/>{inertia}</inertial>'
+        parent, x = (f"link_{k - 1}", LENGTH) if k else ("base", 0.0)
+        parts.append(
+            f'<link name="link_{k}">{body}{bar}</link><joint name="j{k}" type="revolute">'
+            f'<parent link="{parent}"/><child link="link_{k}"/><origin xyz="{x} 0 0"/>'
+            '<axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="200"/></joint>'
+        )
+    (folder / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
+    path = folder / "robot.toml"
+    joints = "".join(f'[[joint]]\nname = "j{k}"\n' for k in range(3))
+    head = (
+        'schema = "seqid/robot@1"\nname = "arm"\nurdf = "arm.urdf"\ngravity = [0.0, 0.0, -9.81]\n'
+    )
+    path.write_text(head + joints)
+    return load_robot(path)
+
+
+def tips(q: np.ndarray) -> np.ndarray:
+    """Ends (N, 4, 2) of the bars in the plane, by hand."""
+    angle = np.cumsum(q, axis=1)
+    steps = LENGTH * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    return np.concatenate([np.zeros((len(q), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+
+
+def test_folded_bars_collide_and_stretched_ones_do_not(arm: Robot) -> None:
+    found = geometry_of(arm, np.zeros((1, 3)))
+    assert found is not None
+    assert found.pairs == 1  # the first bar with the third
+    stretched, folded, crossed = [0.0, 0.0, 0.0], [0.7, -2.6, -2.6], [0.0, 2.6, 2.6]
+    assert found.collides(np.array([stretched, folded, crossed])).tolist() == [False, True, True]
+
+
+def test_boxes_and_the_workspace_count(arm: Robot) -> None:
+    box = (0.9, -0.1, -0.1, 1.1, 0.1, 0.1)
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (300, 3))
+    ends = tips(q)
+    inside = geometry_of(arm, np.zeros((1, 3)), workspace=(-0.8, -0.8, -1.0, 0.8, 0.8, 1.0))
+    with_box = geometry_of(arm, np.zeros((1, 3)), boxes=[box])
+    assert inside is not None
+    assert with_box is not None
+    out = np.abs(ends).max(axis=(1, 2)) > 0.8
+    assert inside.collides(q)[out].all()
+    near = np.abs(ends - np.array([1.0, 0.0])).max(axis=2).min(axis=1) < 0.1
+    assert near.any()
+    assert with_box.collides(q)[near].all()
+    assert not with_box.collides(np.array([[1.5, 0.0, 0.0]]))[0]
+
+
+@pytest.mark.parametrize("what", ["friction", "inertia", "validation", "gravity"])
+def test_no_planned_move_collides(arm: Robot, what: str) -> None:
+    box = (0.7, 0.3, -1.0, 1.5, 1.5, 1.0)
+    made = plan(what, arm, options=replace(OPTIONS, keep_out=(box,)))  # type: ignore[arg-type]
+    found = geometry_of(arm, np.zeros((1, 3)), boxes=[box], clearance_m=0.0)
+    assert found is not None
+    for move in made.moves:
+        q = sampled(move, arm.joint_names, 200.0)[1]
+        assert not found.collides(q).any()
+    assert made.moves or what == "gravity"  # gravity loads no joint of this arm
+    assert any("ways between moves" in note for note in made.notes)
+
+
+def test_a_span_ends_where_the_arm_folds_onto_itself(arm: Robot) -> None:
+    belief = belief_of(arm, Stages(), limits_of(arm, ramp_s=0.5))
+    assert belief.free_span(0, np.zeros(3)) == (belief.limits.lower[0], belief.limits.upper[0])
+    folded = replace(belief, geometry=geometry_of(arm, np.zeros((1, 3))))
+    low, high = folded.free_span(2, np.array([0.0, 2.6, 0.0]))
+    assert low < 0.0 < high < belief.limits.upper[2]
+
+
+def test_a_cell_without_room_and_an_arm_without_shapes_are_told(arm: Robot, tmp_path: Path) -> None:
+    full = (-2.0, -2.0, -1.0, 2.0, 2.0, 1.0)
+    for what, text in (("inertia", "keeps the arm off itself"), ("friction", "touches something")):
+        with pytest.raises(ConfigError, match=text):
+            plan(what, arm, options=replace(OPTIONS, keep_out=(full,)))  # type: ignore[arg-type]
+    urdf = arm.source.parent / "arm.urdf"
+    (tmp_path / "arm.urdf").write_text(
+        urdf.read_text().replace("<collision>", "<!--").replace("</collision>", "-->")
+    )
+    (tmp_path / "robot.toml").write_text(arm.source.read_text())
+    bare = load_robot(tmp_path / "robot.toml")
+    assert geometry_of(bare, np.zeros((1, 3))) is None
+    with pytest.raises(ConfigError, match="need the shapes of the links"):
+        plan("inertia", bare, options=replace(OPTIONS, workspace=full))

@@ -391,7 +391,7 @@ class Selection:
         return self._is_detail(one.term) or 2.0 * one.predicted.total < max(laws, default=0.0)
 
     def _is_detail(self, term: Term) -> bool:
-        """Whether a term is small beside the model's torque, which has no part above the cut-off."""
+        """Whether a term is small beside the torque of the model, which ends at the cut-off."""
         model, channels = self.model, term.channels
         torque = model.ground.torque
         if max(channels) >= len(torque):

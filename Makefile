@@ -40,11 +40,15 @@ $(RUN): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
-# Development and CI take what is locked, by its hashes.
-$(DEV): pyproject.toml $(LOCK) | $(BIN)/python
+$(DEV): pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@ $(RUN)
+
+.PHONY: locked
+locked: $(LOCK) | $(BIN)/python ## install what is locked, by its hashes, instead of the newest
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --requirement $(LOCK)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	touch $@ $(RUN)
+	touch $(DEV) $(RUN)
 
 $(TOOLS): | $(BIN)/python
 	$(BIN)/python -m venv $(@D)

@@ -118,7 +118,7 @@ def _write_mcap(
         stamp = round(start * 1e9)
         writer.write_message(f"/{move.name}", schema, message, log_time=stamp, publish_time=stamp)
         start += move.duration_s / speed_scale
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _urscript(move: PlannedMove, names: Sequence[str], speed_scale: float) -> str:

@@ -52,8 +52,8 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
         _swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in enumerate(chosen, start=1)
     ]
     for j in belief.limits.moving[1:]:
-        own, posture, ends = lightest_posture(belief, j, rng, share=SPAN)
-        moves.append(_swing(own, j, posture, np.array(ends)))
+        own, posture, span = lightest_posture(belief, j, rng, share=SPAN)
+        moves.append(_swing(own, j, posture, np.array(span)))
     least = _least_information(_directions(belief, first, postures)[:, chosen])
     notes = [
         f"{imu.name}: turns about the worst axis are told {worst:.2f} times as well as by"

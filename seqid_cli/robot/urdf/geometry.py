@@ -150,7 +150,7 @@ def _walls(workspace: Box) -> list[Box]:
     """Six boxes around a box."""
     low, high = np.minimum(workspace[:3], workspace[3:]), np.maximum(workspace[:3], workspace[3:])
     outer_low, outer_high = low - WALL_M, high + WALL_M
-    walls = []
+    walls: list[Sequence[float]] = []
     for axis in range(3):
         for start, stop in ((outer_low, low), (high, outer_high)):
             corners = [outer_low.copy(), outer_high.copy()]

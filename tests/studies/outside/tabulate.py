@@ -32,17 +32,42 @@ GROUPS: Mapping[str, Callable[[Row], bool]] = {
     "without IMUs": lambda row: not row["imu"],
     "all": lambda row: True,
 }
-BINS = ((0.0, 0.9), (0.9, 0.99), (0.99, 0.999), (0.999, 1.0))
+BINS = ((0.0, 0.8), (0.8, 0.9), (0.9, 0.97), (0.97, 0.99), (0.99, 1.0))
+LOUD = 0.8  # confidence above which a wrong name is counted
+NAMED = ("right", "alike")
 
 
 def tables(rows: Sequence[Row]) -> str:
-    """Markdown: clean cases, groups, effects, confidences."""
-    parts = (clean_table(rows), group_table(rows), effect_table(rows), confidence_table(rows))
-    return "\n\n".join(parts)
+    """Markdown: what is asked, clean cases, groups, effects, confidences."""
+    makers = (asked_table, clean_table, group_table, effect_table, confidence_table)
+    return "\n\n".join(make(rows) for make in makers)
 
 
 def _share(test: Sequence[bool]) -> str:
     return percent(sum(test) / len(test), 0) if test else "-"
+
+
+def asked_table(rows: Sequence[Row]) -> str:
+    """What matters most, of all cases that did not fail."""
+    well = [row for row in rows if not row["error"]]
+    found = [[label(row, k) for k in range(len(row["kinds"]))] for row in well]
+    alone = [own[0] for own in found if len(own) == 1]
+    visible = [x in NAMED for x in alone if x != "little left"]
+    pairs = [[x in NAMED for x in own] for own in found if len(own) == 2]
+    loud = [
+        any(f["confidence"] > LOUD and finding_is(row, f) == "wrong" for f in row["findings"])
+        for row in well
+    ]
+    asked: list[tuple[str, list[bool]]] = [
+        ("clean arm: nothing told", [silent(row) for row in well if not row["kinds"]]),
+        ("one effect that shows: its name, or told as like it", visible),
+        ("one effect, whether or not it shows", [x in NAMED for x in alone]),
+        ("two effects: both", [all(own) for own in pairs]),
+        ("two effects: at least one", [any(own) for own in pairs]),
+        (f"a wrong name above {LOUD:g}", loud),
+    ]
+    lines = [[what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked]
+    return table(["of all", "cases", "so many", "share"], lines)
 
 
 def clean_table(rows: Sequence[Row]) -> str:
@@ -100,9 +125,9 @@ def confidence_table(rows: Sequence[Row]) -> str:
     findings = [(row, item) for row in rows if not row["error"] for item in row["findings"]]
     lines = []
     for low, high in BINS:
-        own = [
-            finding_is(row, item) for row, item in findings if _in(item["confidence"], low, high)
-        ]
+        here = [(row, item) for row, item in findings if _in(item["confidence"], low, high)]
+        own = [finding_is(row, item) for row, item in here]
+        stated = [item["confidence"] for _, item in here]
         named = [
             finding_is(row, item)
             for row, item in findings
@@ -112,7 +137,8 @@ def confidence_table(rows: Sequence[Row]) -> str:
             [
                 f"{low:g} to {high:g}",
                 str(len(own)),
-                _share([x in ("right", "alike") for x in own]),
+                percent(float(np.mean(stated)), 0) if stated else "-",
+                _share([x in NAMED for x in own]),
                 _share([x != "wrong" for x in own]),
                 str(len(named)),
                 _share([x == "right" for x in named]),
@@ -122,6 +148,7 @@ def confidence_table(rows: Sequence[Row]) -> str:
         [
             "confidence",
             "findings",
+            "stated, mean",
             "right or told as like it",
             "or right family",
             "by the name's confidence",

@@ -21,13 +21,13 @@ from tests.studies.outside.plan import (
     outlined,
 )
 from tests.studies.outside.score import QUANTITIES, label, silent, surely_wrong
-from tests.studies.outside.tabulate import clean_table, confidence_table, group_table
+from tests.studies.outside.tabulate import asked_table, clean_table, confidence_table, group_table
 
 
 def answer(**changed: Any) -> dict[str, Any]:
     row = {"seed": 1, "kinds": ["stribeck"], "joints": ["j2"], "shares": [0.05], "flow": "late"}
     row |= {"arm": "drawn", "n": 2, "imu": False, "error": "", "findings": [], "unexplained": []}
-    return row | {"events": [], "residuals": {"j2": [0.3, 0.1, 0.1]}} | changed
+    return row | {"events": [], "residuals": {"j2": [0.3, 0.1, 0.3]}} | changed
 
 
 def finding(effect: str, joint: str = "j2", confidence: float = 0.95, **own: Any) -> dict[str, Any]:
@@ -75,7 +75,9 @@ def test_a_seed_is_one_case() -> None:
         ({"unexplained": [["j2", ["position", "direction"]]]}, "quantity"),
         ({"unexplained": [["j2", ["position", "direction"]]], "flow": "single"}, "silent"),
         ({"unexplained": [["j2", ["time"]]]}, "other"),
-        ({"residuals": {"j2": [0.11, 0.1, 0.1], "j1": [0.9, 0.1, 0.1]}}, "little left"),
+        ({"residuals": {"j2": [0.11, 0.1, 0.1], "j1": [0.9, 0.1, 0.9]}}, "little left"),
+        ({"residuals": {"j2": [0.3, 0.1, 0.11]}}, "little left"),
+        ({"findings": [finding("position_dependent_friction")], "flow": "single"}, "silent"),
     ],
 )
 def test_an_answer_is_worth_its_best_part(changed: dict[str, Any], expected: str) -> None:
@@ -109,7 +111,10 @@ def test_tables_count() -> None:
     groups = group_table(rows)
     assert "| one effect, later | 3 | 2 | 50 % |  |  |  | 50 % |  |  | 50 % | 1 |" in groups
     assert "| with IMUs | 1 | 1 |  |  |  |  | 100 % |  |  | 100 % | 0 |" in groups
-    assert "| 0.9 to 0.99 | 2 | 50 % | 50 % | 2 | 50 % |" in confidence_table(rows)
+    assert "| 0.9 to 0.97 | 2 | 95 % | 50 % | 50 % | 2 | 50 % |" in confidence_table(rows)
+    asked = asked_table(rows)
+    assert "| one effect that shows: its name, or told as like it | 2 | 1 | 50 % |" in asked
+    assert "| a wrong name above 0.8 | 3 | 1 | 33 % |" in asked
 
 
 def test_reserved_seeds_are_for_the_reserved_set(capsys: pytest.CaptureFixture[str]) -> None:

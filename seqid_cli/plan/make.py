@@ -33,6 +33,7 @@ from seqid_cli.plan.stages.payload import loaded, plan_payload
 from seqid_cli.plan.stages.validation import plan_validation
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.robot.urdf.geometry import Geometry
+from seqid_cli.shares import percent
 
 
 def make_plan(
@@ -154,9 +155,8 @@ def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) ->
 def _verdicts(what: str, stage: PlannedStage, *, most_imitated: float = 0.95) -> list[Verdict]:
     told = stage.separation
     if told is not None:
-        reason = (
-            f"{' and '.join(told.between)}: either imitates up to {told.imitated:.0%} of the other"
-        )
+        most = percent(told.imitated, 0)
+        reason = f"{' and '.join(told.between)}: either imitates up to {most} of the other"
         return [Verdict(good=told.imitated <= most_imitated, reason=reason)]
     if what == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]

@@ -26,6 +26,7 @@ from seqid_cli.params.results.inspection import PlannedPart
 from seqid_cli.params.results.plan import PlanFile, PlannedMove
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.robot.types import Array, Robot
+from seqid_cli.shares import percent
 
 RATE_HZ = 20.0  # of positions that are compared
 ORDER = ("missing", "spoiled", "recorded")
@@ -122,7 +123,7 @@ def _found(
     if scale < 1.0:
         reason = f"at {scale:.2g} of the planned speed"
     elif share < whole:
-        reason = f"only {share:.0%} of it is in the log"
+        reason = f"only {percent(share, 0)} of it is in the log"
     if off[worst] > resembles * unit[worst]:
         return missing
     if off[worst] > follows * unit[worst]:

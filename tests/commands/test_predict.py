@@ -1,11 +1,9 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 
 import jsonschema
 import numpy as np
@@ -75,10 +73,7 @@ class Model:
 @pytest.fixture
 def model(monkeypatch: pytest.MonkeyPatch) -> Model:
     fake = Model()
-    module = ModuleType("seqid_cli.identify.prediction.predict")
-    module.predict = fake.predict  # type: ignore[attr-defined]
-    module.LogPrediction = LogPrediction  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr("seqid_cli.identify.prediction.predict.predict", fake.predict)
     return fake
 
 

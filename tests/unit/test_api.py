@@ -43,6 +43,7 @@ RENAMED = {
     "lock": "locked",
     "duration": "duration_s",
     "move_duration": "move_s",
+    "load": "load_kg",
     "files": "parameters",
 }
 

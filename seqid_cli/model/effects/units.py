@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from seqid_cli.typing import Array
+if TYPE_CHECKING:
+    from seqid_cli.typing import Array
 
 _TORQUE = re.compile(r"\bN m\b(?!\^)")
 _ANGLE = re.compile(r"\brad\b")
@@ -59,6 +59,8 @@ def amplitude_and_phase(
 
     `unit` is that of c (2,) with its covariance (2, 2), `name` what the amplitude is of.
     """
+    import numpy as np  # help of commands names units
+
     amplitude = float(np.hypot(c[0], c[1]))
     phase = float(np.arctan2(c[1], c[0]))
     scale = max(amplitude, 1e-300)

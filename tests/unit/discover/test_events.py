@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.discover.investigate import STANDS_OUT
 from seqid_cli.discover.survey.event_windows import residual_series
 from seqid_cli.discover.survey.events import (
+    GATE,
     Interval,
     combined,
     event_masks,
@@ -123,7 +125,8 @@ def narrow(scene: Scene) -> Array:
 @pytest.mark.parametrize("law", [stribeck, ripple, impacts, narrow])
 def test_what_recurs_is_no_event(many_rows: list[Rows], law: Callable[[Scene], Array]) -> None:
     for seed, rows in enumerate(many_rows):
-        assert find_events(rows, scaled_residual(rows, seed, at_second(law))) == []
+        found = find_events(rows, scaled_residual(rows, seed, at_second(law)))
+        assert max((one.score for one in found), default=0.0) < STANDS_OUT * GATE
 
 
 def test_pushes_all_the_time_are_not_events(many_rows: list[Rows]) -> None:

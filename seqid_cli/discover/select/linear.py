@@ -37,6 +37,7 @@ from seqid_cli.discover.select.rows import (
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+BATCH = 200  # terms that are tried at once
 RIDGE = 1e-10  # of a scaled column's square
 
 
@@ -208,12 +209,14 @@ class Linear:
 
     def gained(self, terms: Sequence[Part]) -> list[Gained]:
         """Try each term by itself."""
-        if not terms:
-            return []
-        crossed = _Crossed.of(terms, self.size, 1)
-        for c, (index, B) in enumerate(self._own):
-            crossed.add(0, c, index, B, self._y[c], self._root[c])
-        return self._given(self._whole, terms, crossed)
+        found = []
+        for first in range(0, len(terms), BATCH):
+            some = terms[first : first + BATCH]
+            crossed = _Crossed.of(some, self.size, 1)
+            for c, (index, B) in enumerate(self._own):
+                crossed.add(0, c, index, B, self._y[c], self._root[c])
+            found += self._given(self._whole, some, crossed)
+        return found
 
     def _given(
         self,

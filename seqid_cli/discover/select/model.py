@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
@@ -214,6 +215,20 @@ class Model:
                 if tried is not None:
                     self.terms[number] = tuner.tuned(tried, NEAR).term
         self.settle()
+
+    def squares(self, term: Term, channels: frozenset[int]) -> float:
+        """Weighted square of a term's torque at some channels."""
+        theta, weight, columns = self.linear.theta[self.where(term)], self.noise.weight, term.part
+        there = term.channels & channels
+        return sum(float(weight[c] @ (columns.columns[c] @ theta) ** 2) for c in there)
+
+    def is_detail(self, term: Term) -> bool:
+        """Whether a term is small beside the torque of the model, which ends at the cut-off."""
+        channels, torque = term.channels, self.ground.torque
+        if max(channels) >= len(torque):
+            return False
+        whole = sum(float(self.noise.weight[c] @ torque[c] ** 2) for c in channels)
+        return self.squares(term, channels) < DETAIL**2 * whole
 
     def deviation(self, ground: Ground | None = None) -> list[Array]:
         """What the base adds to the file's model (N, n) N m, at all samples of every scene."""

@@ -18,15 +18,13 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import combinations
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
-from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import (
     FREE,
@@ -40,12 +38,11 @@ from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken
 from seqid_cli.discover.select.rows import scatter
 from seqid_cli.discover.select.terms import Term, smooth_terms
-from seqid_cli.discover.select.tuning import Tried, Tuner
+from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 HOLDS = (HELD, LOOSE, FREE)
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
@@ -54,7 +51,6 @@ SHORTLIST = 14  # effects, of which settings are searched and blocks are left ou
 SMOOTH_SHORTLIST = 3  # smooth functions per joint
 BEHIND = 2.0  # standard errors, by which a term is clearly behind the best
 UNDECIDED = 3.0  # log evidence, by which a model is no better for certain
-BATCH = 200  # terms that are tried at once
 
 
 def select(
@@ -282,16 +278,16 @@ class Selection:
     ) -> list[Tried]:
         g = self.model.ground
         tuner = Tuner(g.stage, linear, g.size)
-        tried = [t for some in _batches(candidates) for t in tuner.tried(some)]
+        tried = tuner.tried(candidates)
         if near is None:
-            self._visible = _most_visible(tried)
+            self._visible = most_visible(tried)
         had = set() if near else {t.key for t in self.model.terms if not is_wide(t)}
         seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE and t.term.key not in had]
-        shapes = _best_of(seen, lambda t: (*t.term.key, t.candidate.apart, t.candidate.kind))
+        shapes = best_of(seen, lambda t: (*t.term.key, t.candidate.apart, t.candidate.kind))
         first = shapes[:SHORTLIST]
         reach = CLOSE * max((t.evidence for t in first), default=0.0)
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
-        return _best_of(found, lambda t: (*t.term.key, t.candidate.apart))
+        return best_of(found, lambda t: (*t.term.key, t.candidate.apart))
 
     def _smooth(self, linear: Linear, near: frozenset[int] | None) -> list[Tried]:
         g, had = self.model.ground, {term.key for term in self.model.terms}
@@ -300,7 +296,7 @@ class Selection:
             for t in smooth_terms(g.stage.rows, g.size)
             if (t.channels & near if near is not None else t.key not in had)
         ]
-        found = [x for some in _batches(terms) for x in linear.gained([t.part for t in some])]
+        found = linear.gained([t.part for t in terms])
         tried = [Tried(t, x) for t, x in zip(terms, found, strict=True)]
         first = sorted(tried, key=lambda t: -t.evidence)
         return [
@@ -387,24 +383,8 @@ class Selection:
         """Whether it takes away no more than the error of a law: a taken term's, or the model's."""
         model, channels = self.model, one.term.channels
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
-        laws = [self.options.law**2 * self._squares(t, channels) for t in others]
-        return self._is_detail(one.term) or 2.0 * one.predicted.total < max(laws, default=0.0)
-
-    def _is_detail(self, term: Term) -> bool:
-        """Whether a term is small beside the torque of the model, which ends at the cut-off."""
-        model, channels = self.model, term.channels
-        torque = model.ground.torque
-        if max(channels) >= len(torque):
-            return False
-        whole = sum(float(model.noise.weight[c] @ torque[c] ** 2) for c in channels)
-        return self._squares(term, channels) < DETAIL**2 * whole
-
-    def _squares(self, term: Term, channels: frozenset[int]) -> float:
-        """Weighted square of a taken term's torque at some channels."""
-        theta = self.model.linear.theta[self.model.where(term)]
-        weight, columns = self.model.noise.weight, term.part.columns
-        there = term.channels & channels
-        return sum(float(weight[c] @ (columns[c] @ theta) ** 2) for c in there)
+        laws = [self.options.law**2 * model.squares(t, channels) for t in others]
+        return model.is_detail(one.term) or 2.0 * one.predicted.total < max(laws, default=0.0)
 
 
 def _again(term: Term, linear: Linear) -> Ranked:
@@ -416,26 +396,6 @@ def _by_gain(one: Ranked) -> float:
     return -one.predicted.total
 
 
-def _best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:
-    """The one of the largest evidence for each key, the largest first."""
-    best: dict[Hashable, Tried] = {}
-    for one in sorted(tried, key=lambda t: -t.evidence):
-        best.setdefault(key(one), one)
-    return list(best.values())
-
-
-def _most_visible(tried: Sequence[Tried]) -> dict[Key, float]:
-    visible: dict[Key, float] = {}
-    for one in tried:
-        visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
-    return visible
-
-
 def is_wide(term: Term) -> bool:
     """Whether it is an effect of which a joint may have several: a ripple, a line in time."""
     return isinstance(term.what, Candidate) and term.what.effect.wide
-
-
-def _batches(values: Sequence[T]) -> Iterator[Sequence[T]]:
-    for first in range(0, len(values), BATCH):
-        yield values[first : first + BATCH]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,3 +150,19 @@ def _bracket(setting: Setting, value: float, spacing: float) -> tuple[float, flo
         return float(np.log(low)), float(np.log(high))
     reach = 0.5 * max(abs(value), 1e-3)
     return max(value - reach, setting.low), min(value + reach, setting.high)
+
+
+def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:
+    """The one of the largest evidence for each key, the largest first."""
+    best: dict[Hashable, Tried] = {}
+    for one in sorted(tried, key=lambda t: -t.evidence):
+        best.setdefault(key(one), one)
+    return list(best.values())
+
+
+def most_visible(tried: Sequence[Tried]) -> dict[tuple[str, int | None], float]:
+    """The largest visible share of each effect."""
+    visible: dict[tuple[str, int | None], float] = {}
+    for one in tried:
+        visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
+    return visible

@@ -225,11 +225,10 @@ class Linear:
         crossed: _Crossed,
     ) -> list[Gained]:
         """What each term by itself does to a solved model."""
-        (factor, theta), C, d = solved, crossed.C.sum(axis=0), crossed.d.sum(axis=0)
+        (factor, theta), (C, d, whole) = solved, crossed.whole
         Z, left = self._solved(factor, C), d - C.T @ theta
         found = []
-        for term, at, blocks in zip(terms, crossed.where, crossed.D, strict=True):
-            D = blocks.sum(axis=0)
+        for term, at, D in zip(terms, crossed.where, whole, strict=True):
             S = D - C[:, at].T @ Z[:, at]
             value, a, covariance = bayes_factor(S, left[at], term.precision)
             visible = float(np.trace(S) / max(float(np.trace(D)), 1e-300))
@@ -248,12 +247,12 @@ class Linear:
         every = [one.evidence for one in self._given(self._whole, terms, crossed)]
         alone = [one.evidence for one in self._given(self._without_file, terms, crossed)]
         density = np.zeros((len(terms), blocks))
-        C, d = crossed.C.sum(axis=0), crossed.d.sum(axis=0)
+        C, d, whole = crossed.whole
         for k, (factor, theta) in enumerate(self._without):
             rest = C - crossed.C[k]
             Z, left = self._solved(factor, rest), d - crossed.d[k] - rest.T @ theta
             for i, (term, at) in enumerate(zip(terms, crossed.where, strict=True)):
-                S = crossed.D[i].sum(axis=0) - crossed.D[i][k] - rest[:, at].T @ Z[:, at]
+                S = whole[i] - crossed.D[i][k] - rest[:, at].T @ Z[:, at]
                 density[i, k] = every[i] - bayes_factor(S, left[at], term.precision)[0]
         rows = self.rows.independent
         return [
@@ -279,6 +278,11 @@ class _Crossed:
         wide = int(edges[-1])
         own = [np.zeros((blocks, term.size, term.size)) for term in terms]
         return cls(terms, where, np.zeros((blocks, size, wide)), np.zeros((blocks, wide)), own)
+
+    @cached_property
+    def whole(self) -> tuple[Array, Array, list[Array]]:
+        """C (p, m), d (m,) and D (k, k) of all blocks, once these are added."""
+        return self.C.sum(axis=0), self.d.sum(axis=0), [own.sum(axis=0) for own in self.D]
 
     def add(
         self,

@@ -150,10 +150,10 @@ class Model:
         self.settle()
         return best is not first
 
-    def margin(self, term: Term) -> float:
-        """Log evidence for a term against a base that is held as loosely as explains it best."""
+    def margin(self, without: Linear) -> float:
+        """Log evidence against the model without a term, its base held as explains it best."""
         own = self.linear.evidence - self.hold.doubt(self.ground.n)
-        return own - self._best_hold(self.beside(term))[1]
+        return own - self._best_hold(without)[1]
 
     def _best_hold(self, linear: Linear) -> tuple[Hold, float]:
         """The hold that the evidence prefers, part by part, and its evidence less its doubt."""

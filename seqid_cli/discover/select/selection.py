@@ -319,8 +319,9 @@ class Selection:
         return Selected(self.model, told, hidden, tried)
 
     def _is_told(self, term: Term, least: float) -> bool:
-        one = _again(term, self.model.beside(term))
-        there = reality(one.predicted, self.model.margin(term)) >= least
+        linear = self.model.beside(term)
+        one = _again(term, linear)
+        there = reality(one.predicted, self.model.margin(linear)) >= least
         return there and self._passes(one) and not self._of_a_law(one)
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
@@ -353,7 +354,7 @@ class Selection:
         others = self._ranked(linear, candidates, [term.key], term.channels)
         near = [x for x in others if x.term.channels & term.channels]
         ranked = tuple(sorted([one, *near], key=_by_gain))
-        margin, instead = self.model.margin(term), self._instead_of(term)
+        margin, instead = self.model.margin(linear), self._instead_of(term)
         return Taken(one, ranked, linear.left_out, margin, instead, self._untried(term))
 
     def _instead_of(self, term: Term) -> dict[str, float]:

@@ -30,7 +30,7 @@ from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, l
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-MOST_TORQUE = 2.0  # of a column, over what the file leaves
+LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Base:
         No column's torque is likely to be more than some times what the file leaves. That keeps
         directions harmless which the logs, or some of the folds, leave open.
         """
-        unit = [MOST_TORQUE * size if size > 0 else np.inf for size in self.start]
+        unit = [LIKELY * size if size > 0 else np.inf for size in self.start]
         rows = sum(len(y) for y in self.y)
         squares = [np.sum(H**2, axis=0) / u**2 for H, u in zip(self.rigid, unit, strict=True)]
         own = [

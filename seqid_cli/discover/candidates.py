@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.select.rows import Channels
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
-from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.discover.survey.rows import TOGETHER, Rows
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
-
-TOGETHER = 64  # candidates whose columns are low-passed at once
 
 
 @dataclass(frozen=True)

@@ -49,10 +49,9 @@ from seqid_cli.typing import Array, Mask
 Way = Literal["rests", "spectrum"]
 
 SEED = 0  # of the draws behind the interval
-SHORTEST_REST = 4.0  # periods of the cut-off
+STRETCH = 4.0  # periods of the cut-off: of a rest, at least, and per spectrum while joints move
 FEWEST_RESTED = 20.0  # periods of the cut-off, over all rests
 SETTLING = 1.2  # periods of the cut-off at both ends of a rest, in which a move dies away
-STRETCH = 4.0  # periods of the cut-off per spectrum, while joints move
 FEWEST_FREQUENCIES = 8
 EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)  # of 1/f^a noise at rest
 FLICKER = (1.0,)  # the same above the cut-off, where exponents are not told apart
@@ -60,10 +59,9 @@ ABOVE = 1.5  # cut-offs, from which the torque is taken for noise
 UP_TO = 10.0  # cut-offs: what lies further off tells little of the band
 NYQUIST_SHARE = 0.9
 BAND = (0.45, 0.95)  # cut-offs, between which what is left of the torque is taken for noise
-BAND_STRETCH = 4.0  # periods of the cut-off per spectrum of it
 FEWEST_STRETCHES = 2
-HANN = 1.5  # bins of a tapered spectrum that count as one
-MEDIAN = 2.08  # variance of a median of periodograms over that of their mean
+# Bins of a tapered spectrum that count as one, times the variance of a median over that of a mean.
+ALIKE = 1.5 * 2.08
 ENCODER_ERROR = 0.25  # relative standard error of the encoder's part
 ENCODER_SPREAD = np.exp(ENCODER_ERROR * np.array([0.0, -1.96, 1.96]))  # estimate and its ends
 AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
@@ -227,9 +225,9 @@ def _at_rest(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[l
 def _rests(recording: Recording, scene: Scene) -> list[slice] | None:
     """Pieces of equal length in which all joints stand; None where that is not for long enough."""
     period = recording.rate_hz / scene.motion.lowpass.cutoff_hz
-    still = unmoved(recording.q, encoder_resolution(scene.robot), round(SHORTEST_REST * period))
+    still = unmoved(recording.q, encoder_resolution(scene.robot), round(STRETCH * period))
     quiet = shrink(still & recording.valid, round(SETTLING * period))
-    pieces = [(a, b) for a, b in runs(quiet, len(quiet)) if b - a >= SHORTEST_REST * period]
+    pieces = [(a, b) for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH * period]
     if sum(b - a for a, b in pieces) < FEWEST_RESTED * period:
         return None
     length = int(np.median([b - a for a, b in pieces]))
@@ -278,7 +276,7 @@ def _top_of_band(
     """
     motion = scene.motion
     rate, cutoff = motion.rate_hz, motion.lowpass.cutoff_hz
-    length = min(round(BAND_STRETCH * rate / cutoff), motion.samples)
+    length = min(round(STRETCH * rate / cutoff), motion.samples)
     starts = stretches(scene.slides[:, joint] & (residual[:, joint] != 0.0), length)
     frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
     kept = (frequency > BAND[0] * cutoff) & (frequency < BAND[1] * cutoff)
@@ -289,7 +287,7 @@ def _top_of_band(
     )
     density = np.maximum(whole - heard, LEAST_SHARE * whole)
     density = density / power_gain(motion.lowpass, frequency[kept], 2)
-    averaged = np.full(int(kept.sum()), len(starts) / (HANN * MEDIAN))
+    averaged = np.full(int(kept.sum()), len(starts) / ALIKE)
     return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))
 
 
@@ -309,5 +307,5 @@ def _slid(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
     if not starts or kept.sum() < FEWEST_FREQUENCIES:
         return None
     density = median_spectrum(recording.tau[:, joint], starts, length, rate)[kept]
-    averaged = np.full(int(kept.sum()), len(starts) / (HANN * MEDIAN))
+    averaged = np.full(int(kept.sum()), len(starts) / ALIKE)
     return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))

@@ -21,6 +21,7 @@ from typing import cast
 import numpy as np
 from scipy.stats import t as student_t
 
+from seqid_cli.discover.noise.level import LEVEL
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, local_effects, predict
@@ -39,7 +40,6 @@ from seqid_cli.typing import Array, Index, Mask
 
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
-LEVEL = 0.95
 LEAST_GAIN = 0.005  # of the squared error, from which a gain is worth an effect
 
 

@@ -31,17 +31,16 @@ OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no ef
 class Hold:
     """By how many of the file's standard errors the base may move from it.
 
-    `own` is the friction of each joint, where joints differ.
+    `own` is the friction of each joint, where it is not held like the rigid body.
     """
 
     name: str
     rigid: float = 1.0
-    friction: float = 1.0
     own: tuple[float, ...] = ()
 
     def of(self, joint: int) -> float:
         """By how much friction of a joint may move."""
-        return self.own[joint] if self.own else self.friction
+        return self.own[joint] if self.own else self.rigid
 
     def doubt(self, joints: int) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
@@ -53,9 +52,8 @@ class Hold:
 
 
 HELD = Hold("held")
-LOOSE = Hold("loose friction", friction=10.0)
-FREE = Hold("free", rigid=FAR, friction=FAR)
-FIRM = Hold("firm", rigid=0.1, friction=0.1)
+FREE = Hold("free", FAR)
+FIRM = Hold("firm", 0.1)
 
 
 @dataclass(frozen=True)
@@ -93,16 +91,21 @@ class Ground:
         """Time [s] by which torque may be early or late at any drive."""
         return OWN_OFFSET * max(scene.period for scene in self.stage.scenes)
 
+    def precisions(self, hold: Hold) -> list[Array]:
+        """Precision (k, k) of the rigid body beforehand, then of each joint's friction."""
+        rows = [self.base.rigid_hold(hold.rigid)]
+        rows += [self.base.friction_hold(j, hold.of(j)) for j in range(self.n)]
+        return [own.T @ own for own in rows]
+
     def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:
         """The base: rigid body, friction by joint, time offset by joint where it has its own."""
         base, joints = self.base, range(self.n)
-        rigid = base.rigid_hold(hold.rigid)
-        friction = [base.friction_hold(j, hold.of(j)) for j in joints]
+        rigid, *friction = self.precisions(hold)
         timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
         own = [np.diag(bound**2) for bound in base.bounds[1]]
         return [
-            Part(dict(enumerate(base.rigid)), rigid.T @ rigid, np.diag(base.bounds[0] ** 2)),
-            *(Part({j: base.friction[j]}, friction[j].T @ friction[j], own[j]) for j in joints),
+            Part(dict(enumerate(base.rigid)), rigid, np.diag(base.bounds[0] ** 2)),
+            *(Part({j: base.friction[j]}, friction[j], own[j]) for j in joints),
             *(
                 Part({j: base.timing[j] if timed[j] else base.untimed[j]}, timing[j])
                 for j in joints
@@ -165,8 +168,7 @@ class Model:
                 if number:
                     own[number - 1] = scale
                 hold = replace(best, rigid=best.rigid if number else scale, own=tuple(own))
-                parts = self.ground.parts(hold, self.timed)
-                worth = linear.evidence_under([p.precision for p in parts]) - hold.doubt(n)
+                worth = linear.evidence_under(self.ground.precisions(hold)) - hold.doubt(n)
                 if worth > most:
                     best, most = hold, worth
         return best, most

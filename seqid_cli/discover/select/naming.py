@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CONSTANT, OF_SHARE, OF_GAIN = -0.5, 0.52, 0.87  # of the log odds: of logit(share), log10(gain)
+CONSTANT, OF_SHARE, OF_GAIN = 0.06, 0.44, 0.73  # of the log odds: of logit(share), log10(gain)
 TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely
-TOLD = 0.6  # probability from which something is told
+TOLD = 0.7  # probability from which something is told
 SELDOM = 0.05  # share of them, below which a rival is not told
 
 

@@ -6,10 +6,10 @@ terms that do so equally well, the one of the fewest parameters is taken, and of
 the largest evidence; smooth functions have many. What does not hold beside terms that came later is
 taken back.
 
-The base is held to the file in one of three ways to begin with: as the file says; friction loosely,
-as files have it that have taken up an effect; all loosely. Of each finished model the evidence says
-how loosely the rigid body and each joint's friction are held; then the selection goes on. The
-evidence of the models decides.
+The base is held to the file in one of two ways to begin with: as the file says, or loosely, as
+files need it that have taken up an effect. Of each finished model the evidence says how loosely the
+rigid body and each joint's friction are held; then the selection goes on. The evidence of the
+models decides.
 
 References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for model
 selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes factors", JASA 90,
@@ -26,13 +26,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.model import (
-    FREE,
-    HELD,
-    LOOSE,
-    Ground,
-    Model,
-)
+from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
 from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken
@@ -44,7 +38,6 @@ from seqid_cli.model.effects.registry import catalogue_of
 
 Array = NDArray[np.float64]
 
-HOLDS = (HELD, LOOSE, FREE)
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
 CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
@@ -58,7 +51,7 @@ def select(
     options: Options | None = None,
     catalogue: Sequence[Effect] | None = None,
 ) -> Selection:
-    """Select what the model lacks, with the base held in every way; the evidence chooses one.
+    """Select what the model lacks, with the base held in both ways; the evidence chooses one.
 
     A base that is held loosely takes up friction that has changed: the terms of such a model are
     tried with the base held as the file says, too.
@@ -66,7 +59,7 @@ def select(
     if catalogue is None:
         catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
     options = options or Options()
-    every = [Selection(Model(ground, hold), options, catalogue) for hold in HOLDS]
+    every = [Selection(Model(ground, hold), options, catalogue) for hold in (HELD, FREE)]
     for one in every:
         one.finish()
     best = _best_of_all(every)

@@ -9,14 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.discover.base import LIKELY
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import Rows
 
 Array = NDArray[np.float64]
-
-LIKELY = 2.0  # of a term's torque beforehand, over what the file leaves
 
 
 @dataclass(frozen=True, eq=False)

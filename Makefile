@@ -61,7 +61,7 @@ lock: $(TOOLS) ## lock the dependencies anew: the newest that pyproject.toml all
 		--upgrade --generate-hashes --no-annotate --no-header --no-emit-index-url --no-emit-find-links --quiet --output-file $(LOCK)
 
 audit: $(TOOLS) ## look the locked dependencies up in the list of known holes
-	$(dir $(TOOLS))bin/pip-audit --require-hashes --disable-pip --requirement $(LOCK)
+	$(dir $(TOOLS))bin/pip-audit --strict --require-hashes --disable-pip --requirement $(LOCK)
 
 # ---- checks
 

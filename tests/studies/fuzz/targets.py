@@ -15,7 +15,8 @@ from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
 from tests.studies.fuzz.answers import answer
-from tests.studies.fuzz.mutations import BINARY, TEXT, Damage
+from tests.studies.fuzz.mutations import BINARY, TEXT, Damage, word
+from tests.studies.fuzz.structured import column, element, record, row, value
 from tests.unit.logs import format_writers as formats
 from tests.unit.logs.samples import grid, make_motion
 from tests.unit.logs.writers import rewrite, write_mcap
@@ -23,6 +24,8 @@ from tests.unit.params.documents import JOINTS, diagnosis_file, full_file
 from tests.unit.report.pages import prediction_file, write_torques
 from tests.unit.report.test_payload_and_plan import payload_file, plan_file
 
+MCAP, PARQUET, BAG = (*BINARY, *[record] * 8), (*BINARY, *[column] * 16), (*BINARY, *[word] * 16)
+SQLITE, JSON, XML = (*BINARY, *[row] * 16), (*TEXT, *[value] * 20), (*TEXT, *[element] * 20)
 Line = tuple[str, ...]  # of a command; {} is the damaged file, {@} the folder
 _ARM = 'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n{more}\n' + "".join(
     f'[[joint]]\nname = "{name}"\n{{dh}}torque_constant = 0.1\ngear_ratio = {ratio}\n'
@@ -120,7 +123,7 @@ def _logs(work: Path, rows: int, arm: dict[str, bytes]) -> list[Target]:
         folder.mkdir()
         return [_content(write(folder / str(k), data)) for k, write in enumerate(writers)]
 
-    def log(name: str, seeds: list[bytes], damages: Sequence[Damage] = BINARY) -> Target:
+    def log(name: str, seeds: list[bytes], damages: Sequence[Damage]) -> Target:
         return Target(name, "log", seeds, damages, deep, arm)
 
     cdr = made("mcap_cdr", formats.mcap_cdr, formats.mcap_dynamic, _with_imus)
@@ -136,14 +139,14 @@ def _logs(work: Path, rows: int, arm: dict[str, bytes]) -> list[Target]:
         {**arm, "bag/0.db3": bag2[0]},
     )
     return [
-        log("MCAP, CDR", cdr + _rewritten(work, cdr)),
-        log("MCAP, JSON", json + _rewritten(work, json)),
-        log("MCAP, protobuf", made("protobuf", formats.mcap_foxglove_protobuf)),
-        log("Parquet", made("parquet", formats.parquet, _plain)),
-        log("Parquet, LeRobot episodes", made("lerobot", formats.lerobot, _episodes)),
+        log("MCAP, CDR", cdr + _rewritten(work, cdr), MCAP),
+        log("MCAP, JSON", json + _rewritten(work, json), MCAP),
+        log("MCAP, protobuf", made("protobuf", formats.mcap_foxglove_protobuf), MCAP),
+        log("Parquet", made("parquet", formats.parquet, _plain), PARQUET),
+        log("Parquet, LeRobot episodes", made("lerobot", formats.lerobot, _episodes), PARQUET),
         log("CSV", made("csv", formats.csv_own, formats.csv_rtde, formats.csv_franka), TEXT),
-        log("ROS 1 bag", made("rosbag1", formats.rosbag1)),
-        log("ROS 2 bag: SQLite", bag2),
+        log("ROS 1 bag", made("rosbag1", formats.rosbag1), BAG),
+        log("ROS 2 bag: SQLite", bag2, SQLITE),
         bag,
     ]
 
@@ -210,7 +213,7 @@ def _robots(arm: dict[str, bytes]) -> list[Target]:
     with_urdf = {**arm, "robot.toml": by_urdf}
     return [
         Target("robot.toml", "robot.toml", seeds, TEXT, lines, arm),
-        Target("URDF", "arm.urdf", [arm["arm.urdf"]], TEXT, (*lines, urdf), with_urdf),
+        Target("URDF", "arm.urdf", [arm["arm.urdf"]], XML, (*lines, urdf), with_urdf),
     ]
 
 
@@ -224,7 +227,7 @@ def _documents(work: Path, arm: dict[str, bytes]) -> list[Target]:
     beside = {**arm, "sound.json": full}
 
     def document(name: str, content: object) -> Target:
-        return Target(name, "file.json", [encode(content).encode()], TEXT, [report], beside)
+        return Target(name, "file.json", [encode(content).encode()], JSON, [report], beside)
 
     used = FileId(path="model.json", sha256="0" * 64)
     parameters = (
@@ -236,15 +239,15 @@ def _documents(work: Path, arm: dict[str, bytes]) -> list[Target]:
         report,
     )
     return [
-        Target("parameters", "file.json", [full, arm["model.json"]], TEXT, parameters, beside),
+        Target("parameters", "file.json", [full, arm["model.json"]], JSON, parameters, beside),
         document("diagnosis", diagnosis_file()),
         Target(
-            "prediction", "file.json", [prediction], TEXT,
+            "prediction", "file.json", [prediction], JSON,
             [report, (*report, "--torques", "{@}/torques.parquet")],
             {**beside, "torques.parquet": torques},
         ),
         Target(
-            "torques", "torques.parquet", [torques], BINARY,
+            "torques", "torques.parquet", [torques], PARQUET,
             [("report", "{@}/prediction.json", "--torques", "{}", "-o", "{@}/out.html")],
             {"prediction.json": prediction},
         ),

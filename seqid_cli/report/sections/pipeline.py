@@ -35,7 +35,7 @@ class Step:
     state_text: str
 
 
-def pipeline(collection: Collection, torques: str) -> Section:
+def pipeline(collection: Collection, torques: Sequence[str]) -> Section:
     """Return the section on files and commands."""
     tables = [_files(collection), _logs(collection)]
     return Section(
@@ -43,13 +43,13 @@ def pipeline(collection: Collection, torques: str) -> Section:
         "Pipeline and files",
         lead="Each step builds on the one before. Hashes are SHA-256; two files with the same hash "
         "are the same to the last bit.",
-        tables=[table for table in tables if table.rows],
+        tables=tables,
         template="pipeline.html.j2",
         data={"steps": list(_steps(collection, torques))},
     )
 
 
-def _steps(collection: Collection, torques: str) -> Iterator[Step]:
+def _steps(collection: Collection, torques: Sequence[str]) -> Iterator[Step]:
     model = collection.model
     if model is not None:
         yield from _stage_steps(collection, model)
@@ -58,7 +58,7 @@ def _steps(collection: Collection, torques: str) -> Iterator[Step]:
     for prediction in collection.predictions:
         good = all(verdict.good for verdict in prediction.file.verdicts)
         state = "good" if good else "poor"
-        made = file_name(prediction.path) + (f", {file_name(torques)}" if torques else "")
+        made = ", ".join(map(file_name, (prediction.path, *torques)))
         yield Step("predict", _logs_text(prediction.file.inputs), made, state, state)
     if not collection.diagnoses:
         yield Step("diagnose", "", "", "none", _STATES["none"])

@@ -29,7 +29,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     torques = write_torques(folder / "t.parquet")
     path = folder / "report.html"
-    path.write_text(make_report(all_documents(), torques=torques).html, encoding="utf-8")
+    path.write_text(make_report(all_documents(), torques=[torques]).html, encoding="utf-8")
     return path
 
 

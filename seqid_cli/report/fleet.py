@@ -91,7 +91,8 @@ def _overview(robots: Sequence[Judged], whole: Judgement) -> Section:
         tables=[Table("Models and their errors", columns, rows)],
         unfolded=True,
     )
-    return Section("verdict", TITLES[whole.level], whole.sentence, [group])
+    title = f"The fleet: {TITLES[whole.level].lower()}"
+    return Section("verdict", title, whole.sentence, [group])
 
 
 def _figures(robots: Sequence[Judged]) -> list[Figure]:

@@ -65,10 +65,9 @@ def make_report(
     collection = collect(documents)
     tables, notes = _opened(torques, collection)
     judgement = judge(collection)
-    used = tuple(table.path for table in tables)
     made = [
         overview(collection, judgement),
-        pipeline(collection, used),
+        pipeline(collection, tables),
         torque(collection, tables, notes),
         friction(collection),
         parameters(collection),
@@ -86,7 +85,7 @@ def make_report(
         section.id: not section.absent and not any(group.absent for group in section.groups)
         for section in sections
     }
-    return Report(html, collection, judgement, whole, used)
+    return Report(html, collection, judgement, whole, tuple(table.path for table in tables))
 
 
 def _opened(paths: Sequence[Path], collection: Collection) -> tuple[list[TorqueTable], list[str]]:

@@ -19,7 +19,7 @@ _COLUMNS = (60, 560)  # fewest and most across one figure
 def torque(
     collection: Collection, tables: Sequence[TorqueTable], found: Sequence[str] = ()
 ) -> Section:
-    """Return the section on predicted torque; `found` says which torques nobody named."""
+    """Return the section on predicted torque; `found` says which torques were found."""
     absent = []
     if not collection.predictions:
         text = "How large the errors are is not known without a prediction."

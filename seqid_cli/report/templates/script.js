@@ -57,7 +57,7 @@
       group.replaceChildren(...whole);
       const samples = ["line", "text"].map((name) => group.querySelector(name));
       if (unzoomed || !samples[0]) return;
-      const count = group.querySelectorAll("line").length;
+      const count = group.querySelectorAll("line").length + 1;
       const view = { low: value(scale, first), high: value(scale, last), start: scale.start, end: scale.end };
       group.replaceChildren();
       for (const [number, written] of ticks(view.low, view.high, count)) {

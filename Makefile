@@ -161,9 +161,17 @@ $(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs
 	$(SEQID) diagnose sample_logs/$*/changed -r $< -p $(@D)/inertia.json -o $(@D)/changed_diagnosis.json
 	$(SEQID) refine sample_logs/$*/changed/fourier.parquet sample_logs/$*/changed/trapezoids.parquet \
 		--holdout sample_logs/$*/changed/held_out.parquet -r $< -p $(@D)/inertia.json -o $(@D)/refined.json --strict
-	$(SEQID) report $(@D)/inertia.json $(@D)/prediction.json $(@D)/changed_diagnosis.json $(@D)/refined.json \
-		--torques $(@D)/torques.parquet -o $@
+	for model in inertia refined; do \
+		$(SEQID) predict sample_logs/$*/changed/held_out.parquet -r $< -p $(@D)/$$model.json \
+			-o $(@D)/$$model-held_out.json --torques $(@D)/$$model-held_out.parquet; \
+	done
+	$(SEQID) report $(@D)/{inertia,refined,changed_diagnosis,inertia-held_out,refined-held_out}.json \
+		$(@D)/{inertia,refined}-held_out.parquet -o $@
 	@echo 'loop closed on $*: diagnose named what changed, refine added it, the held-out log confirms it: $@'
+
+.PHONY: pictures
+pictures: $(OUT)/two_joint/refined.html ## take the pictures of docs/report.md anew (needs chromium)
+	$(BIN)/python -m tests.unit.report.pictures $< docs/images
 
 # ---- regression: the demo's models against those that are kept in sample_logs/
 

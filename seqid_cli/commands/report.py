@@ -1,4 +1,4 @@
-"""`seqid report`: the results of one robot as one HTML page."""
+"""`seqid report`: results as one HTML page."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import typer
 from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import Strict
 from seqid_cli.commands.render import Screen, screen_of
+from seqid_cli.params.files import By
 from seqid_cli.params.results.report import TITLES, ReportFile
 
 EXAMPLES = (
     "seqid report inertia.json prediction.json diagnosis.json -o report.html",
+    "seqid report cell_*/inertia.json cell_*/prediction.json --by folder -o fleet.html",
     "seqid report refined.json prediction.json --torques torques.parquet -o report.html --json",
 )
 
@@ -37,22 +39,32 @@ Torques = Annotated[
 Title = Annotated[str, typer.Option(metavar="TEXT", help="Title, instead of the robot's name.")]
 
 
+ByOption = Annotated[
+    By | None,
+    typer.Option(help="A page about many robots, told apart by their names or by folders."),
+]
+
+
 def run(
     context: typer.Context,
     files: Files,
     output: Page,
     torques: Torques = None,
     title: Title = "",
+    by: ByOption = None,
     strict: Strict = False,
 ) -> int:
     """Write one self-contained HTML page about a robot's model: the verdict first.
+
+    Several models stand side by side; their torques lie in one plot. With --by it is a page about
+    many robots.
 
     It opens offline and loads nothing. With --strict the exit code is 1 unless the verdict is good.
     """
     with listening(screen_of(context)) as told:
         from seqid_cli.report import report
 
-        made = report(files, output, torques=torques, title=title)
+        made = report(files, output, torques=torques, title=title, by=by)
     told.screen.document(made)
     _show(told.screen, made)
     return exit_code(untrusted=strict and made.verdict != "good")

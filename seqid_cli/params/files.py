@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import glob
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Literal
 
 from seqid_cli.errors import UsageError
+
+By = Literal["name", "folder"]  # what tells robots apart
 
 
 def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
@@ -129,3 +132,17 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def robot_names(files: Sequence[tuple[str, str]], by: By) -> list[str]:
+    """Return the robot of each file, given by its path and the name of the robot in it.
+
+    By `folder` it is the file's folder, without what is common to all of them.
+    """
+    if by == "name":
+        return [name for _, name in files]
+    folders = [Path(path).parent.absolute() for path, _ in files]
+    common = Path(os.path.commonpath(folders))
+    if set(folders) == {common}:
+        return [common.name] * len(files)
+    return [str(folder.relative_to(common)) for folder in folders]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,10 +16,12 @@ from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import ParameterFile, RobotId, Stages
+from seqid_cli.report.words import short_path
 
 Kind = Literal["identified", "refined", "simultaneous"]
 KINDS: tuple[Kind, ...] = ("refined", "identified", "simultaneous")
 _MOST_JOINTS = 200
+Given = tuple[Source, ParameterFile]
 WRITTEN_BY: Mapping[type, str] = {
     PredictionFile: "predict",
     DiagnosisFile: "diagnose",
@@ -111,6 +113,28 @@ class Collection:
         entry = self.residual(prediction, joint)
         return None if entry is None else entry.noise_floor
 
+    def model_of(self, prediction: Prediction) -> Model | None:
+        """Return the model that a prediction was made with, if its file was given."""
+        used = {item.sha256 for item in prediction.file.parameters}
+        known = (model for model in self.models if used & {sha for _, sha in model.sources})
+        return next(known, None)
+
+    @property
+    def judged(self) -> tuple[Prediction, ...]:
+        """The predictions of the model that the report shows; all if there is none of it."""
+        own = [p for p in self.predictions if self.models and self.model_of(p) is self.model]
+        return tuple(own) or self.predictions
+
+    def label(self, prediction: Prediction) -> str:
+        """Return the file of a prediction's model, and which is before and after refinement."""
+        paths = [item.path for item in prediction.file.parameters[-1:]] or [prediction.path]
+        kinds = [model.kind for p in self.predictions if (model := self.model_of(p))]
+        model = self.model_of(prediction)
+        name = short_path(paths[0])
+        if sorted(kinds) != ["identified", "refined"] or model is None:
+            return name
+        return f"{'after' if model.kind == 'refined' else 'before'}: {name}"
+
     def trained_on(self, prediction: Prediction) -> frozenset[str]:
         """Return the hashes of the logs that the model of a prediction was identified from.
 
@@ -138,9 +162,9 @@ def collect(documents: Sequence[Source]) -> Collection:
     Raises
     ------
     ConfigError
-        There are none, they are about two robots, two parameter files disagree on a stage, a
-        document names joints that its robot has not, or a result was made with a parameter file
-        that has changed since. The message names the files.
+        There are none, they are about two robots, a document names joints that its robot has not,
+        or a result was made with a parameter file that has changed since. The message names the
+        files.
     """
     if not documents:
         hint = "Name the JSON files that the stages wrote."
@@ -151,15 +175,16 @@ def collect(documents: Sequence[Source]) -> Collection:
         _check_names(item)
     _check_stale(unique)
     models = tuple(_models(unique))
-    return Collection(
+    predictions = tuple(
+        Prediction(item.path, item.sha256, item.content)
+        for item in unique
+        if isinstance(item.content, PredictionFile)
+    )
+    found = Collection(
         robot=robot,
         sources=unique,
         models=models,
-        predictions=tuple(
-            Prediction(item.path, item.sha256, item.content)
-            for item in unique
-            if isinstance(item.content, PredictionFile)
-        ),
+        predictions=predictions,
         diagnoses=tuple(
             Diagnosed(item.path, item.sha256, item.content)
             for item in unique
@@ -169,6 +194,9 @@ def collect(documents: Sequence[Source]) -> Collection:
         plans=tuple(item.content for item in unique if isinstance(item.content, PlanFile)),
         warnings=tuple(_warnings(unique)),
     )
+    ranks = {id(model): rank for rank, model in enumerate(models)}
+    best = sorted(predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(models)))
+    return replace(found, predictions=tuple(best))
 
 
 def _one_robot(documents: Sequence[Source]) -> RobotId:
@@ -269,20 +297,29 @@ def _models(documents: Sequence[Source]) -> Iterable[Model]:
     files = [(item, item.content) for item in documents if isinstance(item.content, ParameterFile)]
     for kind in KINDS:
         mine = [(item, file) for item, file in files if _kind(file) == kind]
-        if not mine:
-            continue
-        mine.sort(key=lambda pair: len(present(pair[1].stages)))
-        joined = join([(item.path, file) for item, file in mine])
-        _one_closed_loop(mine)
-        yield Model(kind, tuple((item.path, item.sha256) for item, _ in mine), joined)
+        for branch in _branches(mine):
+            joined = join([(item.path, file) for item, file in branch])
+            yield Model(kind, tuple((item.path, item.sha256) for item, _ in branch), joined)
 
 
-def _one_closed_loop(files: Sequence[tuple[Source, ParameterFile]]) -> None:
-    loops = [(item, file.closed_loop) for item, file in files if file.closed_loop is not None]
-    for item, loop in loops[1:]:
-        if loop != loops[0][1]:
-            message = f"its before and after differ from those of {loops[0][0].path}"
-            raise ConfigError(message, where=item.path, hint="Give one refined file only.")
+def _branches(files: Sequence[Given]) -> list[list[Given]]:
+    """Files that agree on all their stages, together; in each the one that holds most is last."""
+    branches: list[list[Given]] = []
+    for given in sorted(files, key=lambda pair: -len(present(pair[1].stages))):
+        agreeing = (b for b in branches if all(_agree(given[1], file) for _, file in b))
+        branch = next(agreeing, None)
+        if branch is None:
+            branches.append([given])
+        else:
+            branch.insert(0, given)
+    return branches
+
+
+def _agree(one: ParameterFile, other: ParameterFile) -> bool:
+    mine, theirs = present(one.stages), present(other.stages)
+    loops = [file.closed_loop for file in (one, other) if file.closed_loop is not None]
+    same = all(mine[name] == theirs[name] for name in mine.keys() & theirs.keys())
+    return same and all(loop == loops[0] for loop in loops)
 
 
 def _warnings(documents: Sequence[Source]) -> Iterable[str]:

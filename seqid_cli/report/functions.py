@@ -4,44 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import PathLike, Paths, listed, optional, warn
-from seqid_cli.params.files import check_output, write_text_atomic
-from seqid_cli.params.io import read_any, read_trend
+from seqid_cli.params.files import By, check_output, robot_names, write_text_atomic
+from seqid_cli.params.io import Source, read_any, read_trend
 from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
-from seqid_cli.params.results.trend import TrendFile
+
+if TYPE_CHECKING:
+    from seqid_cli.report.judgement import Judgement
+    from seqid_cli.report.views import Section
 
 _MAGIC = b"PAR1"
 
 
 def report(
-    files: Paths, output: PathLike, *, torques: PathLike | None = None, title: str = ""
+    files: Paths,
+    output: PathLike,
+    *,
+    torques: PathLike | None = None,
+    title: str = "",
+    by: By | None = None,
 ) -> ReportFile:
     """Write one self-contained HTML page about a robot's model: the verdict first.
 
     Parameters
     ----------
     files : path or sequence of paths
-        Parameter, prediction, diagnosis, payload and plan files of one robot; a torque file may be
-        among them. Or one trend, which is a page of its own.
+        Parameter, prediction, diagnosis, payload and plan files of one robot, of one model or
+        several; torque files may be among them. Or one trend, which is a page of its own.
     output : path
         Where the page goes.
     torques : path, optional
-        What `predict` wrote with `torques`; found beside the prediction if left out.
+        What `predict` wrote with `torques`; found beside each prediction if left out.
     title : str
         Instead of the robot's name.
+    by : {"name", "folder"}, optional
+        A page about many robots, told apart by their names or by the folders of their files.
     """
     target = Path(output)
-    documents, table = _sorted([Path(path) for path in listed(files)], optional(torques))
-    inputs = [*documents, *([table] if table else [])]
+    documents, tables = _sorted([Path(path) for path in listed(files)], optional(torques))
+    inputs = [*documents, *tables]
     check_output(target, inputs)
     if len(documents) == 1 and (found := read_trend(documents[0])) is not None:
-        return _trend_report(found, documents[0], target, title)
+        from seqid_cli.report.trend import trend_page
+
+        page = trend_page(found, title=title)
+        return _page_of_many(page, ", ".join(found.robots), documents, target)
     sources = read_any(documents)
+    if by is not None:
+        robots = _by_robot(sources, tables, by)
+        from seqid_cli.report.fleet import fleet_page
+
+        return _page_of_many(fleet_page(robots, title=title), ", ".join(robots), documents, target)
     from seqid_cli.report.make import make_report
 
-    made = make_report(sources, torques=table, title=title)
+    made = make_report(sources, torques=tables, title=title)
     write_text_atomic(target, made.html, inputs=inputs)
     for warning in made.collection.warnings:
         warn(warning)
@@ -51,45 +70,59 @@ def report(
         robot=made.collection.robot.name,
         verdict=judgement.level,
         sentence=judgement.sentence,
-        points=[ReportPoint(weight=p.weight, text=p.text, where=p.where) for p in judgement.points],
+        points=_points(judgement),
         sections=[ReportSection(id=name, complete=all_) for name, all_ in made.sections.items()],
         files=[item.path for item in made.collection.sources],
-        torques=made.torques or None,
+        torques=", ".join(made.torques) or None,
         bytes=len(made.html.encode()),
     )
 
 
-def _trend_report(file: TrendFile, path: Path, target: Path, title: str) -> ReportFile:
-    """Write the page of a trend, which is one of its own."""
-    from seqid_cli.report.trend import trend_page
+def _by_robot(
+    sources: Sequence[Source], torques: Sequence[Path], by: By
+) -> dict[str, list[Source]]:
+    if torques:
+        hint = "Leave the torque files out, or make a page for each robot."
+        message = "torques over time are drawn on the page of one robot"
+        raise UsageError(message, hint=hint, where=str(torques[0]))
+    robots: dict[str, list[Source]] = {}
+    names = robot_names([(item.path, item.content.robot.name) for item in sources], by)
+    for name, item in zip(names, sources, strict=True):
+        robots.setdefault(name, []).append(item)
+    return robots
 
-    html, judgement, sections = trend_page(file, title=title)
-    write_text_atomic(target, html, inputs=[path])
+
+def _page_of_many(
+    page: tuple[str, Judgement, list[Section]], robots: str, files: Sequence[Path], target: Path
+) -> ReportFile:
+    """Write a page about many robots or dates."""
+    html, judgement, sections = page
+    write_text_atomic(target, html, inputs=files)
     return ReportFile(
         output=str(target),
-        robot=", ".join(file.robots),
+        robot=robots,
         verdict=judgement.level,
         sentence=judgement.sentence,
-        points=[],
+        points=_points(judgement),
         sections=[ReportSection(id=section.id, complete=True) for section in sections],
-        files=[str(path)],
+        files=list(map(str, files)),
         torques=None,
         bytes=len(html.encode()),
     )
 
 
-def _sorted(files: Sequence[Path], torques: Path | None) -> tuple[list[Path], Path | None]:
-    """Separate the torque table from the documents, by its first bytes or its name."""
+def _points(judgement: Judgement) -> list[ReportPoint]:
+    return [ReportPoint(weight=p.weight, text=p.text, where=p.where) for p in judgement.points]
+
+
+def _sorted(files: Sequence[Path], torques: Path | None) -> tuple[list[Path], list[Path]]:
+    """Separate the torque tables from the documents, by their first bytes or names."""
     tables = [path for path in files if path.suffix == ".parquet" or _is_parquet(path)]
     documents = [path for path in files if path not in tables]
     given = list(dict.fromkeys([*tables, *([torques] if torques else [])]))
-    if len(given) > 1:
-        names = ", ".join(map(str, given))
-        message = f"one torque file can be shown, not {len(given)}: {names}"
-        raise UsageError(message, hint="Name the one that belongs to the prediction.")
     if not documents:
         raise UsageError("no JSON file given", hint="Name the files that the stages wrote.")
-    return documents, given[0] if given else None
+    return documents, given
 
 
 def _is_parquet(path: Path) -> bool:

@@ -73,7 +73,7 @@ def judge(collection: Collection) -> Judgement:
     a prediction on logs that the model was not identified from; whatever else is open makes it
     good with reservations.
     """
-    independent = [p for p in collection.predictions if _new_logs(collection, p)]
+    independent = [p for p in collection.judged if _new_logs(collection, p)]
     judged = bool(independent)
     points = [
         *_prediction_points(collection, independent),
@@ -152,7 +152,7 @@ def _sentence(
 def _prediction_points(
     collection: Collection, independent: list[Prediction], *, far: float = 2.0
 ) -> Iterator[Point]:
-    for item in collection.predictions:
+    for item in collection.judged:
         call = "seqid diagnose " + _tail(collection)
         yield from _poor(item.file.verdicts, "the prediction", item.path, call)
         still = [n for n, error in item.file.joints.items() if not error.samples]

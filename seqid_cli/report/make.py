@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from seqid_cli.errors import UsageError
 from seqid_cli.params.io import Source
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.judgement import Judgement, judge
@@ -20,7 +21,7 @@ from seqid_cli.report.sections.payload import payload
 from seqid_cli.report.sections.pipeline import pipeline
 from seqid_cli.report.sections.plan import plan
 from seqid_cli.report.sections.torque import torque
-from seqid_cli.report.torques import TorqueTable, find_torques, matches
+from seqid_cli.report.torques import TorqueTable, find_torques
 from seqid_cli.report.words import plural
 
 
@@ -28,19 +29,19 @@ from seqid_cli.report.words import plural
 class Report:
     """A finished page, its verdict and its sections.
 
-    `sections` maps the id of each section to whether all its data were given; `torques` is the
-    torque file that was used ("" for none).
+    `sections` maps the id of each section to whether all its data were given; `torques` are the
+    torque files that were used.
     """
 
     html: str
     collection: Collection
     judgement: Judgement
     sections: dict[str, bool]
-    torques: str
+    torques: tuple[str, ...]
 
 
 def make_report(
-    documents: Sequence[Source], *, torques: Path | None = None, title: str = ""
+    documents: Sequence[Source], *, torques: Sequence[Path] = (), title: str = ""
 ) -> Report:
     """Make the report: one self-contained HTML text, its verdict and its sections.
 
@@ -48,9 +49,9 @@ def make_report(
     ----------
     documents : sequence of Source
         Parameter files and results about one robot, from `read_any`.
-    torques : Path, optional
-        What `seqid predict --torques` wrote; left out, the `torques.parquet` beside the
-        prediction is taken if it holds exactly its logs.
+    torques : sequence of Path
+        What `seqid predict --torques` wrote, a file for each prediction; for those without one the
+        `torques.parquet` beside it is taken if it holds exactly its logs.
     title : str
         Instead of the robot's name.
 
@@ -59,20 +60,15 @@ def make_report(
     ConfigError
         The documents are about two robots or contradict each other.
     InputError
-        The torque file is unreadable or belongs to another robot or other logs.
+        A torque file is unreadable or belongs to another robot, other logs or another model.
     """
     collection = collect(documents)
-    path = torques or _beside(collection)
-    table = TorqueTable.open(path, collection) if path is not None else None
-    note = ""
-    if table is not None and torques is None:
-        note = f"The torques are those of {table.path}, which lies beside the prediction."
+    tables, notes = _opened(torques, collection)
     judgement = judge(collection)
-    used = table.path if table else ""
     made = [
         overview(collection, judgement),
-        pipeline(collection, used),
-        torque(collection, table, note),
+        pipeline(collection, tables),
+        torque(collection, tables, notes),
         friction(collection),
         parameters(collection),
         imu(collection),
@@ -89,12 +85,20 @@ def make_report(
         section.id: not section.absent and not any(group.absent for group in section.groups)
         for section in sections
     }
-    return Report(html, collection, judgement, whole, used)
+    return Report(html, collection, judgement, whole, tuple(table.path for table in tables))
 
 
-def _beside(collection: Collection) -> Path | None:
+def _opened(paths: Sequence[Path], collection: Collection) -> tuple[list[TorqueTable], list[str]]:
+    """Open a torque table for each prediction, in their order; say which ones were found."""
+    tables = [TorqueTable.open(path, collection) for path in paths]
+    whose = [table.prediction for table in tables]
+    if doubled := [t.path for t in tables if t.prediction and whose.count(t.prediction) > 1]:
+        message = f"torque files of one prediction: {', '.join(doubled)}"
+        raise UsageError(message, hint="Name the one that belongs to it.")
+    notes = []
     for prediction in collection.predictions:
-        path = find_torques(prediction.path)
-        if path is not None and matches(path, prediction.file):
-            return path
-    return None
+        if prediction not in whose and (found := find_torques(prediction, collection)):
+            tables.append(found)
+            notes.append(f"The torques are those of {found.path}, beside the prediction.")
+    order = [*collection.predictions, None]
+    return sorted(tables, key=lambda table: order.index(table.prediction)), notes

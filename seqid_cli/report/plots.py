@@ -46,7 +46,7 @@ def plot_friction(file: ParameterFile, joint: str) -> Drawing:
     UsageError
         The file has no friction of this joint.
     """
-    from seqid_cli.report.figures.friction import over_position, over_velocity, surface_figure
+    from seqid_cli.report.figures.friction import FIGURES
     from seqid_cli.report.figures.torque import Place
 
     known = file.stages.friction.joints if file.stages.friction else {}
@@ -54,8 +54,7 @@ def plot_friction(file: ParameterFile, joint: str) -> Drawing:
         names = ", ".join(known) or "none"
         raise UsageError(f"no friction of {joint!r} is in this file", hint=f"It has: {names}.")
     place = Place(joint, *_collection(file).units(joint))
-    draw = (surface_figure, over_velocity, over_position)
-    return Drawing(tuple(function(known[joint], place) for function in draw))
+    return Drawing(tuple(draw(known[joint], place) for draw in FIGURES))
 
 
 def plot_evidence(file: DiagnosisFile) -> Drawing:

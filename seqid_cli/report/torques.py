@@ -6,7 +6,7 @@ Imports numpy and pyarrow: only for use inside a command's body.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
+from seqid_cli.identify.prediction.torques_parquet import PARAMETERS
 from seqid_cli.logs.read import ABSURD
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
-from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.robot.types import Array
 
@@ -56,9 +56,10 @@ class Series:
 
 @dataclass(frozen=True)
 class TorqueTable:
-    """A torque file, opened; `rows` are the samples of each log."""
+    """A torque file, opened; `rows` are the samples of each log, `prediction` whose they are."""
 
     path: str
+    prediction: Prediction | None
     joints: tuple[str, ...]
     rows: Mapping[str, slice]
     columns: frozenset[str]
@@ -83,8 +84,8 @@ class TorqueTable:
         )
         _check_joints(joints, columns, collection, where)
         rows = _log_rows(path)
-        _check_logs(rows, collection.predictions, where)
-        return cls(where, joints, rows, frozenset(columns))
+        prediction = _whose(file, rows, collection.predictions, where)
+        return cls(where, prediction, joints, rows, frozenset(columns))
 
     def series(self, joint: str) -> list[Series]:
         """Read one joint, log by log.
@@ -128,20 +129,16 @@ class TorqueTable:
         return Series(log, t, torque, predicted, residual, used, sliding, low, high, *motion)
 
 
-def find_torques(prediction: str) -> Path | None:
-    """Return the `torques.parquet` beside a prediction file, if there is one."""
-    path = Path(prediction).with_name("torques.parquet")
-    return path if path.is_file() else None
-
-
-def matches(path: Path, prediction: PredictionFile) -> bool:
-    """Return whether a torque file holds exactly the logs of a prediction, sample by sample."""
+def find_torques(prediction: Prediction, collection: Collection) -> TorqueTable | None:
+    """Open the `torques.parquet` beside a prediction, if there is one and it is of this one."""
+    path = Path(prediction.path).with_name("torques.parquet")
+    if not path.is_file():
+        return None
     try:
-        rows = _log_rows(path)
+        table = TorqueTable.open(path, replace(collection, predictions=(prediction,)))
     except InputError:
-        return False
-    mine = {log: part.stop - part.start for log, part in rows.items()}
-    return mine == {log.path: log.samples for log in prediction.logs}
+        return None
+    return table
 
 
 def _guarded(path: Path) -> pq.ParquetFile:
@@ -214,13 +211,28 @@ def _log_rows(path: Path) -> dict[str, slice]:
     return {str(names[codes[a]]): slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)}
 
 
-def _check_logs(rows: Mapping[str, slice], predictions: Sequence[Prediction], where: str) -> None:
+def _whose(
+    file: pq.ParquetFile, rows: Mapping[str, slice], predictions: Sequence[Prediction], where: str
+) -> Prediction | None:
+    """Return the prediction with these logs, sample by sample, and with this model."""
     if not predictions:
-        return
+        return None
     mine = {log: part.stop - part.start for log, part in rows.items()}
-    for prediction in predictions:
-        if mine == {log.path: log.samples for log in prediction.file.logs}:
-            return
+    same = [p for p in predictions if mine == {log.path: log.samples for log in p.file.logs}]
+    if not same:
+        raise _other_logs(mine, predictions, where)
+    made = (file.schema_arrow.metadata or {}).get(PARAMETERS.encode(), b"").decode().split()
+    for prediction in same:  # without the entry any model may
+        if not made or set(made) == {item.sha256 for item in prediction.file.parameters}:
+            return prediction
+    message = f"is of another model than {', '.join(p.path for p in same)}"
+    hint = "Run seqid predict again with both -o and --torques."
+    raise InputError(message, where=where, hint=hint)
+
+
+def _other_logs(
+    mine: Mapping[str, int], predictions: Sequence[Prediction], where: str
+) -> InputError:
     logs = {log.path: log.samples for item in predictions for log in item.file.logs}
     names = ", ".join(item.path for item in predictions)
     odd = next((log for log in mine if mine[log] != logs.get(log)), None)
@@ -232,7 +244,7 @@ def _check_logs(rows: Mapping[str, slice], predictions: Sequence[Prediction], wh
     else:
         message = f"holds the log {odd}, which {names} does not"
     hint = "Run seqid predict again with both -o and --torques."
-    raise InputError(message, where=where, hint=hint)
+    return InputError(message, where=where, hint=hint)
 
 
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:

@@ -7,7 +7,7 @@ from datetime import datetime
 
 from seqid_cli.params.results.trend import ChangeEntry, SeriesEntry, TrendFile
 from seqid_cli.report.figures.chart import Box, Panel, drawing
-from seqid_cli.report.figures.svg import circle, line, padded
+from seqid_cli.report.figures.svg import line, padded
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.page import render
 from seqid_cli.report.views import Column, Figure, Group, Section, Table
@@ -122,7 +122,7 @@ def _figure(series: SeriesEntry) -> Figure:
     for day, value, error in pairs:
         x = panel.x(day)
         panel.add(line("whisker", x, panel.y(value - error), x, panel.y(value + error)))
-        panel.add(circle("point", x, panel.y(value), 3.5))
+        panel.add(line("spot", x, panel.y(value), x, panel.y(value)))
     what = " ".join(part for part in (series.joint, series.stage, series.name) if part)
     panel.line([(day, value) for day, value, _ in pairs], "predicted", name=what, unit=series.unit)
     text = f"{what} from {number(series.values[0])} to {number(series.values[-1])} {series.unit}"

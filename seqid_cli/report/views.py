@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from markupsafe import Markup
 
+from seqid_cli.params.schema import Verdict
+
 Cell = str | Markup
 
 
@@ -73,15 +75,24 @@ class Group:
     id: str
     title: str
     lead: str = ""
+    joint: str = ""  # that it is about
     badge: str = ""  # good, poor, open, or nothing
     badge_text: str = ""
     facts: Sequence[tuple[str, str]] = ()
     figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = ()
+    tables: Sequence[Table] = ()  # those without rows are left out
     notes: Sequence[str] = ()
     absent: Sequence[Absent] = ()
     unfolded: bool = False  # tables stand open
     beside: bool = False  # tables stand beside the figures
+
+
+def badge(verdicts: Sequence[Verdict]) -> tuple[str, str]:
+    """Return the badge of some verdicts and its text: nothing without any."""
+    if not verdicts:
+        return "", ""
+    state = "good" if all(verdict.good for verdict in verdicts) else "poor"
+    return state, state
 
 
 @dataclass(frozen=True)

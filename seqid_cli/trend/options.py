@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
-By = Literal["name", "folder"]
+from seqid_cli.params.files import By
 
 
 @dataclass(frozen=True, kw_only=True)

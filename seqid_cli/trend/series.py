@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.params.files import By, robot_names
 from seqid_cli.params.schema import ParameterFile
-from seqid_cli.trend.options import By
 from seqid_cli.trend.quantities import Quantity, quantities, speeds_of
 
 Array = NDArray[np.float64]
@@ -80,7 +78,7 @@ def robots_of(files: Sequence[Dated], by: By) -> dict[str, list[Dated]]:
     UsageError
         If no robot has two files, or files of one robot name other joints.
     """
-    names = _folders(files) if by == "folder" else [dated.file.robot.name for dated in files]
+    names = robot_names([(dated.path, dated.file.robot.name) for dated in files], by)
     found: dict[str, list[Dated]] = {}
     for name, dated in zip(names, files, strict=True):
         found.setdefault(name, []).append(dated)
@@ -99,15 +97,6 @@ def robots_of(files: Sequence[Dated], by: By) -> dict[str, list[Dated]]:
             hint="Give results of several dates; --by folder tells robots of one name apart.",
         )
     return found
-
-
-def _folders(files: Sequence[Dated]) -> list[str]:
-    """Folders of the files, without what is common to all of them."""
-    folders = [Path(dated.path).parent for dated in files]
-    common = os.path.commonpath([folder.absolute() for folder in folders])
-    if all(folder.absolute() == Path(common) for folder in folders):
-        return [Path(common).name] * len(files)
-    return [str(folder.absolute().relative_to(common)) for folder in folders]
 
 
 def series_of(robot: str, files: Sequence[Dated]) -> Iterator[Series]:

@@ -83,6 +83,21 @@ def test_two_robots_leave_the_old_page(rig: Rig, good: list[str]) -> None:
     assert not list(rig.folder.glob(".*.tmp"))
 
 
+def test_a_fleet_has_a_page_of_its_own(rig: Rig) -> None:
+    names = []
+    for cell in ("cell_1", "cell_2"):
+        (rig.folder / cell).mkdir()
+        names += [f"{cell}/{name}" for name in write_documents(rig.folder / cell, good_documents())]
+    done = rig.run("report", *names, "--by", "folder", "-o", "r.html", "--json")
+    document = json.loads(done.out)
+    assert (document["robot"], document["verdict"]) == ("cell_1, cell_2", "good")
+    assert document["sentence"] == "2 robots. Good: cell_1 and cell_2."
+    write_torques(rig.folder / "t.parquet")
+    refused = rig.run("report", *names, "t.parquet", "--by", "folder", "-o", "r.html")
+    assert refused.code == 2
+    assert "t.parquet: torques over time are drawn on the page of one robot" in refused.err
+
+
 def test_a_stale_prediction_is_refused(rig: Rig) -> None:
     parameters = source("inertia.json", inertia_file())
     stale = prediction_file()

@@ -93,7 +93,7 @@ def prediction_file(
     errors = []
     effects = effect_notes(stages, robot, unexplained=unexplained)
     with contextlib.ExitStack() as stack:
-        writer = stack.enter_context(_torque_writer(torques, names)) if torques else None
+        writer = stack.enter_context(_torque_writer(torques, names, inputs)) if torques else None
         own = slid = none
         for log in predictions:
             own = own + ErrorSums.of(log, sliding=False)
@@ -124,11 +124,11 @@ def prediction_file(
 
 
 def _torque_writer(
-    path: Path, names: tuple[str, ...]
+    path: Path, names: tuple[str, ...], inputs: Inputs
 ) -> contextlib.AbstractContextManager[TorqueWriter | McapTorqueWriter]:
     if path.suffix.lower() == ".mcap":
         return McapTorqueWriter.open(path, names)
-    return TorqueWriter.open(path, names)
+    return TorqueWriter.open(path, names, [item.sha256 for item in inputs.ids()])
 
 
 def _log_error(log: LogPrediction, joints: dict[str, JointError]) -> LogPredictionError:

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.files import replacing, writing
 
+PARAMETERS = "seqid.parameters"  # of the metadata
 _KINDS = ("torque", "predicted", "residual")
 _REST = ("low", "high")
 _MOTION = ("position", "velocity")
@@ -33,8 +34,13 @@ class TorqueWriter:
 
     @classmethod
     @contextlib.contextmanager
-    def open(cls, path: Path, joints: Sequence[str]) -> Iterator[TorqueWriter]:
-        """Write to `path` in one step: an interrupted run leaves the old file or none."""
+    def open(
+        cls, path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
+    ) -> Iterator[TorqueWriter]:
+        """Write to `path` in one step: an interrupted run leaves the old file or none.
+
+        `parameters`: the SHA-256 of the files that the model is from, kept as metadata.
+        """
         fields = [("t", pa.float64()), ("log", pa.string())]
         for name in joints:
             fields += [(f"{name}.{kind}", pa.float64()) for kind in _KINDS]
@@ -42,7 +48,7 @@ class TorqueWriter:
             fields += [(f"{name}.{kind}", pa.float64()) for kind in _REST]
         fields += [("used", pa.bool_())]
         fields += [(f"{name}.{kind}", pa.float64()) for name in joints for kind in _MOTION]
-        schema = pa.schema(fields)
+        schema = pa.schema(fields, {PARAMETERS: " ".join(parameters)} if parameters else None)
         with replacing(path) as temporary:
             with writing(path):
                 # Torques hardly repeat: a dictionary of them takes most of the time for nothing.

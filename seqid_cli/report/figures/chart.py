@@ -54,17 +54,17 @@ class Panel:
     y_range: tuple[float, float]
     x_title: str = ""
     y_title: str = ""
-    x_log: bool = False
     y_log: bool = False
     x_ticks: int = 6
     y_ticks: int = 4
     show_x: bool = True
     hover: str = ""  # name and unit of x for the script, such as "t|s"
     _marks: list[Markup] = field(default_factory=list)
+    _words: list[Markup] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Fix the scales."""
-        self.x = Scale(*self.x_range, self.box.left, self.box.right, self.x_log)
+        self.x = Scale(*self.x_range, self.box.left, self.box.right)
         self.y = Scale(*self.y_range, self.box.bottom, self.box.top, self.y_log)
 
     def line(self, points: Iterable[Point], style: str, *, name: str = "", unit: str = "") -> None:
@@ -100,37 +100,47 @@ class Panel:
 
     def text(self, x: float, y: float, text: str, anchor: str = "start", style: str = "") -> None:
         """Write a word at drawing coordinates."""
-        self.add(label(x, y, text, anchor, style))
+        self._words.append(label(x, y, text, anchor, style))
 
     def add(self, mark: Markup) -> None:
         """Add a finished mark."""
         self._marks.append(mark)
 
     def render(self) -> Markup:
-        """Return axes and marks, with the scales by which the script reads values back."""
+        """Return axes and marks; what the page's script reads values by, and what it zooms."""
         attributes: Attributes = {"class": "panel"}
+        marks = joined(self._marks)
         if self.hover:
             attributes["data-x"] = f"{self.hover}|{_ends(self.x)}"
             attributes["data-y"] = _ends(self.y)
-        return element("g", attributes, *self._axes(), *self._marks)
+            marks = self._window(marks)
+        return element("g", attributes, *self._axes(), marks, *self._words)
+
+    def _window(self, marks: Markup) -> Markup:
+        """Return a drawing of its own over the panel: another view box zooms into it."""
+        box = self.box
+        sides = {"x": box.left, "y": box.top, "width": box.width, "height": box.height}
+        view = " ".join(f"{side:.1f}" for side in sides.values())
+        inside = {"class": "marks", "viewBox": view, "preserveAspectRatio": "none"}
+        return element("svg", {**inside, **sides}, marks)
 
     def _axes(self) -> list[Markup]:
-        box, parts = self.box, []
+        box, up, along = self.box, [], []
         y_ticks = self.y.ticks(self.y_ticks) if self.y_ticks else []
         for tick, text in zip(y_ticks, _texts(y_ticks, self.y_log), strict=True):
             at = self.y(tick)
-            style = "grid zero" if tick == 0.0 else "grid"
-            parts.append(line(style, box.left, at, box.right, at))
-            parts.append(label(box.left - 6, at + 4, text, "end"))
+            up.append(line("grid zero" if tick == 0.0 else "grid", box.left, at, box.right, at))
+            up.append(label(box.left - 6, at + 4, text, "end"))
         x_ticks = self.x.ticks(self.x_ticks)
-        for place, (tick, text) in enumerate(
-            zip(x_ticks, _texts(x_ticks, self.x_log), strict=True)
-        ):
+        for place, (tick, text) in enumerate(zip(x_ticks, _texts(x_ticks, False), strict=True)):
             at = self.x(tick)
-            parts.append(line("tick", at, box.bottom, at, box.bottom + 4))
+            along.append(line("tick", at, box.bottom, at, box.bottom + 4))
             if self.show_x:
-                style = "odd" if place % 2 else ""
-                parts.append(label(at, box.bottom + 18, text, "middle", style))
+                along.append(label(at, box.bottom + 18, text, "middle", "odd" if place % 2 else ""))
+        parts = [
+            element("g", {"class": "ticks-y"}, *up),
+            element("g", {"class": "ticks-x"}, *along),
+        ]
         parts.append(line("axis", box.left, box.bottom, box.right, box.bottom))
         if self.x_title and self.show_x:
             parts.append(label(box.right, box.bottom + 37, self.x_title, "end", "axis-title"))

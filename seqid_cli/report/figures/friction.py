@@ -277,3 +277,6 @@ def _with_error(surface: FrictionSurface, q: Array, v: Array) -> tuple[Array, Ar
 
 def _points(x: Array, y: Array) -> list[tuple[float, float]]:
     return list(zip(x.tolist(), y.tolist(), strict=True))
+
+
+FIGURES = (surface_figure, over_velocity, over_position)  # of each joint

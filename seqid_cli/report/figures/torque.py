@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from seqid_cli.model.effects.spectral_lines import (
 )
 from seqid_cli.report.figures.chart import Box, Panel, drawing
 from seqid_cli.report.figures.downsample import extremes, pieces
-from seqid_cli.report.figures.svg import padded
+from seqid_cli.report.figures.svg import Point, padded
 from seqid_cli.report.torques import Series
 from seqid_cli.report.views import Column, Figure, Key, Table
 from seqid_cli.report.words import number, plural, short_path, unit_text
@@ -31,6 +31,7 @@ WIDE, SMALL = 580.0, 372.0
 _LEFT, _RIGHT = 62.0, 12.0
 _ROWS = 20  # of the tables of time series
 _BINS = 40
+_OTHERS = 3  # colours of models beside the best
 
 
 @dataclass(frozen=True)
@@ -42,69 +43,89 @@ class Place:
     position_unit: str
 
 
-def over_time(series: Series, place: Place, events: Sequence[Event], columns: int) -> Figure:
-    """Draw measured and predicted torque of one log above the residual, events shaded."""
-    t = series.t - series.t[0]
-    good = np.isfinite(series.torque) & np.isfinite(series.predicted)
-    good &= np.isfinite(series.residual)
-    end = float(t[-1]) if len(t) > 1 and t[-1] > 0 else 1.0
-    unit, name = place.torque_unit, short_path(series.log)
+def over_time(
+    models: Mapping[str, Series], place: Place, events: Sequence[Event], columns: int
+) -> Figure:
+    """Draw measured and predicted torque of one log above the residual, events shaded.
+
+    `models` are the torques of the same log by the name of their model, the best first.
+    """
+    series = next(iter(models.values()))
+    t, good = series.t - series.t[0], _known(series)
+    unit, name = unit_text(place.torque_unit), short_path(series.log)
     counted = good & series.used & series.sliding
     shown = counted if np.any(counted) else good
+    torque, residual = _panels(models, t, shown, unit)
+    for panel in (torque, residual):
+        for start, stop in events:
+            panel.span(start, stop, "event", f"pushed from {start:.2f} to {stop:.2f} s")
+        for start, stop in _unused(t, series.used):
+            panel.span(start, stop, "unused")
     rests = good & np.isfinite(series.low) & np.isfinite(series.high)
-    held = [series.low[rests], series.high[rests]]
-    both = np.concatenate([series.torque[good], series.predicted[good], *held])
+    for piece in pieces(t, rests):
+        low, high = series.low[piece], series.high[piece]
+        kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
+        at = t[piece][kept]
+        torque.band(_points(at, low[kept]), _points(at, high[kept]), "faint")
+    names = list(models) if len(models) > 1 else ["predicted"]
+    styles = ["predicted", *(f"other{k % _OTHERS}" for k in range(len(models) - 1))]
+    drawn = [(torque, series, series.torque, "measured", "measured")]
+    for label, style, other in reversed(list(zip(names, styles, models.values(), strict=True))):
+        best = other is series
+        drawn.append((torque, other, other.predicted, style, label))
+        left = ("residual", "residual") if best else (style, f"residual, {label}")
+        drawn.append((residual, other, other.residual, *left))
+    for panel, whose, values, style, label in drawn:
+        at = whose.t - whose.t[0]
+        for piece in pieces(at, _known(whose)):
+            kept = extremes(at[piece], values[piece], columns)
+            panel.line(_points(at[piece][kept], values[piece][kept]), style, name=label, unit=unit)
+    title = f"{place.joint}, {name}"
+    text = _described(series, shown, place.torque_unit)
+    svg = drawing(WIDE, 348, f"Torque of {title} over time", text, [torque, residual])
+    legend = [Key("measured", "measured"), *map(Key, styles, names), Key("residual", "residual")]
+    legend += [Key("faint", "held at rest")] if np.any(rests) else []
+    legend += [Key("event", "pushed")] if events else []
+    legend += [] if np.all(series.used) else [Key("unused", "not counted")]
+    return Figure(name, svg, legend, _time_table(t, series, good, unit, title), wide=True)
+
+
+def _panels(models: Mapping[str, Series], t: Array, shown: Mask, unit: str) -> tuple[Panel, Panel]:
+    """Return the frames for the torque and, below, for the residual."""
+    end = float(t[-1]) if len(t) > 1 and t[-1] > 0 else 1.0
+    series = next(iter(models.values()))
+    drawn = [series.torque[_known(series)], series.low, series.high]
+    drawn += [one.predicted[_known(one)] for one in models.values()]
+    left = [series.residual[shown]]
+    left += [one.residual[_known(one) & one.used & one.sliding] for one in models.values()]
+    both = np.concatenate(drawn)
     torque = Panel(
         Box(_LEFT, 26, WIDE - _LEFT - _RIGHT, 164),
         (0.0, end),
-        _limits(both),
-        y_title=f"torque, {unit_text(unit)}",
+        _limits(both[np.isfinite(both)]),
+        y_title=f"torque, {unit}",
         show_x=False,
         hover="t|s",
     )
     residual = Panel(
         Box(_LEFT, 220, WIDE - _LEFT - _RIGHT, 84),
         (0.0, end),
-        _limits(series.residual[shown], zero=True),
+        _limits(np.concatenate(left), zero=True),
         x_title="time, s",
-        y_title=f"residual, {unit_text(unit)}",
+        y_title=f"residual, {unit}",
         y_ticks=3,
         hover="t|s",
     )
-    for panel in (torque, residual):
-        for start, stop in events:
-            panel.span(start, stop, "event", f"pushed from {start:.2f} to {stop:.2f} s")
-        for start, stop in _unused(t, series.used):
-            panel.span(start, stop, "unused")
-    for piece in pieces(t, rests):
-        kept = np.union1d(
-            extremes(t[piece], series.low[piece], columns),
-            extremes(t[piece], series.high[piece], columns),
-        )
-        bounds = (series.low[piece][kept].tolist(), series.high[piece][kept].tolist())
-        lower, upper = (list(zip(t[piece][kept].tolist(), x, strict=True)) for x in bounds)
-        torque.band(lower, upper, "faint")
-    for panel, values, style, label in (
-        (torque, series.torque, "measured", "measured"),
-        (torque, series.predicted, "predicted", "predicted"),
-        (residual, series.residual, "residual", "residual"),
-    ):
-        for piece in pieces(t, good):
-            kept = extremes(t[piece], values[piece], columns)
-            points = zip(t[piece][kept].tolist(), values[piece][kept].tolist(), strict=True)
-            panel.line(points, style, name=label, unit=unit_text(unit))
-    title = f"{place.joint}, {name}"
-    text = _described(series, shown, unit)
-    svg = drawing(WIDE, 348, f"Torque of {title} over time", text, [torque, residual])
-    legend = [
-        Key("measured", "measured"),
-        Key("predicted", "predicted"),
-        Key("residual", "residual"),
-    ]
-    legend += [Key("faint", "held at rest")] if np.any(rests) else []
-    legend += [Key("event", "pushed")] if events else []
-    legend += [] if np.all(series.used) else [Key("unused", "not counted")]
-    return Figure(name, svg, legend, _time_table(t, series, good, unit, title), wide=True)
+    return torque, residual
+
+
+def _known(series: Series) -> Mask:
+    good = np.isfinite(series.torque) & np.isfinite(series.predicted)
+    return good & np.isfinite(series.residual)
+
+
+def _points(x: Array, y: Array) -> list[Point]:
+    return list(zip(x.tolist(), y.tolist(), strict=True))
 
 
 def _limits(values: Array, *, zero: bool = False) -> tuple[float, float]:
@@ -133,34 +154,22 @@ def _described(series: Series, shown: Mask, unit: str) -> str:
 
 
 def _time_table(t: Array, series: Series, good: Mask, unit: str, title: str) -> Table:
-    columns = (
-        Column("from", numeric=True, unit="s"),
-        Column("measured, least", numeric=True, unit=unit_text(unit)),
-        Column("most", numeric=True, unit=unit_text(unit)),
-        Column("predicted, least", numeric=True, unit=unit_text(unit)),
-        Column("most", numeric=True, unit=unit_text(unit)),
-        Column("residual RMS", numeric=True, unit=unit_text(unit)),
-        Column("largest", numeric=True, unit=unit_text(unit)),
-    )
+    heads = ("measured, least", "most", "predicted, least", "most", "residual RMS", "largest")
+    columns = [Column("from", numeric=True, unit="s")]
+    columns += [Column(head, numeric=True, unit=unit) for head in heads]
     rows = []
     edges = np.linspace(0.0, float(t[-1]), min(_ROWS, len(t)) + 1)
     starts = np.searchsorted(t, edges[:-1])
     for at, a, b in zip(edges[:-1], starts, np.append(starts[1:], len(t)), strict=True):
-        inside = slice(int(a), int(b))
-        keep = good[inside]
+        keep = good[a:b]
         if not np.any(keep):
             continue
-        measured, predicted = series.torque[inside][keep], series.predicted[inside][keep]
-        rest = series.residual[inside][keep]
-        values = (
-            measured.min(),
-            measured.max(),
-            predicted.min(),
-            predicted.max(),
-            np.sqrt(np.mean(rest**2)),
-            np.abs(rest).max(),
+        measured, predicted, rest = (
+            values[a:b][keep] for values in (series.torque, series.predicted, series.residual)
         )
-        rows.append((f"{at:.2f}", *(number(float(value)) for value in values)))
+        ends = (measured.min(), measured.max(), predicted.min(), predicted.max())
+        left = (np.sqrt(np.mean(rest**2)), np.abs(rest).max())
+        rows.append((f"{at:.2f}", *(number(float(value)) for value in (*ends, *left))))
     return Table(f"Torque of {title}", columns, rows)
 
 
@@ -261,8 +270,12 @@ def spectrum(
     if cutoff_hz is not None and cutoff_hz < top:
         panel.upright(cutoff_hz, "limit", "cut-off")
     kept = extremes(f, np.log10(density), columns)
-    points = zip(f[kept].tolist(), density[kept].tolist(), strict=True)
-    panel.line(points, "residual", name="density", unit=f"{unit_text(unit)}/\u221aHz")
+    panel.line(
+        _points(f[kept], density[kept]),
+        "residual",
+        name="density",
+        unit=f"{unit_text(unit)}/\u221aHz",
+    )
     found = ", ".join(f"{line:.2f} Hz" for line in sorted(lines)) or "no line"
     title = f"Spectrum of the residual of {place.joint}"
     svg = drawing(SMALL, 220, title, f"Lines that stand out: {found}.", [panel])

@@ -64,9 +64,8 @@ def diagnosis(collection: Collection) -> Section:
     if not collection.diagnoses:
         model = collection.model
         path = model.path if model else "inertia.json"
-        call = command(
-            "seqid", "diagnose", "LOG...", "-r", "robot.toml", "-p", path, "-o", "diagnosis.json"
-        )
+        start = ["seqid", "diagnose", "LOG...", "-r", "robot.toml", "-p"]
+        call = command(*start, path, "-o", "diagnosis.json")
         text = "No diagnosis is among the files given."
         return Section("diagnosis", title, absent=[Absent(text, call)])
     lead = (
@@ -109,15 +108,11 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
         badge_text=text,
         figures=[*figures, *([floor] if floor else []), *([pushed] if pushed else [])],
         tables=[
-            table
-            for table in (
-                _joints(file, collection),
-                *(rivals_table(_not_known(part), part.rivals) for part in file.unexplained),
-                *(rivals_table(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
-                _events(file.events),
-                _hidden(file),
-            )
-            if table.rows
+            _joints(file, collection),
+            *(rivals_table(_not_known(part), part.rivals) for part in file.unexplained),
+            *(rivals_table(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
+            _events(file.events),
+            _hidden(file),
         ],
         notes=[*_unexplained(file.unexplained), *file.notes],
     )

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, Verdict
+from seqid_cli.params.schema import FrictionJoint, FrictionStage
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.figures.friction import (
-    drawable,
-    over_position,
-    over_velocity,
-    surface_figure,
-)
+from seqid_cli.report.figures.friction import FIGURES, drawable
 from seqid_cli.report.figures.torque import Place
-from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
+from seqid_cli.report.views import (
+    VALUE_COLUMNS,
+    Absent,
+    Column,
+    Group,
+    Section,
+    Table,
+    badge,
+)
 from seqid_cli.report.words import interval, number, percent, unit_text, with_error
 
 _CALL = "seqid friction LOG... -r robot.toml -o friction.json"
@@ -46,7 +49,7 @@ def _joint(
 ) -> Group:
     mine = [verdict for verdict in stage.verdicts if verdict.joint == name]
     sound = drawable(joint)
-    badge, text = _badge(mine)
+    state, text = badge(mine)
     unit = unit_text(place.torque_unit)
     facts = [
         ("orders", f"{joint.position_order}, {joint.velocity_order}"),
@@ -59,31 +62,15 @@ def _joint(
     return Group(
         f"friction-{index + 1}",
         name,
+        joint=name,
         lead="; ".join(verdict.reason for verdict in mine if verdict.reason),
-        badge=badge,
+        badge=state,
         badge_text=text,
         facts=facts,
-        figures=_figures(joint, place) if sound else [],
+        figures=[draw(joint, place) for draw in FIGURES] if sound else [],
         absent=[] if sound else [Absent("Its surface is not finite: identify it anew.", _CALL)],
-        tables=[
-            table for table in (_speeds(name, joint, place), _terms(name, joint)) if table.rows
-        ],
+        tables=[_speeds(name, joint, place), _terms(name, joint)],
     )
-
-
-def _badge(verdicts: list[Verdict]) -> tuple[str, str]:
-    if not verdicts:
-        return "", ""
-    good = all(verdict.good for verdict in verdicts)
-    return ("good", "good") if good else ("poor", "poor")
-
-
-def _figures(joint: FrictionJoint, place: Place) -> list[Figure]:
-    return [
-        surface_figure(joint, place),
-        over_velocity(joint, place),
-        over_position(joint, place),
-    ]
 
 
 def _speeds(name: str, joint: FrictionJoint, place: Place) -> Table:

@@ -11,7 +11,7 @@ from seqid_cli.params.schema import ImuCalibration, RigidStage, Verdict
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import circle, label, line
-from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table
+from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table, badge
 from seqid_cli.report.words import number, short_path, with_error
 
 _CALL = "seqid imu-calib LOG... -r robot.toml -p gravity.json -o imu.json"
@@ -36,13 +36,13 @@ def imu(collection: Collection) -> Section:
         for place, (name, item) in enumerate(stage.imus.items())
     ]
     inertia = model.stages.inertia if model else None
-    motion = [table for table in ([_motion(inertia)] if inertia else []) if table.rows]
+    motion = [_motion(inertia)] if inertia else []
     notes = [*stage.notes, *(_warnings(inertia) if inertia else [])]
     return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
 
 def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdict]) -> Group:
-    good = all(verdict.good for verdict in verdicts)
+    state, text = badge(verdicts)
     facts = [("std error", f"{number(item.std_error_deg, 2)}\u00b0")]
     facts.append(("configurations", str(item.configurations)))
     if item.axis_rmse_deg is not None:
@@ -55,11 +55,11 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
         f"imu-{place + 1}",
         name,
         lead="; ".join(verdict.reason for verdict in verdicts if verdict.reason),
-        badge=("good" if good else "poor") if verdicts else "",
-        badge_text="good" if good else "poor",
+        badge=state,
+        badge_text=text,
         facts=facts,
         figures=[_triad(name, item)],
-        tables=[table for table in (_references(name, item),) if table.rows],
+        tables=[_references(name, item)],
         notes=[f"Not determined: {what}" for what in item.not_determined],
         unfolded=True,
         beside=True,

@@ -30,19 +30,8 @@ def closed_loop(collection: Collection) -> Section:
     if not loops:
         model = collection.model
         path = model.path if model else "inertia.json"
-        call = command(
-            "seqid",
-            "refine",
-            "LOG...",
-            "--holdout",
-            "LOG",
-            "-r",
-            "robot.toml",
-            "-p",
-            path,
-            "-o",
-            "refined.json",
-        )
+        start = ["seqid", "refine", "LOG...", "--holdout", "LOG", "-r", "robot.toml", "-p"]
+        call = command(*start, path, "-o", "refined.json")
         text = "No refined file is among the files given."
         return Section("loop", title, absent=[Absent(text, call)])
     model = loops[0]
@@ -63,7 +52,7 @@ def closed_loop(collection: Collection) -> Section:
         _headline(loop),
         badge="poor" if loop.verdict == "poor" else "",
         figures=[*([figure] if figure else []), *_shown(collection, loop)],
-        tables=[table for table in tables if table.rows],
+        tables=tables,
         notes=[*_where(loop), *loop.notes],
         unfolded=True,
     )

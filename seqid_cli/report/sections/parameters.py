@@ -12,7 +12,7 @@ from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
 from seqid_cli.report.collection import Collection, Model
 from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import Scale, circle, line
-from seqid_cli.report.views import VALUE_COLUMNS, Absent, Cell, Column, Group, Section, Table
+from seqid_cli.report.views import VALUE_COLUMNS, Absent, Cell, Column, Group, Section, Table, badge
 from seqid_cli.report.words import (
     Z95,
     effect_at,
@@ -74,23 +74,15 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
     if stage.not_excited:
         notes.insert(0, f"Not determined by these logs: {listed(stage.not_excited, 40)}.")
     mine = stage.verdicts
-    good = all(verdict.good for verdict in mine)
-    text = ("good" if good else "poor") if stage.parameters else "nothing to identify"
+    state, text = badge(mine) if stage.parameters else ("", "nothing to identify")
     return Group(
         f"{name}-parameters",
         _TITLES[name],
         lead="; ".join(v.reason for v in mine if not v.joint and not v.good),
-        badge=("good" if good else "poor") if mine and stage.parameters else "",
+        badge=state,
         badge_text=text,
         facts=facts,
-        tables=[
-            table
-            for table in (
-                _table(name, stage, collection.models[1:]),
-                _per_joint(name, stage, collection),
-            )
-            if table.rows
-        ],
+        tables=[_table(name, stage, collection.models[1:]), _per_joint(name, stage, collection)],
         notes=notes,
         unfolded=True,
     )
@@ -198,7 +190,7 @@ def _effects(effects: Sequence[EffectOfJoint]) -> Group:
     ]
     columns = (Column("effect"), *VALUE_COLUMNS)
     table = Table("Effects that refinement added", columns, rows)
-    return Group("effects", "Effects", tables=[table] if rows else [])
+    return Group("effects", "Effects", tables=[table])
 
 
 def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:

@@ -10,6 +10,7 @@ from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import InputLog, ParameterFile
 from seqid_cli.report.collection import WRITTEN_BY, Collection, Model, models_of
 from seqid_cli.report.judgement import stage_verdicts
+from seqid_cli.report.torques import TorqueTable
 from seqid_cli.report.views import Column, Section, Table
 from seqid_cli.report.words import effect_at, file_name, listed, plural
 
@@ -35,21 +36,20 @@ class Step:
     state_text: str
 
 
-def pipeline(collection: Collection, torques: str) -> Section:
+def pipeline(collection: Collection, tables: Sequence[TorqueTable]) -> Section:
     """Return the section on files and commands."""
-    tables = [_files(collection), _logs(collection)]
     return Section(
         "pipeline",
         "Pipeline and files",
         lead="Each step builds on the one before. Hashes are SHA-256; two files with the same hash "
         "are the same to the last bit.",
-        tables=[table for table in tables if table.rows],
+        tables=[_files(collection), _logs(collection)],
         template="pipeline.html.j2",
-        data={"steps": list(_steps(collection, torques))},
+        data={"steps": list(_steps(collection, tables))},
     )
 
 
-def _steps(collection: Collection, torques: str) -> Iterator[Step]:
+def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Step]:
     model = collection.model
     if model is not None:
         yield from _stage_steps(collection, model)
@@ -58,7 +58,8 @@ def _steps(collection: Collection, torques: str) -> Iterator[Step]:
     for prediction in collection.predictions:
         good = all(verdict.good for verdict in prediction.file.verdicts)
         state = "good" if good else "poor"
-        made = file_name(prediction.path) + (f", {file_name(torques)}" if torques else "")
+        torques = [table.path for table in tables if table.prediction == prediction]
+        made = ", ".join(map(file_name, (prediction.path, *torques)))
         yield Step("predict", _logs_text(prediction.file.inputs), made, state, state)
     if not collection.diagnoses:
         yield Step("diagnose", "", "", "none", _STATES["none"])

@@ -40,7 +40,7 @@ def _group(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
         name,
         facts=facts,
         figures=[move_figure(move, file) for move in file.moves if move.stage == name],
-        tables=[table for table in (_moves(name, file), _errors(stage)) if table.rows],
+        tables=[_moves(name, file), _errors(stage)],
         notes=stage.notes,
     )
 

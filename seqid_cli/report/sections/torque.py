@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
-from seqid_cli.params.schema import Verdict
 from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.report.figures.torque import Event, Place, over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
-from seqid_cli.report.views import Absent, Column, Figure, Group, Section, Table
+from seqid_cli.report.views import Absent, Column, Figure, Group, Section, Table, badge
 from seqid_cli.report.words import command, limits, number, percent, plural, short_path, unit_text
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
@@ -16,20 +16,23 @@ _BUDGET = 60_000  # points of all time series together
 _COLUMNS = (60, 560)  # fewest and most across one figure
 
 
-def torque(collection: Collection, torques: TorqueTable | None, found: str = "") -> Section:
-    """Return the section on predicted torque; `found` is the source of unnamed torques."""
+def torque(
+    collection: Collection, tables: Sequence[TorqueTable], found: Sequence[str] = ()
+) -> Section:
+    """Return the section on predicted torque; `found` says which torques were found."""
     absent = []
     if not collection.predictions:
         text = "How large the errors are is not known without a prediction."
         absent.append(Absent(text, _predict(collection)))
-    if torques is None:
+    if not tables:
         text = "The torques over time are not in the files given."
         absent.append(Absent(text, _predict(collection)))
-    joints = torques.joints if torques else ()
-    figures = len(joints) * min(len(torques.rows), _MOST_LOGS) if torques else 0
-    columns = max(_COLUMNS[0], min(_COLUMNS[1], _BUDGET // max(6 * figures, 1)))
+    joints = tables[0].joints if tables else ()
+    figures = len(joints) * min(len(tables[0].rows), _MOST_LOGS) if tables else 0
+    lines = max(figures * (4 + 2 * len(tables)), 1)
+    columns = max(_COLUMNS[0], min(_COLUMNS[1], _BUDGET // lines))
     groups = [
-        _joint(collection, torques, name, columns)
+        _joint(collection, tables, name, columns)
         for name in collection.robot.joints
         if name in joints or any(name in p.file.joints for p in collection.predictions)
     ]
@@ -45,61 +48,94 @@ def torque(collection: Collection, torques: TorqueTable | None, found: str = "")
         for note in log.notes
     ]
     notes += [note for item in collection.predictions for note in item.file.notes]
-    notes += [found] if found else []
-    return Section("torque", "Torque, joint by joint", lead, groups, absent=absent, notes=notes)
+    beside = [_side_by_side(collection)] if len(collection.predictions) > 1 else []
+    title = "Torque, joint by joint"
+    return Section("torque", title, lead, [*beside, *groups], absent=absent, notes=[*notes, *found])
 
 
 def _predict(collection: Collection) -> str:
-    model = collection.model
     logs = [log.path for item in collection.predictions[:1] for log in item.file.logs]
-    if not 0 < len(logs) <= 4:
-        logs = ["LOG..."]
-    path = model.path if model else "inertia.json"
-    return command(
-        "seqid",
-        "predict",
-        *logs,
-        "-r",
-        "robot.toml",
-        "-p",
-        path,
-        "-o",
-        "prediction.json",
-        "--torques",
-        "torques.parquet",
-    )
+    model = ("-p", collection.model.path if collection.model else "inertia.json")
+    written = ("-o", "prediction.json", "--torques", "torques.parquet")
+    shown = logs if 0 < len(logs) <= 4 else ["LOG..."]
+    return command("seqid", "predict", *shown, "-r", "robot.toml", *model, *written)
 
 
-def _joint(collection: Collection, torques: TorqueTable | None, name: str, columns: int) -> Group:
+def _side_by_side(collection: Collection) -> Group:
+    """Errors of the models on the logs that all of them predict."""
+    logs = [{log.sha256 for log in item.file.logs} for item in collection.predictions]
+    common = frozenset.intersection(*map(frozenset, logs))
+    columns = [Column("joint"), Column("unit")]
+    columns += [Column(collection.label(p), numeric=True) for p in collection.predictions]
+    rows = [
+        (
+            name,
+            unit_text(collection.units(name)[0]),
+            *(_error_on(item, name, common) for item in collection.predictions),
+        )
+        for name in collection.robot.joints
+    ]
+    note = f"RMS error, and its share of the RMS torque, on the {plural(len(common), 'log')} that "
+    table = Table("Error of each model", columns, rows, f"{note}all of them predict.")
+    return Group("torque-models", "Models side by side", tables=[table], unfolded=True)
+
+
+def _error_on(item: Prediction, name: str, logs: frozenset[str]) -> str:
+    errors = [log.joints[name] for log in item.file.logs if log.sha256 in logs]
+    known = [(e.samples, e.rmse, e.relative_rmse) for e in errors if e.rmse and e.relative_rmse]
+    if not known:
+        return number(None)
+    count = sum(samples for samples, *_ in known)
+    error = math.sqrt(sum(n * rmse**2 for n, rmse, _ in known) / count)
+    size = math.sqrt(sum(n * (rmse / share) ** 2 for n, rmse, share in known) / count)
+    return f"{number(error)} ({percent(error / size)})"
+
+
+def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, columns: int) -> Group:
     place = Place(name, *collection.units(name))
-    series = torques.series(name) if torques and name in torques.joints else []
-    figures: list[Figure] = []
-    absent = []
+    models = {
+        collection.label(table.prediction) if table.prediction else short_path(table.path): {
+            series.log: series for series in table.series(name)
+        }
+        for table in tables
+        if name in table.joints
+    }
+    series = list(next(iter(models.values()), {}).values())
     shown = _worst(series, collection.predictions, name)
-    for log in shown:
-        figures.append(over_time(log, place, _events(collection, log.log, name), columns))
+    figures: list[Figure | None] = [
+        over_time(
+            {label: logs[log.log] for label, logs in models.items() if log.log in logs},
+            place,
+            _events(collection, log.log, name),
+            columns,
+        )
+        for log in shown
+    ]
+    absent = []
     if series:
-        small = [
+        figures += [
             over_quantity(series, place, "position", place.position_unit),
             over_quantity(series, place, "velocity", f"{place.position_unit}/s"),
             spectrum(series, place, _cutoff(collection), columns),
         ]
-        figures += [figure for figure in small if figure is not None]
         if series[0].position is None:
             text = "The torque file holds no position and velocity: write it anew."
             absent.append(Absent(text, _predict(collection)))
-    badge, text = _badge(collection.predictions, name)
+    verdicts = [v for p in collection.judged for v in p.file.verdicts if v.joint == name]
+    state, text = badge(verdicts)
+    bad = [verdict.reason for verdict in verdicts if not verdict.good]
     notes = []
     if len(shown) < len(series):
         notes.append(f"Shown: the {len(shown)} of {len(series)} logs with the largest errors.")
     return Group(
         f"torque-{collection.robot.joints.index(name) + 1}",
         name,
-        badge=badge,
-        badge_text=text,
+        joint=name,
+        badge=state,
+        badge_text=f"{text}: {bad[0]}" if bad else text,
         facts=_facts(collection, name, place),
-        figures=figures,
-        tables=[table for table in (_errors(collection, name, place),) if table.rows],
+        figures=[figure for figure in figures if figure],
+        tables=[_errors(collection, name, place)],
         notes=notes,
         absent=absent,
     )
@@ -108,12 +144,10 @@ def _joint(collection: Collection, torques: TorqueTable | None, name: str, colum
 def _worst(series: Sequence[Series], predictions: Sequence[Prediction], name: str) -> list[Series]:
     errors = {
         log.path: error.relative_rmse or 0.0
-        for item in predictions
+        for item in predictions[::-1]  # the best model's errors last, which stay
         for log in item.file.logs
         if (error := log.joints.get(name)) is not None
     }
-    if len(series) <= _MOST_LOGS:
-        return list(series)
     worst = sorted(series, key=lambda item: -errors.get(item.log, 0.0))[:_MOST_LOGS]
     kept = {item.log for item in worst}
     return [item for item in series if item.log in kept]
@@ -131,14 +165,6 @@ def _events(collection: Collection, log: str, joint: str) -> list[Event]:
 def _cutoff(collection: Collection) -> float | None:
     cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.file.logs]
     return max(cutoffs, default=None)
-
-
-def _badge(predictions: Sequence[Prediction], name: str) -> tuple[str, str]:
-    mine: list[Verdict] = [v for p in predictions for v in p.file.verdicts if v.joint == name]
-    if not mine:
-        return "", ""
-    bad = [verdict for verdict in mine if not verdict.good]
-    return ("poor", "poor: " + bad[0].reason) if bad else ("good", "good")
 
 
 def _facts(collection: Collection, name: str, place: Place) -> list[tuple[str, str]]:
@@ -162,8 +188,10 @@ def _facts(collection: Collection, name: str, place: Place) -> list[tuple[str, s
 
 def _errors(collection: Collection, name: str, place: Place) -> Table:
     unit = unit_text(place.torque_unit)
+    several = len(collection.predictions) > 1
     columns = (
         Column("log"),
+        *([Column("model")] if several else []),
         Column("RMS error", numeric=True, unit=unit),
         Column("relative", numeric=True, unit="of RMS torque"),
         Column("largest", numeric=True, unit=unit),
@@ -175,6 +203,7 @@ def _errors(collection: Collection, name: str, place: Place) -> Table:
     rows = [
         (
             short_path(log.path),
+            *([collection.label(item)] if several else []),
             number(error.rmse),
             percent(error.relative_rmse),
             number(error.max_abs),

@@ -109,7 +109,7 @@ class Tab:
             if height:
                 more["clip"]["height"] = min(height, more["clip"]["height"])
         found = self.call(
-            "Page.captureScreenshot", format="png", captureBeyondViewport=True, **more
+            "Page.captureScreenshot", format="png", captureBeyondViewport=bool(selector), **more
         )
         path.write_bytes(base64.b64decode(found["data"]))
 

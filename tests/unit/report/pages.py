@@ -145,11 +145,15 @@ def write_torques(
     joints: Sequence[str] = JOINTS,
     logs: Sequence[str] = LOGS,
     motion: bool = True,
+    parameters: Sequence[str] = (),
+    drop: float = 0.0,
 ) -> Path:
-    """Write a torque file."""
-    with TorqueWriter.open(path, joints) as writer:
+    """Write a torque file of a model that predicts the share `drop` too little."""
+    with TorqueWriter.open(path, joints, parameters) as writer:
         for seed, name in enumerate(logs):
             made = predicted_log(name, seed)
+            less = (1.0 - drop) * made.predicted
+            made = replace(made, predicted=less, low=less, high=less)
             writer.write(made if motion else replace(made, q=None, dq=None))
     return path
 

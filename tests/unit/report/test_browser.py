@@ -29,7 +29,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     torques = write_torques(folder / "t.parquet")
     path = folder / "report.html"
-    path.write_text(make_report(all_documents(), torques=torques).html, encoding="utf-8")
+    path.write_text(make_report(all_documents(), torques=[torques]).html, encoding="utf-8")
     return path
 
 
@@ -97,6 +97,101 @@ def test_values_follow_the_pointer(tab: Tab, page: Path) -> None:
     tab.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
     read = "document.querySelector('svg.readable').closest('figure').querySelector('output')"
     assert "measured" in tab.run(f"{read}.textContent")
+
+
+def press(tab: Tab, kind: str, x: float, y: float, *, shift: bool = False) -> None:
+    held = {"button": "left", "buttons": 1, "clickCount": 1, "modifiers": 8 if shift else 0}
+    tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **held)
+
+
+def drag(tab: Tab, start: float, end: float, *, shift: bool = False) -> None:
+    """Drag over the first plot, from one share of its width to another."""
+    left, top, width = tab.run(
+        "(() => { const svg = document.querySelector('svg.readable'); svg.scrollIntoView();"
+        " const box = svg.getBoundingClientRect(), scale = box.width / svg.viewBox.baseVal.width;"
+        " const [start, end] = svg.querySelector('.panel').dataset.x.split('|').slice(4);"
+        " return [box.x + scale * start, box.y + box.height / 3, scale * (end - start)]; })()"
+    )
+    press(tab, "mousePressed", left + start * width, top, shift=shift)
+    press(tab, "mouseMoved", left + end * width, top, shift=shift)
+    press(tab, "mouseReleased", left + end * width, top, shift=shift)
+
+
+def seen(tab: Tab) -> list[float]:
+    """Return the first and last place that the first plot shows, as shares of the whole."""
+    return list(
+        tab.run(
+            "(() => { const all = document.querySelector('.panel[data-x]');"
+            " const [start, end] = all.dataset.x.split('|').slice(4, 6).map(Number);"
+            " const { x, width } = all.querySelector('.marks').viewBox.baseVal;"
+            " return [x, x + width].map((at) => (at - start) / (end - start)); })()"
+        )
+    )
+
+
+def test_a_plot_zooms_pans_and_goes_back(tab: Tab, page: Path) -> None:
+    tab.open(page, width=1280)
+    ticks = (
+        "Array.from(document.querySelectorAll('svg.readable .ticks-x text'), (t) => t.textContent)"
+    )
+    whole = tab.run(ticks)
+    drag(tab, 0.25, 0.5)
+    assert seen(tab) == pytest.approx([0.25, 0.5], abs=0.01)
+    shown = [float(text) for text in tab.run(ticks)[:3]]
+    assert all(0.24 * 16 <= time <= 0.51 * 16 for time in shown)
+    read = "document.querySelector('svg.readable').closest('figure').querySelector('output')"
+    time = float(tab.run(f"{read}.textContent").split("=")[1].split()[0])
+    assert time == pytest.approx(0.5 * 16, abs=0.1)  # where the pointer was let go
+    drag(tab, 0.8, 0.4, shift=True)
+    assert seen(tab) == pytest.approx([0.35, 0.6], abs=0.01)
+    tab.run("document.querySelector('svg.readable').dispatchEvent(new MouseEvent('dblclick'))")
+    assert seen(tab) == pytest.approx([0.0, 1.0])
+    assert tab.run(ticks) == whole
+    assert tab.complaints == []
+
+
+def test_a_plot_zooms_by_keys_and_buttons(tab: Tab, page: Path) -> None:
+    tab.open(page, width=1280)
+    tab.run("document.querySelector('svg.readable').focus()")
+    for key in "++":
+        tab.call("Input.dispatchKeyEvent", type="keyDown", key=key)
+    low, high = seen(tab)
+    assert high - low == pytest.approx(0.25)
+    tab.call("Input.dispatchKeyEvent", type="keyDown", key="Home")  # the view follows the cursor
+    assert seen(tab) == pytest.approx([0.0, 0.25], abs=1e-3)
+    buttons = "document.querySelector('figure .zoom').children"
+    tab.run(f"{buttons}[1].click()")
+    assert seen(tab) == pytest.approx([0.0, 0.5], abs=1e-3)
+    tab.run(f"{buttons}[2].click()")
+    assert seen(tab) == pytest.approx([0.0, 1.0])
+    tab.run("document.querySelectorAll('.zoom button').forEach((button) => button.click())")
+    assert tab.complaints == []
+
+
+def test_one_joint_can_be_chosen(tab: Tab, page: Path) -> None:
+    tab.open(page, width=1280)
+    shown = (
+        "Array.from(document.querySelectorAll('[data-joint]')).filter((item) =>"
+        " item.checkVisibility()).map((item) => item.id)"
+    )
+    every = tab.run(shown)
+    assert every == ["torque-1", "torque-2", "friction-1", "friction-2"]
+    tab.run(
+        "(() => { const choice = document.querySelector('.choice select');"
+        " choice.value = 'elbow'; choice.dispatchEvent(new Event('change')); })()"
+    )
+    assert tab.run(shown) == ["torque-2", "friction-2"]
+    tab.run("document.querySelector('.glance a[href=\"#torque-1\"]').click()")
+    tab.run("new Promise((done) => setTimeout(done, 100))")
+    assert tab.run(shown) == every
+
+
+def test_all_is_there_without_a_script(tab: Tab, page: Path) -> None:
+    tab.call("Emulation.setScriptExecutionDisabled", value=True)
+    tab.open(page, width=1280)
+    tab.call("Emulation.setScriptExecutionDisabled", value=False)
+    assert tab.run("document.querySelectorAll('.zoom, .choice, [hidden]').length") == 0
+    assert tab.run("document.querySelectorAll('figure svg .ticks-x text').length") > 20
 
 
 def test_hostile_names_run_nothing(tab: Tab, tmp_path: Path) -> None:

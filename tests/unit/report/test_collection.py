@@ -6,7 +6,7 @@ import pytest
 
 from seqid_cli.errors import ConfigError, SeqidError
 from seqid_cli.params.encode import encode
-from seqid_cli.params.io import read_any
+from seqid_cli.params.io import Source, read_any
 from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.collection import collect
@@ -64,22 +64,43 @@ def test_other_joints_are_another_robot() -> None:
         collect([*good_documents(), source("other.json", other)])
 
 
-def test_files_that_disagree_on_a_stage_are_an_error_that_names_both() -> None:
-    other = gravity_file()
-    assert other.stages.friction is not None
-    other.stages.friction.joints["elbow"].rmse = 0.7
-    with pytest.raises(ConfigError, match=r"friction stage differs") as caught:
-        collect([source("inertia.json", inertia_file()), source("other.json", other)])
-    assert "other.json" in str(caught.value)
-    assert "inertia.json" in str(caught.value)
+def test_files_that_disagree_on_a_stage_are_models_of_their_own() -> None:
+    other, rest = gravity_file(), friction_file()
+    for file in (other, rest):
+        assert file.stages.friction is not None
+        file.stages.friction.joints["elbow"].rmse = 0.7
+    files = {"inertia.json": inertia_file(), "other.json": other, "friction.json": rest}
+    models = collect([source(path, file) for path, file in files.items()]).models
+    assert [[path for path, _ in model.sources] for model in models] == [
+        ["inertia.json"],
+        ["friction.json", "other.json"],
+    ]
 
 
-def test_two_refined_files_of_different_outcome_are_an_error() -> None:
+def test_refined_files_of_different_outcome_are_models_of_their_own() -> None:
     other = full_file()
     assert other.closed_loop is not None
     other.closed_loop.after["elbow"].rmse = 0.15
-    with pytest.raises(ConfigError, match=r"other\.json.*before and after.*refined\.json"):
-        collect([source("refined.json", full_file()), source("other.json", other)])
+    models = collect([source("refined.json", full_file()), source("other.json", other)]).models
+    assert [model.path for model in models] == ["refined.json", "other.json"]
+
+
+def before_and_after() -> list[Source]:
+    """Return both models with a prediction each; the one of before is given first, and poor."""
+    documents = all_documents()
+    before = made_with(prediction_file(shares=(0.02, 0.5)), documents[0])
+    after = made_with(prediction_file(shares=(0.01, 0.02)), documents[3])
+    return [*documents, source("before.json", before), source("after.json", after)]
+
+
+def test_the_best_model_is_judged_and_its_prediction_leads() -> None:
+    documents = before_and_after()
+    found = collect([item for item in documents if item.path != "prediction.json"])
+    assert [item.path for item in found.predictions] == ["after.json", "before.json"]
+    assert [item.path for item in found.judged] == ["after.json"]
+    labels = [found.label(item) for item in found.predictions]
+    assert labels == ["after: refined.json", "before: inertia.json"]
+    assert judge(found).level == "reservations"  # poor was the one of before
 
 
 def test_a_refined_file_may_differ_from_what_it_started_from() -> None:

@@ -9,8 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.signal import lfilter
 
-from seqid_cli.errors import InputError
+from seqid_cli.errors import InputError, UsageError
 from seqid_cli.model.effects.spectral_lines import Signal
+from seqid_cli.params.io import Source
 from seqid_cli.report.collection import collect
 from seqid_cli.report.figures.torque import (
     Place,
@@ -27,7 +28,9 @@ from tests.unit.report.pages import (
     LOGS,
     SAMPLES,
     SPIKE,
+    all_documents,
     good_documents,
+    made_with,
     predicted_log,
     prediction_file,
     source,
@@ -61,7 +64,7 @@ def test_older_files_have_no_motion(tmp_path: Path) -> None:
     (first, _) = opened(path).series("shoulder")
     assert first.position is None
     assert first.used.all()
-    html = make_report(good_documents(), torques=path).html
+    html = make_report(good_documents(), torques=[path]).html
     assert "holds no position and velocity" in html
 
 
@@ -132,7 +135,7 @@ def test_missing_values_are_gaps(tmp_path: Path) -> None:
     values[1000:1200] = np.nan
     pq.write_table(_column(table, "elbow.residual", values), path)
     first = opened(path).series("elbow")[0]
-    drawn = str(over_time(first, PLACE, [], 200).drawing)
+    drawn = str(over_time({"": first}, PLACE, [], 200).drawing)
     assert drawn.count('data-name="residual"') == 2
     assert "nan" not in drawn
 
@@ -168,13 +171,60 @@ def test_other_tables_are_refused(tmp_path: Path, columns: dict[str, list[object
 def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> None:
     parameters, prediction = good_documents()
     documents = [parameters, source(str(tmp_path / "prediction.json"), prediction.content)]
-    assert make_report(documents).torques == ""
+    assert make_report(documents).torques == ()
     write_torques(tmp_path / "torques.parquet")
-    assert make_report(documents).torques == str(tmp_path / "torques.parquet")
+    assert make_report(documents).torques == (str(tmp_path / "torques.parquet"),)
     write_torques(tmp_path / "torques.parquet", logs=LOGS[:1])
-    assert make_report(documents).torques == ""
+    assert make_report(documents).torques == ()
     shutil.copy(__file__, tmp_path / "torques.parquet")
-    assert make_report(documents).torques == ""
+    assert make_report(documents).torques == ()
+
+
+def of_two_models(folder: Path, *, told: bool = True) -> tuple[list[Source], list[Path]]:
+    """Return predictions before and after refinement, and their torques, the worse first."""
+    parameters, _, _, refined = all_documents()
+    documents, torques = [parameters, refined], []
+    for name, model, drop in (("before", parameters, 0.5), ("after", refined, 0.0)):
+        path = str(folder / f"{name}.json")
+        documents.append(source(path, made_with(prediction_file(), model)))
+        written = write_torques(
+            folder / f"{name}.parquet", parameters=[model.sha256] if told else [], drop=drop
+        )
+        torques.append(written)
+    return documents, torques
+
+
+def test_torques_of_two_models_share_a_plot(tmp_path: Path) -> None:
+    documents, torques = of_two_models(tmp_path)
+    report = make_report(documents, torques=torques)
+    assert report.torques == tuple(map(str, reversed(torques)))  # the refined one's first
+    drawn = report.html.split("<title>Torque of elbow, validation/a.parquet")[1].split("</svg>")[0]
+    for name in ("measured", "after: refined.json", "before: inertia.json"):
+        assert f'data-name="{name}"' in drawn
+    table = report.html.split('id="torque-models"')[1].split("</table>")[0]
+    assert "before: inertia.json" in table
+    assert table.count("(2.0 %)") == table.count("(5.0 %)") == 2
+
+
+def test_torques_beside_are_found_by_their_model(tmp_path: Path) -> None:
+    documents, (before, _) = of_two_models(tmp_path)
+    before.rename(tmp_path / "torques.parquet")
+    report = make_report(documents)
+    assert report.torques == (str(tmp_path / "torques.parquet"),)
+    assert report.collection.model_of(report.collection.predictions[1]) is not None
+
+
+def test_torques_of_another_model_are_refused(tmp_path: Path) -> None:
+    documents, (before, _) = of_two_models(tmp_path)
+    rest = [item for item in documents if not item.path.endswith("before.json")]
+    with pytest.raises(InputError, match=r"is of another model than .*after\.json"):
+        make_report(rest, torques=[before])
+
+
+def test_two_torque_files_of_one_prediction_are_refused(tmp_path: Path) -> None:
+    documents, torques = of_two_models(tmp_path, told=False)
+    with pytest.raises(UsageError, match=r"before\.parquet, .*after\.parquet"):
+        make_report(documents, torques=torques)
 
 
 def _series(path: Path) -> list[Series]:
@@ -182,7 +232,7 @@ def _series(path: Path) -> list[Series]:
 
 
 def test_the_one_bad_sample_is_drawn(tmp_path: Path) -> None:
-    figure = over_time(_series(tmp_path)[0], PLACE, [(1.0, 2.0)], 60)
+    figure = over_time({"": _series(tmp_path)[0]}, PLACE, [(1.0, 2.0)], 60)
     text = str(figure.drawing)
     line = text.split('data-name="residual"')[0].rpartition("<polyline")[2]
     heights = [
@@ -256,7 +306,7 @@ def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
     ]
     documents = [source("inertia.json", inertia_file()), source("prediction.json", prediction)]
     torques = write_torques(tmp_path / "t.parquet", logs=logs)
-    html = make_report(documents, torques=torques).html
+    html = make_report(documents, torques=[torques]).html
     assert "the 3 of 8 logs with the largest errors" in html
     shown = [path for path in logs if f"<figcaption>{path}</figcaption>" in html]
     assert shown == list(logs[5:])

@@ -142,7 +142,7 @@ def test_the_page_shows_what_changed(tmp_path: Path) -> None:
     assert (made.verdict, made.robot) == ("poor", "arm")
     assert [section.id for section in made.sections] == ["verdict", "robot-1"]
     text = (tmp_path / "trend.html").read_text()
-    assert text.count("<svg") == 1
+    assert text.count("<figure") == 1
     for shown in ("gravity mx_1", dated(7)[:10], "Trend report", "1 change beyond the error: arm"):
         assert shown in text
 

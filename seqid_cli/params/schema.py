@@ -172,6 +172,7 @@ class RigidStage(Struct, kw_only=True):
     covariances it gives that of everything identified with everything. `torque_constant_moves`
     holds, by joint, what one standard error of its torque constant moves every parameter by,
     through gravity as well. `covariance` is without these moves, the standard errors are with them.
+    `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters' own errors.
     """
 
     parameters: list[Parameter]
@@ -184,6 +185,7 @@ class RigidStage(Struct, kw_only=True):
     torque_constant_moves: dict[str, list[float]] = {}
     not_excited: list[str] = []
     rmse: dict[str, float] = {}
+    noise_density: dict[str, float] = {}
     method: str = "sequential"
     rotor_coupling: str = "diagonal"
     motion: dict[str, str] = {}

@@ -1,8 +1,9 @@
 """Prior knowledge of the robot before the experiment: its torque, noise and parameters.
 
-The noise counts by its one-sided density S: 2 / S of information per second and (N m)^2. A residual
-of standard deviation s below a cut-off f has S = s^2 / f. The error of the friction
-surface, of standard deviation r, changes slowly: it adds r^2 over `friction_hz`.
+The noise counts by its one-sided density S: 2 / S of information per second and (N m)^2. An inertia
+stage has measured it as its parameters felt it. Without one, a residual of standard deviation s
+below a cut-off f has S = s^2 / f, and the error of the friction surface, of standard deviation r,
+which changes slowly, adds r^2 over `friction_hz`.
 """
 
 from __future__ import annotations
@@ -216,14 +217,16 @@ def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tup
     assumed, origin = _assumed_noise(belief)
     noise = assumed**2 / NOISE_HZ
     inertia = stages.inertia
-    measured = inertia.rmse if inertia is not None and inertia.cutoff_hz else {}
+    measured = inertia.noise_density if inertia else {}
     friction = stages.friction.joints if stages.friction else {}
     for j, name in enumerate(belief.robot.joint_names):
-        if inertia is not None and inertia.cutoff_hz and name in measured:
-            noise[j] = measured[name] ** 2 / inertia.cutoff_hz
+        if inertia and inertia.cutoff_hz and name in inertia.rmse:
+            noise[j] = inertia.rmse[name] ** 2 / inertia.cutoff_hz
         if name in friction:
             noise[j] += friction[name].rmse ** 2 / friction_hz
-    return 2.0 / noise, "what the stages left of the torque" if measured else origin
+        noise[j] = measured.get(name, noise[j] ** 0.5) ** 2
+    known = measured or (inertia and inertia.cutoff_hz)
+    return 2.0 / noise, "what the stages left of the torque" if known else origin
 
 
 def _assumed_noise(belief: Belief, *, noise_share: float = 0.03) -> tuple[Array, str]:

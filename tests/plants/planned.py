@@ -8,7 +8,10 @@ import numpy as np
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.plan import PlannedMove
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.trajectories import sampled
+from seqid_cli.robot.types import Array
 from tests.plants.robots.lab import recording_of
 from tests.plants.simulate import Plant, simulate
 from tests.plants.trajectories import Reference, hold, join
@@ -16,6 +19,27 @@ from tests.plants.trajectories import Reference, hold, join
 RATE_HZ = 1000.0
 REST_S = 0.5  # before and after each move
 PAUSE_S = 10.0  # between moves
+
+
+def limits_used(
+    belief: Belief, move: PlannedMove, rate_hz: float = 500.0, *, at_once: int = 2000
+) -> Array:
+    """Largest share of the limits of position (about the middle), speed, acceleration, torque."""
+    limits = belief.limits
+    t, q, dq, ddq = sampled(move, belief.robot.joint_names, rate_hz)
+    middle, half = (limits.lower + limits.upper) / 2, limits.range / 2
+    states = zip(
+        (np.abs(q - middle), np.abs(dq), np.abs(ddq)),
+        (half, limits.speed, limits.acceleration),
+        strict=True,
+    )
+    shares = [np.max((used / limit)[:, limits.moves]) for used, limit in states]
+    loads = []
+    for start in range(0, len(t), at_once):
+        part = slice(start, start + at_once)
+        moves = Moves(t[part], *(x[None, part] for x in (q, dq, ddq)))
+        loads.append(belief.overload(moves, belief.regressor(moves))[0])
+    return np.array([*shares, max(loads)])
 
 
 def reference_of(move: PlannedMove, plant: Plant) -> Reference:

@@ -227,6 +227,7 @@ class Solution:
     left_open: Array
     moves: Array  # (G, p) by which the estimate moves without one block of time
     shares: Array  # (n, p) of the estimate that come from each joint's right side
+    designs: Array  # (n,) variance that each joint's residual makes, over that of white noise
 
 
 def solve(
@@ -263,7 +264,7 @@ def solve(
         sigma = np.maximum(left, 1e-12)
     rank = basis.shape[1]
     bread = basis @ basis.T
-    moves = _jackknife(joints, used, scale, theta, factor, bread)
+    moves, designs = _jackknife(joints, used, scale, theta, factor, bread)
     covariance = spread_of(moves)
     covariance += _prior_part(factor, [totals[k] / scale[k] for k in used], bread)
     # A direction in which the blocks happen to agree is not known better than white noise allows.
@@ -273,7 +274,7 @@ def solve(
     for k in used:
         shares[k] = bread @ (totals[k][:, :-1].T @ totals[k][:, -1]) / scale[k] ** 2
     found = theta, covariance, determined, rank, condition
-    return Solution(*found, sigma, bread, left_open, moves, shares)
+    return Solution(*found, sigma, bread, left_open, moves, shares, designs)
 
 
 def _residual_rms(R: Array, samples: int, theta: Array) -> float:
@@ -327,19 +328,24 @@ def _jackknife(
     theta: Array,
     factor: Array,
     bread: Array,
-) -> Array:
-    """Moves (G, p) of the estimate when one block of time is left out.
+) -> tuple[Array, Array]:
+    """Moves (G, p) of the estimate when one block of time is left out, and designs (n,).
 
     With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
     (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the sandwich it
-    does not shrink when a block has leverage.
+    does not shrink when a block has leverage. The scores of one joint alone, over what white noise
+    would make of them, are its design effect.
     """
     normal = factor[:-1, :-1].T @ factor[:-1, :-1]
     count = max((len(joints[k].blocks) for k in used), default=0)
-    A, s = np.zeros((count, *bread.shape)), np.zeros((count, len(theta)))
+    A, s = np.zeros((count, *bread.shape)), np.zeros((len(joints), count, len(theta)))
+    designs = np.ones(len(joints))
     for k in used:
-        _add_blocks(A, s, joints[k].blocks, np.append(-theta, 1.0), sigma[k])
-    return _downdated(normal, A, bread, s)
+        before = np.trace(bread @ A.sum(axis=0))
+        _add_blocks(A, s[k], joints[k].blocks, np.append(-theta, 1.0), sigma[k])
+        white = np.trace(bread @ A.sum(axis=0)) - before
+        designs[k] = np.sum((s[k] @ bread) * s[k]) / max(white, 1e-300)
+    return _downdated(normal, A, bread, s.sum(axis=0)), designs
 
 
 def spread_of(moves: Array) -> Array:

@@ -34,6 +34,7 @@ from seqid_cli.identify.tree import or_none
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
@@ -204,6 +205,7 @@ def _described(
             for j, name in enumerate(robot.joint_names)
             if joints[j].samples
         },
+        noise_density=_noise_density(equations, solution),
         rotor_coupling="gyroscopic" if coupling.used else "diagonal",
         motion={use.log: source_text(use) for use in equations.rows.uses},
         motion_use=equations.rows.uses,
@@ -216,6 +218,16 @@ def _described(
             *coupling.notes,
         ],
     )
+
+
+def _noise_density(equations: InertiaEquations, solution: Solution) -> dict[str, float]:
+    """Noise N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included."""
+    white = solution.sigma**2 / (NOISE_BANDWIDTH * np.median(equations.rows.cutoffs))
+    return {
+        name: float(np.sqrt(solution.designs[j] * white[j]))
+        for j, name in enumerate(equations.robot.joint_names)
+        if equations.joints[j].samples
+    }
 
 
 def _verdicts(

@@ -23,6 +23,7 @@ from seqid_cli.robot.types import Array, Robot
 
 POINT_HZ = 25.0  # of JointTrajectory: controllers interpolate positions, speeds, accelerations
 SERVO_HZ = 50.0  # of URScript
+DECIMALS = 6  # of s, rad, rad/s and rad/s^2 (m): a fifth of an arc second
 _LINE = "=" * 80
 DEFINITION = (
     "std_msgs/Header header\nstring[] joint_names\nJointTrajectoryPoint[] points\n"
@@ -59,16 +60,24 @@ def write_moves(
 def _rows(
     move: PlannedMove, names: Sequence[str], speed_scale: float, rate_hz: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Times, positions, speeds and accelerations of the slowed move, without minus zeros."""
+    """Times, positions, speeds and accelerations of the slowed move, rounded.
+
+    Of constant speed, and of rest, only the ends: the rows between lie on a straight line.
+    """
     t, q, dq, ddq = sampled(move, names, rate_hz)
-    return t / speed_scale, q + 0.0, speed_scale * dq + 0.0, speed_scale**2 * ddq + 0.0
+    changed = ddq.any(axis=1) | np.diff(dq, axis=0, prepend=np.nan).any(axis=1)
+    bent = np.pad(changed, 1, constant_values=True)
+    kept = bent[:-2] | bent[1:-1] | bent[2:]
+    slowed = t / speed_scale, q, speed_scale * dq, speed_scale**2 * ddq
+    t, q, dq, ddq = (np.round(x[kept], DECIMALS) + 0.0 for x in slowed)  # no minus zeros
+    return t, q, dq, ddq
 
 
 def _csv(move: PlannedMove, names: Sequence[str], speed_scale: float) -> str:
     kinds = ("position", "velocity", "acceleration")
     head = ",".join(["time", *(f"{kind}_{name}" for kind in kinds for name in names)])
     rows = np.column_stack(_rows(move, names, speed_scale, RATE_HZ))
-    text = "\n".join(",".join(f"{x:.9g}" for x in row) for row in rows)
+    text = "\n".join(",".join(f"{x:.10g}" for x in row) for row in rows)
     return f"{head}\n{text}\n"
 
 
@@ -92,7 +101,7 @@ def _yaml(move: PlannedMove, names: Sequence[str], speed_scale: float) -> str:
     lines = [f"trajectory:\n  joint_names: [{quoted}]\n  points:"]
     for (sec, nano), arrays in _points(move, names, speed_scale):
         for lead, (kind, values) in zip(("- ", "  ", "  "), arrays.items(), strict=True):
-            numbers = ", ".join(f"{x:#.9g}" for x in values)
+            numbers = ", ".join(f"{x:.{DECIMALS}f}" for x in values)
             lines.append(f"  {lead}{kind}: [{numbers}]")
         lines.append(f"    time_from_start: {{sec: {sec}, nanosec: {nano}}}")
     return "\n".join(lines) + "\n"
@@ -123,7 +132,7 @@ def _write_mcap(
 
 def _urscript(move: PlannedMove, names: Sequence[str], speed_scale: float) -> str:
     """A program: a slow way to the start, then servoj; strokes as movej of their speed."""
-    _, q, _, _ = _rows(move, names, speed_scale, SERVO_HZ)
+    planned, q, _, _ = _rows(move, names, speed_scale, SERVO_HZ)
     lines = [
         f"def {_identifier(move.name)}():",
         f"  movej({_pose(q[0])}, a=0.3, v=0.2)",
@@ -139,7 +148,6 @@ def _urscript(move: PlannedMove, names: Sequence[str], speed_scale: float) -> st
     else:
         step = 1.0 / SERVO_HZ
         t = np.arange(0.0, move.duration_s / speed_scale, step)
-        planned = np.linspace(0.0, move.duration_s / speed_scale, len(q))
         every = np.column_stack([np.interp(t, planned, column) for column in q.T])
         lines += [f"  servoj({_pose(x)}, t={step}, lookahead_time=0.1, gain=300)" for x in every]
         lines.append("  stopj(1.0)")
@@ -152,4 +160,4 @@ def _identifier(name: str) -> str:
 
 
 def _pose(q: Array) -> str:
-    return f"[{', '.join(f'{x:.7f}' for x in q)}]"
+    return f"[{', '.join(f'{x:.{DECIMALS}f}' for x in q)}]"

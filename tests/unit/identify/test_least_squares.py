@@ -81,6 +81,16 @@ def test_the_solution_is_that_of_the_stacked_weighted_rows() -> None:
     assert got.determined.all()
 
 
+@pytest.mark.parametrize("slow", [0.0, 0.5])
+def test_slow_noise_counts_as_so_much_more_white_noise(slow: float) -> None:
+    rng, blocks, rows = np.random.default_rng(2), 200, 40
+    joint = Accumulator(1)
+    for own in slow * rng.standard_normal(blocks):
+        joint.add(np.ones((rows, 1)), 3.0 + own + rng.standard_normal(rows))
+    expected = (1.0 + rows * slow**2) / (1.0 + slow**2)  # variance of a mean, over that of white
+    assert solve([joint]).designs[0] == pytest.approx(expected, rel=0.3)
+
+
 def test_joints_are_weighted_by_their_noise() -> None:
     got = solve([j.accumulated() for j in make(np.random.default_rng(1))])
     np.testing.assert_allclose(got.sigma, NOISES, rtol=0.1)

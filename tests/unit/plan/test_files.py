@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.plan.functions import plan
-from seqid_cli.plan.moves.trajectories import sampled
+from seqid_cli.plan.moves.trajectories import RATE_HZ, sampled
 from seqid_cli.plan.options import PlanOptions
 from tests.plants.robots.sample import SAMPLES, sample_robot
 
@@ -67,6 +67,17 @@ def test_yaml_and_mcap_hold_the_same_slowed_move(made: tuple[Path, PlanFile]) ->
     for point, other in zip(trajectory.points, points, strict=True):
         assert list(point.positions) == pytest.approx(other["positions"], abs=1e-8)
         assert point.time_from_start.sec == other["time_from_start"]["sec"]  # type: ignore[call-overload]
+
+
+def test_straight_parts_are_left_out_of_the_files(made: tuple[Path, PlanFile]) -> None:
+    folder, file = made
+    move = file.moves[-1]
+    t, q, _, ddq = sampled(move, NAMES, RATE_HZ)
+    rows = np.loadtxt(folder / "sweeps" / f"{move.name}.csv", delimiter=",", skiprows=1)
+    assert len(rows) < 0.3 * len(t)
+    assert len(rows) > np.sum(ddq.any(axis=1))
+    read = [np.interp(t / SCALE, rows[:, 0], column) for column in rows[:, 1:7].T]
+    assert np.abs(np.column_stack(read) - q).max() < 3e-6
 
 
 def test_urscript_follows_the_move(made: tuple[Path, PlanFile]) -> None:

@@ -12,10 +12,7 @@ import jsonschema
 import pytest
 from msgspec import structs
 
-from seqid_cli.commands.render import Screen
-from seqid_cli.commands.show_diagnosis import show_diagnosis, verdict_sentence
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.findings.finding import found
 from seqid_cli.logs.recording import Recording
@@ -36,7 +33,6 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
 from tests.unit.params.documents import (
-    diagnosis_file,
     diagnosis_of,
     friction_file,
     gravity_file,
@@ -273,19 +269,6 @@ def test_the_story_of_a_finding(rig: Rig, library: Library) -> None:
     assert "These motions cannot show: base_tilt, spring." in lines
 
 
-def test_a_push_is_told_of_the_joints_that_it_moves(rig: Rig, library: Library) -> None:
-    push = structs.replace(PAYLOAD, effect="external_contact", separate_by="")
-    library.result = structs.replace(FOUND, findings=[push], unexplained=[])
-    assert "Taken: external_contact" in rig.run(*BASE, "--explain", "elbow").out
-    assert "Nothing was taken." in rig.run(*BASE, "--explain", "shoulder").out
-
-
-def test_the_story_of_nothing(rig: Rig, library: Library) -> None:
-    library.result = NOTHING
-    done = rig.run(*BASE, "--explain", "shoulder")
-    assert "Nothing was taken." in done.out
-
-
 def test_an_unknown_joint_cannot_be_explained(rig: Rig, library: Library) -> None:
     done = rig.run(*BASE, "-o", "out.json", "--explain", "knee")
     assert done.code == 2
@@ -403,14 +386,6 @@ def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:
     assert rig.run(*BASE, "--strict").code == 1
 
 
-def test_a_log_without_torque(rig: Rig, library: Library) -> None:
-    library.result = InputError("neither torque nor current", hint="Record it.", where="a.parquet")
-    done = rig.run(*BASE, "-o", "out.json")
-    assert done.code == 2
-    assert "seqid diagnose: error: a.parquet: neither torque nor current" in done.err
-    assert not (rig.folder / "out.json").exists()
-
-
 @pytest.mark.parametrize(
     ("make", "options", "message"),
     [
@@ -428,23 +403,3 @@ def test_a_missing_stage(
     assert message in done.err
     assert "Run seqid inertia first" in done.err
     assert library.calls == []
-
-
-def test_another_robot(rig: Rig, library: Library) -> None:
-    file = inertia_file()
-    file.robot.joints = file.robot.joints[::-1]
-    rig.params("p.json", file)
-    done = rig.run(*BASE)
-    assert done.code == 2
-    assert "p.json: is about robot 'arm' with joints elbow, shoulder" in done.err
-
-
-def test_an_empty_diagnosis_shows_nothing_but_its_verdict(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    file = diagnosis_file()
-    file.verdict, file.findings, file.unexplained = "nothing_missing", [], []
-    file.joints, file.events, file.hidden, file.notes = {}, [], [], []
-    show_diagnosis(Screen("diagnose"), file)
-    captured = capsys.readouterr()
-    assert (captured.out, captured.err) == (verdict_sentence(file) + "\n", "")

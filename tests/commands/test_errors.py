@@ -141,10 +141,6 @@ def test_an_interruption(rig: Rig, reader: Reader, identified: Replace) -> None:
     assert not (rig.folder / "out.json").exists()
 
 
-def test_a_known_error_shows_its_traceback_with_debug(rig: Rig) -> None:
-    assert "Traceback" in rig.run("friction", "no", "-r", "robot.toml", "--debug").err
-
-
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_signal_during_an_import_exits_with_130(name: str, tmp_path: Path) -> None:
     """Imports run texts by `exec`, to make dataclasses; Python remembers an interrupt in those."""

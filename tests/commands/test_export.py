@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from xml.etree import ElementTree
 
-import mujoco
 import pytest
 
 from seqid_cli.params.document import now, tool
@@ -44,11 +43,6 @@ def test_every_suffix_is_written(two: Rig, name: str) -> None:
     assert (two.folder / name).stat().st_size > 500
     assert "met exactly" in done.out
     assert f"written: {name}" in done.err
-
-
-def test_mjcf_loads(two: Rig) -> None:
-    two.run("export", "inertia.json", "-r", "robot.toml", "-o", "a.xml")
-    assert mujoco.MjModel.from_xml_path(str(two.folder / "a.xml")).nv == 2
 
 
 def test_json_tells_links_friction_and_deviations(two: Rig) -> None:

@@ -102,18 +102,6 @@ def fitted_and_found(case: LongCase, folder: Path) -> tuple[Excerpts, EarlierLog
     return fitted, found
 
 
-def test_trials_are_read_whole_and_other_logs_in_pieces(tmp_path: Path) -> None:
-    case = long_case()
-    fitted, found = fitted_and_found(case, tmp_path)
-    earlier = read_earlier(inputs_of(case, tmp_path), found, fitted, InertiaOptions())
-    assert not earlier.notes
-    whole = earlier.by_stage["friction"]
-    assert [len(log.t) for log in whole] == [len(case.log.t)] * 2
-    inertia = earlier.by_stage["inertia"]
-    assert [log for log in inertia if log.whole is not None] == list(fitted.recordings)
-    assert inertia[: len(fitted.recordings)] == list(fitted.recordings)
-
-
 def test_trials_beyond_what_is_held_are_left_aside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,8 +11,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-from seqid_cli.commands.render import Screen
-from seqid_cli.commands.show_motion import motion_line, show_motion
 from seqid_cli.identify.functions import announcement
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.screening import Screened
@@ -22,7 +20,7 @@ from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
-from seqid_cli.params.schema import SCHEMA, ImuStage, MotionUse
+from seqid_cli.params.schema import SCHEMA, ImuStage
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
@@ -136,13 +134,6 @@ def test_a_prediction_says_what_motion_it_rests_on(bench: Bench) -> None:
     assert "motion: fused (imu_a, imu_b) in 2 of 2 logs; acceleration known to 0.0" in err
 
 
-def test_encoders_when_asked(bench: Bench) -> None:
-    code, out, err = bench.run(*PREDICT, "--json", "--motion", "encoder")
-    assert code == 0
-    assert [log["motion"]["source"] for log in json.loads(out)["logs"]] == ["encoder", "encoder"]
-    assert "motion:" not in err
-
-
 def test_a_log_without_imus_falls_back_and_names_them(bench: Bench) -> None:
     bench.recordings[1] = without(bench.recordings[1], "imu_a", "imu_b")
     code, out, err = bench.run(*PREDICT, "--json")
@@ -191,11 +182,3 @@ def test_long_logs_are_announced() -> None:
     for imu, source, told in ((s.stage, "auto", 1), (None, "auto", 0), (s.stage, "encoder", 0)):
         assert announcement(imu, source)(long).count("smoothing 12 min") == told
     assert announcement(s.stage, "auto")(s.recording) == ""
-
-
-def test_nothing_is_said_of_arms_without_imus(capsys: pytest.CaptureFixture[str]) -> None:
-    uses = [MotionUse(log="a", source="encoder", cutoff_hz=5.0)]
-    assert motion_line(uses) == motion_line([]) == ""
-    show_motion(Screen("inertia"), uses)
-    captured = capsys.readouterr()
-    assert captured.out == captured.err == ""

@@ -16,8 +16,7 @@ from msgspec import structs
 
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import WholeLogs
-from seqid_cli.discover.refinement.log_sets import find_earlier, held_out_logs
-from seqid_cli.errors import InputError, UsageError
+from seqid_cli.discover.refinement.log_sets import find_earlier
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
@@ -377,28 +376,3 @@ def test_paths_of_a_parameter_file_are_not_trusted(tmp_path: Path, path: str) ->
     found = find_earlier([log], [tmp_path], at_hand={}, held_out=[])
     assert found.paths == {}
     assert len(found.notes) == 1
-
-
-def test_a_note_names_three_logs_and_counts_the_rest(tmp_path: Path) -> None:
-    logs = [
-        InputLog(path=f"{k}.parquet", sha256=str(k), samples=1, stage=stage)
-        for k in range(5)
-        for stage in ("friction", "gravity")
-    ]
-    (note,) = find_earlier(logs, [tmp_path], at_hand={}, held_out=[]).notes
-    assert "0.parquet, 1.parquet, 2.parquet and 2 more;" in note
-
-
-def test_two_lists_of_logs_are_kept_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for number, name in enumerate(("a", "b", "c")):
-        Path(f"{name}.parquet").write_bytes(content(number))
-    assert held_out_logs(["a.parquet"], ["b.parquet", "c.parquet", "./b.parquet"]) == (
-        Path("b.parquet"),
-        Path("c.parquet"),
-    )
-    Path("link.parquet").symlink_to("a.parquet")
-    with pytest.raises(UsageError, match="both to fit and to hold out"):
-        held_out_logs(["a.parquet"], ["link.parquet"])
-    with pytest.raises(InputError, match="does not exist"):
-        held_out_logs(["a.parquet"], ["none.parquet"])

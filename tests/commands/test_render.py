@@ -10,7 +10,7 @@ from seqid_cli.__main__ import main
 from seqid_cli.commands.chart import text_chart
 from seqid_cli.commands.layout import folded, format_table, shortened
 from seqid_cli.commands.progress import ProgressLine
-from seqid_cli.commands.render import Screen, number, percent
+from seqid_cli.commands.render import number, percent
 from seqid_cli.commands.show import verdict_text
 from seqid_cli.params.schema import Verdict
 from seqid_cli.working import heard_by, step
@@ -107,16 +107,6 @@ def test_progress_shows_after_a_second_and_vanishes() -> None:
     assert stream.getvalue() == before
 
 
-@pytest.mark.parametrize(("stream", "enabled"), [(Terminal(), False), (io.StringIO(), True)])
-def test_progress_is_silent_where_nobody_watches(stream: io.StringIO, enabled: bool) -> None:
-    clock = Clock()
-    line = ProgressLine(stream, enabled=enabled, clock=clock)
-    clock.now = 5.0
-    line.show(2, 4, "b.mcap")
-    line.close()
-    assert stream.getvalue() == ""
-
-
 def test_the_steps_of_long_work_are_heard_in_their_block() -> None:
     heard: list[tuple[int, int, str]] = []
     step("before", 0, 1)
@@ -140,26 +130,6 @@ def test_a_chart_shows_shape_and_ranges() -> None:
     assert all(line.count("*") == 0 for line in lines[-2:])
     columns = {line.index("|") for line in lines[1:-2]}
     assert len(columns) == 1
-
-
-def test_charts_of_little() -> None:
-    assert text_chart([], [], x_label="", y_label="") == []
-    assert text_chart([1.0, 1.0], [2.0, 3.0], x_label="", y_label="") == []
-    flat = text_chart([0.0, 1.0], [2.0, 2.0], x_label="", y_label="")
-    assert sum(line.count("*") for line in flat) == 2
-
-
-def test_a_warning_is_given_once(capsys: pytest.CaptureFixture[str]) -> None:
-    screen = Screen(command="x")
-    screen.warn("a.parquet: samples are lost")
-    screen.warn("a.parquet: samples are lost")
-    screen.remark("a.parquet: samples are lost")
-    screen.remark("another")
-    screen.remark("another")
-    assert capsys.readouterr().err.splitlines() == [
-        "seqid x: warning: a.parquet: samples are lost",
-        "note: another",
-    ]
 
 
 ONE, TWO, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "two_joint", "six_joint"))

@@ -70,14 +70,6 @@ def test_the_other_stages_build_on_what_was_there(
     assert [log.stage for log in file.inputs] == ["friction", "gravity", "imu", "imu", "inertia"]
 
 
-def test_imu_calib_without_parameters(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
-    assert rig.run("imu-calib", *COMMON).code == 0
-    stages = read_parameters(rig.folder / "out.json").stages
-    assert stages.imu is not None
-    assert (stages.friction, stages.gravity, stages.inertia) == (None, None, None)
-
-
 @pytest.mark.parametrize("offset", [False, True])
 def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: bool) -> None:
     found = (friction_stage(), rigid_stage())

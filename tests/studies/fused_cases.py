@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import ImuCalibration, ImuStage
-from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.robot.types import Robot
 from tests.plants.experiments import inertia_trials, validation_trials
 from tests.plants.rigid import LinkMotion, link_motion
 from tests.plants.rigs import mounting, one_joint, six_joint, two_joint
@@ -191,8 +191,3 @@ def stage_of(plant: Plant, rng: np.random.Generator) -> ImuStage:
         for imu in plant.imus
     }
     return ImuStage(imus=dict(found))
-
-
-def names(imus: Sequence[Imu]) -> str:
-    """For a table."""
-    return ", ".join(imu.name for imu in imus)

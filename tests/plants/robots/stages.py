@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base_parameters import free_basis, standard_names
+from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Array, Robot
 from tests import ROOT
@@ -126,8 +126,3 @@ def stages_of(robot: Robot, phi: Array, rotor: Array | None = None, **more: obje
         friction=friction_stage(robot),
         inertia=inertia_stage(robot, phi, rotor, **more),  # type: ignore[arg-type]
     )
-
-
-def rotor_names(robot: Robot) -> tuple[str, ...]:
-    """Names of the rotor parameters."""
-    return standard_names(robot.n)[-robot.n :]

@@ -13,8 +13,8 @@ from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis, standard_names
-from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
-from tests.unit.discover.arms import arm_scenes, measuring
+from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS
+from tests.unit.discover.arms import arm_scenes
 
 Array = NDArray[np.float64]
 
@@ -67,14 +67,6 @@ def test_more_friction_and_late_torque(scenes: list[Scene]) -> None:
         np.testing.assert_allclose(found, rows.torque(j, late)[:, j], atol=0.02)
 
 
-def test_the_residual_is_measured_minus_modelled(scenes: list[Scene]) -> None:
-    exact = [measuring(scene, scene.modelled + 0.5) for scene in scenes]
-    base = base_of(rows_of(exact), Stages())
-    for y in base.y:
-        # Rigid-body torque is low-passed once, measured torque twice.
-        np.testing.assert_allclose(np.median(y), 0.5, atol=0.02)
-
-
 def rigid_stage(names: list[str], covariance: Array) -> RigidStage:
     parameters = [Parameter(name=n, value=1.0, std_error=0.1, unit="kg m") for n in names]
     size = len(names)
@@ -94,12 +86,6 @@ def test_priors_are_the_files_covariances(scenes: list[Scene]) -> None:
     np.testing.assert_allclose(P[np.ix_(at, at)], np.linalg.inv(covariance), rtol=1e-9)
     rest = [k for k in range(len(names)) if k not in at]
     assert not P[rest].any()
-
-
-def test_a_stage_of_another_basis_is_no_prior(scenes: list[Scene]) -> None:
-    for stage in (rigid_stage(["mx_9"], np.eye(1)), rigid_stage([], np.zeros((0, 0)))):
-        base = base_of(rows_of(scenes), Stages(gravity=stage))
-        assert base.prior_rigid.shape == (0, len(free_basis(scenes[0].robot).names))
 
 
 def friction_joint(*, covariance: Array, parameters: tuple[Parameter, ...] = ()) -> FrictionJoint:
@@ -148,9 +134,3 @@ def test_friction_of_a_simultaneous_fit_has_as_many_terms_as_that(scenes: list[S
         base = base_of(rows_of(scenes), stages)
         assert base.friction[1].shape[1] == count
         np.testing.assert_allclose(base.prior_friction[1], 2.0 * np.eye(count))
-
-
-def test_unknown_rotors_are_free() -> None:
-    known, unknown = (free_basis(two_joint_robot(drives=d)) for d in (True, False))
-    assert len(unknown.names) > len(known.names)
-    assert any(name.startswith("Ia") for name in unknown.names)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
+from seqid_cli.discover.candidates import Stage, candidates_of
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
 from tests.unit.discover.arms import arm_scenes, candidate
@@ -30,17 +30,6 @@ def test_columns_are_filtered_as_the_effect_asks() -> None:
             ]
             expected = stage.rows.torque(j, low)
             np.testing.assert_allclose(X, expected, atol=1e-4 * max(1.0, np.abs(expected).max()))
-
-
-def test_columns_are_made_once() -> None:
-    stage = Stage(rows_of(arm_scenes(logs=2, seconds=8.0)))
-    one = candidate("stribeck", 0, stribeck_speed=0.1, exponent=2.0)
-    same = Candidate(one.effect, 0, {"exponent": 2.0, "stribeck_speed": 0.1})
-    other = candidate("stribeck", 1, stribeck_speed=0.1, exponent=2.0)
-    (first,) = stage.columns([one])
-    again, different = stage.columns([same, other])
-    assert first is again
-    assert set(different) == {1}
 
 
 def test_joints_at_which_effects_are_looked_for() -> None:

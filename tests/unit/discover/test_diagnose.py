@@ -15,13 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.diagnosis import described, diagnose, share_above
+from seqid_cli.discover.diagnosis import described, diagnose
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.notes import excess_residuals, expected, file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground
-from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -199,13 +198,6 @@ def test_everything_is_plain_and_finite(diagnosis: object) -> None:
     plain(diagnosis())
 
 
-def test_a_log_without_torque() -> None:
-    honest = clean()
-    bare = replace(honest.logs[0], tau=None)
-    with pytest.raises(InputError, match="neither joint torque nor motor current"):
-        diagnose([bare], honest.robot, honest.stages, options=OPTIONS)
-
-
 @lru_cache(maxsize=1)
 def biased_short() -> DiagnosisFile:
     """A constant torque in logs of 18 s together: too short to see whether it lasts."""
@@ -282,12 +274,6 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     assert any("elbow" in note and "account for" in note for note in said.notes)
 
 
-def test_clean_logs_are_as_loud_as_expected() -> None:
-    logs = clean()
-    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
-    np.testing.assert_allclose(found.model.rms() / expected(found), 1.2, atol=0.4)
-
-
 def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
     logs = clean()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
@@ -300,14 +286,6 @@ def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
     (note,) = [note for note in said.notes if "doubtful" in note]
     assert note.startswith("joint elbow: ")
     assert said.joints["elbow"].noise_floor == floor.rms[1] > said.joints["elbow"].rmse_explained
-
-
-def test_a_share_of_what_is_above_the_floor() -> None:
-    before, after = np.array([5.0]), np.array([3.0])
-    assert share_above(before, after, np.array([0.0])) == pytest.approx(16 / 25)
-    assert share_above(before, after, np.array([1.0])) == pytest.approx(16 / 24)
-    assert share_above(before, after, np.array([4.0])) == 1.0
-    assert share_above(after, before, np.array([1.0])) == 0.0
 
 
 def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.base import residual_of
-from seqid_cli.discover.noise.encoder import encoder_readings, encoder_residuals
+from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.identify.options import InertiaOptions
@@ -50,14 +50,3 @@ def test_the_encoders_part_is_smaller_than_what_is_left(log: Recording) -> None:
     for j in range(JOINTS):
         assert 0.01 * rms(left[slides[:, j], j]) < rms(echo[slides[:, j], j])
         assert rms(echo[slides[:, j], j]) < rms(left[slides[:, j], j])
-
-
-def test_readings_have_the_encoders_step_and_the_noise_beside_it() -> None:
-    rng, rate, step = np.random.default_rng(1), 500.0, np.array([1e-3, 1e-4, 0.0])
-    noise = np.array([0.0, 1e-3, 1e-3])
-    q = np.cumsum(1e-3 * rng.standard_normal((20000, 3)), axis=0)
-    density = 2.0 * (noise**2 + step**2 / 12.0) / rate
-    read = encoder_readings(q, step, density, rate, rng)
-    expected = np.sqrt(noise**2 + step**2 / 12.0)
-    np.testing.assert_allclose(np.std(read - q, axis=0), expected, rtol=0.03)
-    assert len(np.unique(np.round(np.diff(read[:, 0]) / step[0], 6) % 1.0)) == 1

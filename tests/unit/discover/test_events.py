@@ -9,14 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.investigate import STANDS_OUT
-from seqid_cli.discover.survey.event_windows import residual_series
 from seqid_cli.discover.survey.events import (
     GATE,
-    Interval,
-    combined,
-    event_masks,
     find_events,
-    gaussian,
 )
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
@@ -137,35 +132,3 @@ def test_pushes_all_the_time_are_not_events(many_rows: list[Rows]) -> None:
         return np.sum(every, axis=0)
 
     assert find_events(rows, scaled_residual(rows, 3, extra)) == []
-
-
-def test_masks_take_events_out_of_the_rows(many_rows: list[Rows]) -> None:
-    rows = many_rows[0]
-    masks = event_masks(rows, [Interval(1, 4.0, 5.0, (0,), 9.0)])
-    assert not masks[0].any()
-    t = rows.scenes[1].motion.t
-    margin = 0.5 / rows.scenes[1].motion.lowpass.cutoff_hz
-    np.testing.assert_array_equal(masks[1], (t >= 4.0 - margin) & (t <= 5.0 + margin))
-    fewer = rows.without(masks)
-    kept = t[fewer.picked[1]][fewer.used[1][:, 0]]
-    assert not np.any((kept > 4.0) & (kept < 5.0))
-    assert fewer.count(0) < rows.count(0)
-
-
-def test_series_put_rows_back_in_their_place(many_rows: list[Rows]) -> None:
-    rows = many_rows[0]
-    values = [np.arange(rows.count(j), dtype=float) for j in range(rows.n)]
-    series = residual_series(rows, values)
-    for j in range(rows.n):
-        again = np.concatenate([s[:, j] for s in series])
-        np.testing.assert_array_equal(again[np.isfinite(again)], values[j])
-
-
-def test_two_joints_together_count_for_more_than_each() -> None:
-    z = np.array([[4.0, 4.0], [4.0, 0.0]])
-    together, alone = combined(z)
-    assert together > 4.8 > alone == 4.0
-    rng = np.random.default_rng(0)
-    deviates = gaussian(np.sum(rng.normal(size=(20000, 3)) ** 2, axis=1), 3)
-    assert abs(deviates.mean()) < 0.03
-    assert abs(deviates.std() - 1.0) < 0.03

@@ -7,18 +7,16 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.diagnosis import described
 from seqid_cli.discover.investigate import investigate
 from seqid_cli.discover.select.rows import ALIKE
 from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
-from tests.unit.discover.test_diagnose import OPTIONS, clean, given, humped_diagnosis, plain
+from tests.unit.discover.test_diagnose import OPTIONS, clean, given, plain
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 ELBOW = 1
 
 
@@ -78,14 +76,6 @@ def test_rivals_say_why_they_were_not_taken() -> None:
     assert abs(told - 100.0 * (1.0 - less.log_gain / finding.log_gain)) < 0.1
 
 
-def test_friction_of_low_speed_is_shown_over_the_speed() -> None:
-    _, shown = only(humped_diagnosis())
-    assert (shown.quantity, shown.sided) == ("speed", True)
-    slow, before = np.array(shown.x) < 0.2, np.array(shown.before)
-    assert before[slow].min() > before[~slow].max()
-    assert np.std(shown.after) < 0.3 * np.std(before)
-
-
 def test_a_ripple_is_shown_over_its_own_wave() -> None:
     _, shown = only(planted("torque_ripple", 0))
     assert shown.quantity == "wave"
@@ -95,34 +85,6 @@ def test_a_ripple_is_shown_over_its_own_wave() -> None:
     off = before - (sine @ before) / (sine @ sine) * sine
     assert np.mean((off / error) ** 2) < 1.5 < 0.3 * np.mean((before / error) ** 2)
     flat(shown)
-
-
-def test_heat_is_shown_over_the_temperature() -> None:
-    _, shown = only(planted("thermal_friction"))
-    assert (shown.quantity, shown.sided) == ("temperature", True)
-    assert 20.0 < shown.x[0] < shown.x[-1] < 80.0
-    assert np.corrcoef(shown.x, shown.before)[0, 1] < -0.8
-    assert np.std(shown.after) < 0.15 * np.std(shown.before)
-
-
-def test_a_coupling_is_shown_over_the_other_joint() -> None:
-    finding = planted("transmission_coupling").findings[0]
-    shown = finding.evidence
-    assert shown is not None
-    assert {shown.joint, shown.of} == {"shoulder", "elbow"}
-    assert np.corrcoef(shown.x, shown.before)[0, 1] > 0.7
-    assert np.std(shown.after) < 0.1 * np.std(shown.before)
-
-
-def test_drift_is_shown_log_by_log() -> None:
-    """No bin mixes two logs that lie minutes apart."""
-    found = planted("drift")
-    _, shown = only(found)
-    assert (shown.quantity, shown.sided) == ("time", False)
-    assert len(shown.x) <= 16
-    gaps = np.diff(shown.x)
-    assert gaps.max() > 100.0
-    assert np.std(shown.after) < 0.2 * np.std(shown.before)
 
 
 def test_a_push_is_shown_over_time_and_nothing_comes_off() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.excerpts.design import MOST_PIECES, PIECE_S, excerpts_of
-from seqid_cli.discover.excerpts.excerpts import ABOUT_S, INNER_S, MOST_PLACES, about_places
+from seqid_cli.discover.excerpts.design import PIECE_S, excerpts_of
+from seqid_cli.discover.excerpts.excerpts import ABOUT_S, INNER_S, about_places
 from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.rows import BLOCK_S
@@ -54,19 +54,6 @@ def test_pieces_fill_what_may_be_held_and_reach_over_the_time(seconds: float, he
     assert pieces[-1][0] >= seconds * (1 - 1 / len(pieces)) - 1e-9
 
 
-def test_slow_logs_have_longer_pieces() -> None:
-    (pieces,) = excerpts_of([survey(7200.0)], 1800.0 * RATE)
-    assert len(pieces) == MOST_PIECES
-    assert sum(b - a for a, b in pieces) == pytest.approx(1800.0)
-
-
-def test_what_fits_is_taken_whole() -> None:
-    assert excerpts_of([survey(100.0), survey(50.0)], 150.0 * RATE) == [
-        [(0.0, 100.0)],
-        [(0.0, 50.0)],
-    ]
-
-
 def test_the_stretch_of_most_travel_is_taken() -> None:
     seconds = 900.0
     speed = np.full(int(seconds / BLOCK_S) + 1, 0.2)
@@ -93,10 +80,3 @@ def test_places_that_stand_out_have_excerpts_of_their_own() -> None:
     ((first, second),) = about_places(logs, [[(41.5, 61.5)]])
     assert first == (300.0 - ABOUT_S, 300.3 + ABOUT_S)
     assert second[0] + INNER_S < at_edge.start < second[1]
-
-
-def test_the_strongest_places_come_first() -> None:
-    many = [Interval(0, 20.0 * k, 20.0 * k + 0.2, (0,), float(k)) for k in range(1, 20)]
-    pieces = about_places([survey(600.0, places=tuple(many[:9])), survey(600.0)], [[], []])
-    assert len(pieces[0]) == MOST_PLACES
-    assert [round(a + ABOUT_S) for a, _ in pieces[0]] == [20 * k for k in range(9, 3, -1)]

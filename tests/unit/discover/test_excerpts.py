@@ -89,15 +89,6 @@ def test_pieces_are_of_the_log_with_its_stamps(folder: Path) -> None:
     assert len(one_each(pieces)) == 1
 
 
-def test_pieces_reach_over_the_whole_time(folder: Path) -> None:
-    case, pieces = long_case(), clean_pieces(folder)
-    length = float(case.log.t[-1])
-    for part, piece in enumerate(pieces.recordings):
-        centre = piece.offset + 0.5 * float(piece.t[-1])
-        assert part / 2 <= centre / length <= (part + 1) / 2
-    assert not pieces.about_places
-
-
 def test_nothing_is_missing_where_nothing_is(folder: Path) -> None:
     found = clean_diagnosis(folder)
     assert found.verdict == "nothing_missing"
@@ -156,19 +147,6 @@ def test_a_slow_drift_is_found(folder: Path) -> None:
     rate = next(p for p in first.parameters if p.name == "rate")
     assert rate.value == pytest.approx(0.6 / float(case.log.t[-1]), rel=0.1)
     assert any("shoulder in tenths of the time" in note for note in pieces.notes(case.robot))
-
-
-def test_logs_that_fit_are_held_as_they_are(folder: Path) -> None:
-    case = long_case()
-    path = case.written(folder / "fits.parquet")
-    files, most = LogSet([path], case.robot), 4 * len(case.log.t)
-    held = take_excerpts(files, case.robot, case.stages, options=OPTIONS.motion, most_values=most)
-    assert not held.surveys
-    assert not held.about_places
-    assert held.notes(case.robot) == ()
-    (log,) = held.recordings
-    assert log.whole is None
-    np.testing.assert_array_equal(log.q, case.log.q)
 
 
 def test_a_log_that_is_at_hand_is_cut_alike(folder: Path) -> None:

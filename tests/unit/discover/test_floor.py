@@ -5,7 +5,6 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
-from seqid_cli.discover.noise.level import Spectrum, level_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from tests.plants.sensors import noise, quantise
@@ -64,14 +63,6 @@ def test_rests_give_the_noise_on_average(coloured: float, step: float) -> None:
     assert abs(np.mean([found for found, _ in drawn]) - 1.0) < 0.15
 
 
-def test_torque_that_never_changes_at_rest_still_has_its_quantisation() -> None:
-    coarse = 6.0
-    _, floor = ratio([resting(80.0, 6.0, 5)], coloured=0.0, step=coarse, seed=3)
-    expected = coarse * STD / np.sqrt(12.0) * np.sqrt(2 * 7.3 / RATE_HZ)
-    assert floor.ways == ("rests", "rests")
-    np.testing.assert_allclose(floor.rms, expected, rtol=0.25)
-
-
 def test_white_noise_shows_above_the_cutoff_of_any_motion() -> None:
     found, floor = ratio([wander(60.0, 4)], coloured=0.0, step=0.0, seed=4)
     assert floor.ways == ("spectrum", "spectrum")
@@ -108,33 +99,6 @@ def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
     (note,) = floor.doubts(np.array([1.4, 1.6, np.nan]), ("hip", "knee", "foot"))
     assert note.startswith("joint hip: 1.4 N m is left")
     assert "1.5 to 3 N m" in note
-
-
-def test_white_and_flicker_noise_are_told_apart() -> None:
-    rng = np.random.default_rng(7)
-    frequency = np.linspace(0.5, 250.0, 500)
-    shape = 2.0 + 30.0 / frequency
-    drawn = shape * rng.gamma(10, 0.1, 500)
-    averaged = np.full(500, 10.0)
-    level = level_of(Spectrum(frequency, drawn, averaged), (1.0, 0.5, 1.5))
-    likely = level.shapes[0]
-    assert likely.exponent == 1.0
-    assert likely.white == pytest.approx(2.0, rel=0.1)
-    assert likely.flicker == pytest.approx(30.0, rel=0.2)
-    assert np.all(np.diag(likely.covariance) > 0.0)
-    flat = Spectrum(frequency, 2.0 * rng.gamma(10, 0.1, 500), averaged)
-    assert level_of(flat, (1.0, 0.5, 1.5)).shapes[0].flicker == 0.0
-
-
-def test_a_log_in_which_a_joint_does_not_count_has_no_say() -> None:
-    """However little it shows of noise: at a low rate nothing is above the cut-off."""
-    q = wander(30.0, 6)
-    still = q * np.array([1.0, 0.0])
-    logs = [recording(x[::16], smooth_torque(x)[::16], RATE_HZ / 16) for x in (q, still)]
-    found, rows = scenes(logs)
-    assert rows.used[1][:, 1].sum() == 0
-    rough = [np.where(x.slides, 1.0, 0.0) for x in found]
-    assert np.isfinite(noise_floor(logs, found, rough, silent(found)).rms).all()
 
 
 def test_a_controller_that_hunts_at_rest_is_no_noise() -> None:

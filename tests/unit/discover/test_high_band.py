@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.candidates import Candidate, candidates_of
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.rows import Part
 from seqid_cli.discover.select.selection import select
-from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
+from seqid_cli.discover.survey.high_band import both_bands, high_band
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from tests.unit.discover.arms import Extra, arm_scenes, at_joint, ground_of, measuring
-from tests.unit.model.effects.scenes import CUTOFF_HZ
 
 Array = NDArray[np.float64]
 
@@ -107,64 +106,3 @@ def test_bands_add_up_to_the_columns() -> None:
     rest = [x[JOINT] - y for x, y in zip(per_scene, low, strict=True)]
     np.testing.assert_allclose(found[JOINT], rows.torque(JOINT, low), atol=1e-9)
     np.testing.assert_allclose(found[rows.n + JOINT], high.of(JOINT, rest), atol=1e-9)
-
-
-def test_a_log_below_the_cutoff_counts_beside_logs_above_it() -> None:
-    """Each log says for itself whether a column shows in its rows below the cut-off."""
-    slow, fast = arm_scenes(logs=2, seconds=8.0)
-    rows = rows_of([slow, fast])
-    phase = 2 * np.pi * LINE_HZ
-    columns = [np.sin(0.02 * phase * slow.time)[:, None], 9.0 * np.sin(phase * fast.time)[:, None]]
-    found = both_bands(rows, high_band(rows), [{JOINT: X} for X in columns])
-    low = [slow.motion.filtered(columns[0], times=2), np.zeros_like(columns[1])]
-    np.testing.assert_allclose(found[JOINT], rows.torque(JOINT, low), atol=1e-9)
-    assert np.abs(found[JOINT]).max() > 0.5
-
-
-def test_what_is_measured_above_the_cutoff() -> None:
-    """A line there is all of it; one far below the cut-off is none."""
-    scenes = arm_scenes(at_joint(JOINT, line), logs=1)
-    rows = rows_of(scenes)
-    high = high_band(rows)
-    phase = 2 * np.pi * LINE_HZ * scenes[0].time
-    waves = high.of(JOINT, [np.stack([np.sin(phase), np.cos(phase)], axis=1)])
-    c = np.linalg.lstsq(waves, high.y[JOINT], rcond=None)[0]
-    assert float(np.hypot(*c)) == pytest.approx(LINE, rel=0.1)
-    assert np.std(high.y[0]) == pytest.approx(0.3, rel=0.15)  # the noise, and steps of friction
-    assert high.weight[JOINT] == pytest.approx(np.sqrt(len(high.y[JOINT]) / rows.count(JOINT)))
-    assert len(high.block[JOINT]) == len(high.y[JOINT])
-
-
-def test_rows_above_the_cutoff_are_those_of_the_kept_blocks() -> None:
-    scenes = arm_scenes(logs=1)
-    events = [np.zeros(scenes[0].samples, dtype=bool)]
-    rows = rows_of(scenes)
-    high = high_band(rows)
-    picked = np.flatnonzero(high.used[0][:, 0])
-    own = np.searchsorted(rows.picked[0], picked, side="right") - 1
-    np.testing.assert_array_equal(high.block[0], rows.block[0][own])
-    assert not high.used[0][~scenes[0].motion.usable].any()
-    assert events[0].shape == (scenes[0].samples,)
-
-
-def test_the_residual_that_wide_effects_see() -> None:
-    scenes = arm_scenes(at_joint(JOINT, line), logs=1)
-    left = np.full((scenes[0].samples, 2), 0.1)
-    full = full_residual(scenes[0], left)
-    usable = scenes[0].motion.usable
-    assert np.all(full[~usable] == 0.0)
-    slow = scenes[0].motion.filtered(full, times=2)
-    middle = slice(500, -500)
-    np.testing.assert_allclose(np.median(slow[middle], axis=0), 0.1, atol=0.01)
-    assert np.std(full[usable, JOINT]) > 0.9 * LINE / np.sqrt(2)
-    assert LINE_HZ > 2 * CUTOFF_HZ
-
-
-def test_wide_candidates_are_looked_for_at_the_logs_own_rate() -> None:
-    scenes = arm_scenes(at_joint(JOINT, line))
-    left = [np.zeros_like(scene.motion.q) for scene in scenes]
-    found = list(candidates_of(scenes, [CATALOGUE["periodic_disturbance"]], left))
-    lines = {c.settings["frequency"] for c in found if c.joint == JOINT}
-    assert any(abs(f - LINE_HZ) < 2e-3 for f in lines)
-    near = candidates_of(scenes, [CATALOGUE["periodic_disturbance"]], left, near=[0])
-    assert all(c.joint == 0 for c in near)

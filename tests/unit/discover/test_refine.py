@@ -12,11 +12,10 @@ import pytest
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
-from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of, joined
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of
 from seqid_cli.discover.refinement.left_out import FOLDS, Folds
 from seqid_cli.discover.refinement.loop import Account, Loop
 from seqid_cli.discover.refinement.material import Material, Refitted
-from seqid_cli.discover.refinement.reidentify import refitted
 from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -124,36 +123,6 @@ def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
     assert loop.gain_interval["joint_1"][0] > 0.0
 
 
-def test_logs_of_both_are_counted_once_and_with_all_effects(before: ParameterFile) -> None:
-    earlier = first_logs()
-    material = Material(tuple(earlier["inertia"]), earlier, robot(), DiscoverOptions())
-    model = Refitted(before.stages, ())
-    assert material.known
-    assert material.before("inertia", model) == []
-    assert len(material.before_or_now("inertia", model)) == 1
-    elsewhere = replace(material, training=tuple(changed("fourier")))
-    assert not elsewhere.known
-    assert len(elsewhere.before("gravity", model)) == 2
-
-
-def test_data_sets_of_one_material_share_their_motion(before: ParameterFile) -> None:
-    material = Material(tuple(changed("fourier")), {}, robot(), DiscoverOptions())
-    first, again = (material.scenes(before.stages)[0] for _ in range(2))
-    assert first.full is not None
-    assert again.full is not None
-    assert again.full.motion is first.full.motion
-    shorter = replace(material, training=tuple(changed("trapezoids")))
-    (other,) = shorter.scenes(before.stages)
-    assert other.full is not None
-    assert other.full.motion is not first.full.motion
-
-
-def test_without_an_effect_the_model_stays(before: ParameterFile) -> None:
-    material = Material(tuple(changed("fourier")), first_logs(), robot(), DiscoverOptions())
-    found = refitted(material, Refitted(before.stages, ()), [], late=frozenset(), kept=True)
-    assert found == Refitted(before.stages, ())
-
-
 def test_events_are_not_fitted() -> None:
     logs = changed("fourier", "trapezoids")
     push = Interval(scene=1, start=2.0, end=3.0, joints=(0,), score=1.0)
@@ -192,20 +161,6 @@ def test_a_certain_loss_at_one_joint_is_seen() -> None:
     assert not Gain(-0.001, -0.002, -0.0005).loses
 
 
-def test_blocks_of_two_sets_of_logs_stand_beside_each_other() -> None:
-    both = joined([blocks([[1.0, 2.0]]), blocks([[3.0, 6.0], [5.0, 1.0]])])
-    np.testing.assert_allclose(both.rmse(), [np.sqrt(3.0), np.sqrt(3.0)])
-    assert both.samples.sum() == 6
-
-
-def test_errors_within_and_beyond_identified_friction_add_up() -> None:
-    squares, samples = np.array([[6.0]]), np.array([[4.0]])
-    error = HeldOutError(squares, samples, np.array([[4.0]]), np.array([[1.0]]))
-    assert error.rmse_inside()[0] == pytest.approx(np.sqrt(2.0 / 3.0))
-    assert error.rmse_outside()[0] == pytest.approx(2.0)
-    assert error.share_outside()[0] == pytest.approx(0.25)
-
-
 @pytest.mark.parametrize("memory", [1, 4])
 def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
     """Of errors that are independent from block to block, and of such that last for four blocks."""
@@ -218,12 +173,6 @@ def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
         found = gain_of(old, np.maximum(old * ratio, 0.0))
         covered += found.low <= 0.2 <= found.high
     assert 0.93 <= covered / draws <= 0.995
-
-
-def test_of_a_single_block_nothing_is_known() -> None:
-    found = gain_of(np.array([1.0]), np.array([0.1]))
-    assert not found.limits
-    assert not found.certain
 
 
 def test_every_sample_is_left_out_once() -> None:

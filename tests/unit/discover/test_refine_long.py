@@ -100,25 +100,3 @@ def test_errors_are_of_the_whole_log(folder: Path) -> None:
         np.testing.assert_allclose([x.rmse for x in told.values()], error.rmse(), rtol=1e-8)
     assert loop.evaluated_on == [str(folder / "held.parquet")]
     assert any("errors are of the whole held-out logs" in note for note in loop.notes)
-
-
-def test_parts_add_up_to_the_blocks_of_the_whole(folder: Path) -> None:
-    training, unseen = cases()
-    path = unseen.written(folder / "sums.parquet")
-    whole = WholeLogs((path,), training.robot).error(training.stages, options=OPTIONS.motion)
-    log = read_recording(path, training.robot)
-    held = held_out_error([log], training.robot, training.stages, options=OPTIONS.motion)
-    assert whole is not None
-    assert whole.squares.shape == held.squares.shape
-    np.testing.assert_allclose(whole.squares, held.squares, rtol=1e-6)
-    np.testing.assert_array_equal(whole.samples, held.samples)
-
-
-def test_what_cannot_be_passed_over_is_not_told(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    training, unseen = cases()
-    path = unseen.written(folder / "none.parquet")
-    monkeypatch.setattr(heldout, "open_if_long", lambda *_, **__: None)
-    logs = WholeLogs((path,), training.robot)
-    assert logs.error(training.stages, options=OPTIONS.motion) is None

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.survey.reversals import low_passed, reversals_of
+from seqid_cli.discover.survey.reversals import reversals_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from tests.plants.robots.two_joint import COULOMB
-from tests.unit.discover.arms import NOISE, arm_scenes, at_joint
+from tests.unit.discover.arms import arm_scenes, at_joint
 
 Array = NDArray[np.float64]
 
@@ -34,13 +33,6 @@ def sticking(scene: Scene) -> Array:
             change = COULOMB[JOINT] * np.sign(v[at + 1])
             lacks[start:stop] += change * (ramp - np.sign(since))
     return lacks
-
-
-def _about(scene: Scene, periods: float) -> Array:
-    """Return 1 at samples (N,) so near to where the joint does not certainly slide."""
-    reach = round(periods * scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)
-    away = ~scene.slides[:, JOINT]
-    return binary_dilation(away, np.ones(2 * reach + 1, dtype=bool)).astype(np.float64)
 
 
 def torque_of(scenes: list[Scene], rows: Rows) -> tuple[Array, Array]:
@@ -74,43 +66,6 @@ def test_what_is_large_beside_a_reversal_is_still_seen() -> None:
     rows = rows_of(scenes)
     drag = [s.motion.filtered(s.motion.dq * np.abs(s.motion.dq))[:, JOINT] for s in scenes]
     assert size(rows.torque(JOINT, drag)) > 0.95 * size(rows.of(JOINT, drag))
-
-
-def test_rows_that_feel_no_reversal_stay() -> None:
-    scenes = arm_scenes()
-    rows = rows_of(scenes)
-    values = np.random.default_rng(0).normal(size=(rows.count(JOINT), 3))
-    whitened = rows.whitened(JOINT, values)
-    same = np.all(np.isclose(whitened, values, rtol=0.0, atol=0.01), axis=1)
-    near, far = (
-        rows.of(JOINT, [_about(s, periods) for s in scenes]).astype(bool) for periods in (0.3, 3.0)
-    )
-    assert not same[near].any()
-    assert same[~far].all()
-    one = rows.whitened(JOINT, values[:, 0])
-    np.testing.assert_allclose(one, whitened[:, 0], atol=1e-12)
-
-
-def test_reversals_that_are_alike_are_low_passed_as_each_by_itself() -> None:
-    (scene,) = arm_scenes(logs=1)
-    motion, picked = scene.motion, np.arange(0, scene.samples, 5)
-    rng = np.random.default_rng(2)
-    middle = (motion.lowpass.memory + np.array([10, 60, 75])).tolist()
-    uncertain = [(first, rng.normal(size=(4, 2))) for first in (0, *middle)]
-    together = list(low_passed(motion, picked, uncertain))
-    apart = [found for one in uncertain for found in low_passed(motion, picked, [one])]
-    assert [row for row, _ in together] == [row for row, _ in apart]
-    for (_, values), (_, alone) in zip(together, apart, strict=True):
-        np.testing.assert_allclose(values, alone, rtol=0, atol=1e-12)
-
-
-def test_small_friction_beside_noise_takes_nothing() -> None:
-    def loud(scene: Scene) -> Array:
-        return 300.0 * NOISE[JOINT] * np.random.default_rng(1).normal(size=scene.samples)
-
-    scenes = arm_scenes(at_joint(JOINT, loud))
-    as_it_is, whitened = torque_of(scenes, rows_of(scenes))
-    assert size(as_it_is - whitened) < 0.02 * size(as_it_is)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.survey.rows import (
-    BLOCK_S,
     FOLDS,
     TOGETHER,
     Rows,
@@ -44,15 +43,6 @@ def test_rows_are_filtered_as_the_motion_is(scenes: list[Scene], rows: Rows, pas
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_columns_are_filtered_and_stacked_joint_by_joint(scenes: list[Scene], rows: Rows) -> None:
-    per_scene = [{1: scene.motion.q[:, :1]} for scene in scenes]
-    (joint,) = found = rows.columns(per_scene, passes=2)
-    filtered = [scene.motion.filtered(scene.motion.q[:, :1], times=2) for scene in scenes]
-    assert joint == 1
-    np.testing.assert_allclose(found[1], rows.torque(1, filtered), atol=1e-5)
-    assert len(found[1]) == rows.count(1) == len(rows.blocks_of(1))
-
-
 def test_only_samples_at_which_a_joint_slides_count(scenes: list[Scene], rows: Rows) -> None:
     for scene, at, used in zip(scenes, rows.picked, rows.used, strict=True):
         np.testing.assert_array_equal(used, sliding(scene.motion, SLIDES * scene.sign_width)[at])
@@ -74,20 +64,6 @@ def test_folds_are_contiguous_and_cover_every_log(rows: Rows) -> None:
     assert all(after[0] == before[1] + 1 for before, after in pairwise(ends))
 
 
-def test_blocks_are_of_equal_length(scenes: list[Scene], rows: Rows) -> None:
-    for scene, at, block in zip(scenes, rows.picked, rows.block, strict=True):
-        lengths = np.bincount(block - block[0]) * (at[1] - at[0]) / scene.motion.rate_hz
-        np.testing.assert_allclose(lengths, BLOCK_S, atol=0.1)
-
-
-def test_a_short_log_is_one_fold() -> None:
-    (scene,) = arm_scenes(logs=1, seconds=2.5)
-    rows = rows_of([scene])
-    assert set(rows.fold) == {0}
-    both = rows_of([scene, *arm_scenes(logs=2, seconds=12.0)])
-    assert np.sum(both.fold == 0) == 1
-
-
 def test_very_long_logs_are_thinned_by_whole_blocks(
     scenes: list[Scene], rows: Rows, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,27 +75,6 @@ def test_very_long_logs_are_thinned_by_whole_blocks(
             assert np.sum(thin == block) == np.sum(whole == block)
         assert len(own) == len(thin)
     assert sum(map(len, few.picked)) < 0.6 * sum(map(len, rows.picked))
-
-
-def test_without_events(scenes: list[Scene], rows: Rows) -> None:
-    events = [np.zeros(scene.samples, dtype=bool) for scene in scenes]
-    events[1][1000:1400] = True
-    quiet = rows.without(events)
-    for number, (before, after) in enumerate(zip(rows.used, quiet.used, strict=True)):
-        taken = events[number][rows.picked[number]]
-        assert not after[taken].any()
-        np.testing.assert_array_equal(after[~taken], before[~taken])
-    assert quiet.count(0) < rows.count(0)
-    np.testing.assert_array_equal(quiet.fold, rows.fold)
-
-
-def test_without_samples_of_one_joint(scenes: list[Scene], rows: Rows) -> None:
-    masks = [np.zeros_like(scene.slides) for scene in scenes]
-    masks[0][:500, 1] = True
-    sure = rows.without(masks)
-    assert sure.count(0) == rows.count(0)
-    assert sure.count(1) == rows.count(1) - rows.used[0][rows.picked[0] < 500, 1].sum()
-    assert sure.count(1) < rows.count(1)
 
 
 def test_a_single_move_of_a_joint_does_not_count() -> None:

@@ -6,15 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording, Whole
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import recording, wander
-
-Array = NDArray[np.float64]
 
 ROBOT = two_joint_robot()
 
@@ -25,11 +22,6 @@ def log(name: str, seed: int, *, coulomb: float) -> Recording:
     noise = np.random.default_rng(seed).normal(scale=0.02, size=q.shape)
     direction = np.tanh(np.gradient(q, axis=0) / 1e-4)
     return recording(q, 5.0 * (0.2 - q) + coulomb * direction + noise, name=name)
-
-
-def test_good_logs_are_all_kept() -> None:
-    logs = [log("a", 0, coulomb=0.8), log("b", 1, coulomb=0.8)]
-    assert usable_logs(logs, ROBOT) == (logs, ())
 
 
 def test_echo_is_left_out_with_a_note() -> None:
@@ -48,11 +40,6 @@ def test_nothing_left_is_an_error() -> None:
     assert caught.value.where == "first"
     assert "and 1 more" in str(caught.value)
     assert "motor current" in (caught.value.hint or "")
-
-
-def test_logs_without_torque_are_not_judged() -> None:
-    bare = replace(log("bare", 0, coulomb=0.0), tau=None)
-    assert usable_logs([bare], ROBOT) == ([bare], ())
 
 
 def test_pieces_stay_together() -> None:

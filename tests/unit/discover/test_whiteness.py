@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from seqid_cli.discover.noise.whiteness import covariance, white
+from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from tests.unit.discover.drawn_logs import (
@@ -67,18 +67,6 @@ def test_slow_noise_of_the_size_of_the_white_is_seen(moving: Case) -> None:
     rng = np.random.default_rng(5)
     slow = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], rng.standard_normal((moving[2], 2)), axis=0)
     assert rejected(moving, IN_BAND * slow, 20, 6) > 0.8
-
-
-def test_covariance_is_that_of_filtered_noise(moving: Case) -> None:
-    scene, _, _ = moving
-    rng = np.random.default_rng(9)
-    values = low_passed(rng.standard_normal((400_000, 2)), scene)
-    stride = 6
-    expected = covariance(scene.motion, stride)
-    thin = values[: len(values) // stride * stride]
-    for lag in range(6):
-        shifted = thin[lag * stride :] * thin[: len(thin) - lag * stride]
-        assert np.mean(shifted) / np.mean(thin**2) == pytest.approx(expected[lag], abs=0.03)
 
 
 def test_too_few_samples_are_not_judged() -> None:

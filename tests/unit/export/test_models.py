@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -253,13 +252,3 @@ def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:
     model = export(robot, stages, kind="URDF").model
     np.testing.assert_allclose(model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max())
     assert all(model.from_cad)
-
-
-def test_a_robot_of_no_inertials_gets_links_of_the_right_size() -> None:
-    robot, stages = sample("two_joint")
-    model = export(replace(robot, nominal=None), stages, kind="MJCF").model
-    assert not any(model.from_cad)
-    reach = np.linalg.norm(model.own[:, 1:4], axis=1) / model.own[:, 0]
-    assert (reach < 1.0).all()
-    assert (model.own[:, 0] > 0.01).all()
-    assert (model.own[:, 0] < 100.0).all()

@@ -13,7 +13,7 @@ from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.export.formats import export, format_of
 from seqid_cli.export.friction_fit import simple_friction
 from seqid_cli.export.text import plain, real
-from seqid_cli.export.urdf_tree import bodies_of_urdf, rotation_of_rpy, rpy_of_rotation
+from seqid_cli.export.urdf_tree import bodies_of_urdf
 from seqid_cli.model.bodies.consistent import Demand, consistent_links
 from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage
@@ -31,29 +31,6 @@ def test_pseudo_inertia_and_back() -> None:
     phi = random_bodies(np.random.default_rng(0), 5)
     np.testing.assert_allclose(standard_of(pseudo_inertia(phi)), phi, atol=1e-14)
     np.testing.assert_allclose([Body.of(row).standard for row in phi], phi, atol=1e-13)
-
-
-def test_pseudo_inertia_is_positive_for_points_of_mass_only() -> None:
-    rng = np.random.default_rng(1)
-    points, masses = rng.normal(size=(20, 3)), rng.uniform(0.1, 1.0, size=20)
-    homogeneous = np.column_stack([points, np.ones(20)])
-    J = (homogeneous * masses[:, None]).T @ homogeneous
-    phi = standard_of(J)
-    inertia = sum(
-        m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, points, strict=True)
-    )
-    np.testing.assert_allclose(phi[4:], np.asarray(inertia)[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]])
-    flat = phi.copy()
-    flat[9] = flat[4] + flat[6] + 0.1  # Izz above Ixx + Iyy: no body
-    assert np.linalg.eigvalsh(pseudo_inertia(flat))[0] < 0.0
-
-
-def test_nothing_asked_leaves_what_was_expected() -> None:
-    phi = random_bodies(np.random.default_rng(2), 3)
-    nothing = Demand(np.zeros((0, 30)), np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
-    found = consistent_links(pseudo_inertia(phi), np.zeros(0), nothing)
-    # The divergence is flat at its minimum: the solver's 1e-8 of it is 1e-4 of the parameters.
-    np.testing.assert_allclose(found.phi, phi, atol=1e-3 * np.abs(phi).max())
 
 
 def test_the_solution_is_the_minimum_of_the_divergence() -> None:
@@ -80,17 +57,6 @@ def test_the_solution_is_the_minimum_of_the_divergence() -> None:
         for step in (-1e-2, 1e-2):
             other = divergence(found.phi.ravel() + step * 0.05 * direction)
             assert not other < best - 1e-6
-
-
-def test_rotor_takes_what_the_cad_does_not_explain() -> None:
-    phi = random_bodies(np.random.default_rng(4), 1)
-    E = np.zeros((1, 10))
-    E[0, 9] = 1.0
-    demand = Demand(E, np.array([[100.0]]), np.array([phi[0, 9] + 0.5]), np.eye(1))
-    found = consistent_links(pseudo_inertia(phi), np.array([1e-3]), demand)
-    assert found.exact
-    assert found.rotors[0] == pytest.approx(0.005, rel=0.02)
-    np.testing.assert_allclose(found.phi, phi, rtol=0.02, atol=0.02 * phi[0, 9])
 
 
 def surface(forward: list[list[float]], backward: list[list[float]]) -> FrictionSurface:
@@ -132,14 +98,6 @@ def test_the_part_that_does_not_flip_is_told() -> None:
     fit = simple_friction(surface([[2.5]], [[1.5]]))
     assert fit.offset == pytest.approx(0.5)
     assert fit.coulomb == pytest.approx(2.0)
-
-
-def test_rpy_and_back() -> None:
-    rng = np.random.default_rng(5)
-    for angles in [*rng.uniform(-3.0, 3.0, size=(50, 3)), np.array([0.3, np.pi / 2, -1.0])]:
-        R = rotation_of_rpy(*angles)
-        np.testing.assert_allclose(R, pin.rpy.rpyToMatrix(*angles), atol=1e-15)
-        np.testing.assert_allclose(rotation_of_rpy(*rpy_of_rotation(R)), R, atol=1e-14)
 
 
 def branched() -> str:
@@ -357,11 +315,6 @@ def test_torque_scale_of_any_size_is_solved() -> None:
 )
 def test_names_cannot_leave_a_comment(text: str, expected: str) -> None:
     assert plain(text) == expected
-
-
-@pytest.mark.parametrize(("value", "text"), [(9e-5, "9.0e-05"), (2.0, "2.0"), (-0.0, "0.0")])
-def test_numbers_have_a_point(value: float, text: str) -> None:
-    assert real(value) == text
 
 
 def test_unknown_suffix_lists_the_known_ones() -> None:

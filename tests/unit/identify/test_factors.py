@@ -59,28 +59,6 @@ def test_the_solution_is_as_good_as_lstsqs(power: int, noise: float) -> None:
     assert off(found, np.column_stack([H, y])) < 1e-11
 
 
-@pytest.mark.parametrize("condition", [1.0, 1e3, 1e7])
-def test_scale_of_columns_does_not_matter(condition: float) -> None:
-    rng = np.random.default_rng(2)
-    H = conditioned(rng, condition, ROWS * BLOCKS, WIDTH)
-    y = H @ rng.normal(size=WIDTH) + 0.01 * rng.normal(size=len(H))
-    scale = 10.0 ** rng.uniform(-8.0, 8.0, size=WIDTH)
-    plain, scaled = accumulated(H, y).total, accumulated(H * scale, 1e6 * y).total
-    assert off(scaled, np.column_stack([H * scale, 1e6 * y])) < 1e-11
-    theta = np.linalg.solve(plain[:-1, :-1], plain[:-1, -1])
-    other = np.linalg.solve(scaled[:-1, :-1], scaled[:-1, -1]) * scale / 1e6
-    np.testing.assert_allclose(other, theta, rtol=1e-13 * condition + 1e-10)
-
-
-def test_a_right_side_without_noise_leaves_nothing() -> None:
-    rng = np.random.default_rng(3)
-    for condition in (1.0, 1e5):
-        H = conditioned(rng, condition, ROWS * BLOCKS, WIDTH)
-        theta = rng.normal(size=WIDTH)
-        joint = accumulated(H, H @ theta)
-        assert joint.residual_rms(theta) < 1e-13 * np.abs(H).max()
-
-
 @pytest.mark.parametrize("what", ["zero", "same", "sum", "late", "now and then", "nearly"])
 def test_columns_that_tell_nothing_new(what: str) -> None:
     rng = np.random.default_rng(4)
@@ -120,50 +98,6 @@ def test_a_huge_row_hides_no_others(size: float) -> None:
     y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
     found, expected = solved(accumulated(H, y).total), np.linalg.lstsq(H, y, rcond=None)[0]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-15 * size + 1e-12)
-
-
-def test_a_poor_start_is_made_up_for() -> None:
-    """The first seconds of a log are often standstill: most columns hold rounding only."""
-    rng = np.random.default_rng(6)
-    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
-    H[: 2 * ROWS] *= 1e-9
-    H[: 2 * ROWS, :3] = 1.0 + 1e-12 * rng.normal(size=(2 * ROWS, 3))
-    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
-    joint = accumulated(H, y)
-    assert off(joint.total, np.column_stack([H, y])) < 1e-12
-    expected = np.linalg.lstsq(H, y, rcond=None)[0]
-    np.testing.assert_allclose(solved(joint.total), expected, rtol=1e-10)
-
-
-def test_slow_motion_fills_the_directions_one_after_the_other() -> None:
-    """Low-passed columns: each block by itself has a fraction of the rank of all."""
-    t = np.arange(BLOCKS * ROWS)[:, None] / ROWS
-    rng = np.random.default_rng(7)
-    H = sum(
-        rng.normal(size=WIDTH) * np.sin(f * t + rng.uniform(0, 6, WIDTH))
-        for f in rng.uniform(0.3, 6.0, 60)
-    )
-    assert isinstance(H, np.ndarray)
-    assert np.linalg.matrix_rank(H[:ROWS]) < np.linalg.matrix_rank(H) == WIDTH
-    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
-    joint = accumulated(H, y)
-    assert off(joint.total, np.column_stack([H, y])) < 1e-11
-    expected = solved(by_reflections(H, y))
-    np.testing.assert_allclose(solved(joint.total), expected, rtol=1e-9)
-
-
-def test_layouts_give_the_same() -> None:
-    rng = np.random.default_rng(8)
-    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
-    H[:, [0, 1, 2, 10]] = 0.0
-    y = rng.normal(size=len(H))
-    one, other = Accumulator(WIDTH), Accumulator(WIDTH)
-    columns = np.ascontiguousarray(H.T)
-    for start in range(0, len(H), ROWS):
-        part = slice(start, start + ROWS)
-        one.add(H[part], y[part])
-        other.add(columns[:, part].T, y[part])
-    np.testing.assert_allclose(one.total, other.total, rtol=0.0, atol=1e-12 * len(H))
 
 
 def test_what_is_not_a_number_does_not_go_unseen() -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
-from seqid_cli.identify.rigid.gravity import GROUP, GravityRows, _stage
+from seqid_cli.identify.rigid.gravity import GravityRows, _stage
 from seqid_cli.identify.rigid.posterior import friction_covariance, gravity_prior
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
@@ -79,29 +77,6 @@ def test_errors_are_as_large_as_said_with_frictions_part_and_larger_than_said_wi
     assert np.mean(np.abs(error) < 1.96 * np.sqrt(total)) >= 0.90
     assert np.mean(error**2 / total) > 0.4
     assert np.mean(np.abs(error) < 1.96 * np.sqrt(alone)) < 0.85
-
-
-def test_trials_of_joints_without_friction_are_left_out() -> None:
-    robot = robot_of("one", one_joint())
-    rows, joints = GravityRows(robot, base_parameters(robot, rotor=()), [None]), [Accumulator(2)]
-    rows.add_joint(trials(np.random.default_rng(0)), joints)
-    assert rows.used == joints[0].samples == 0
-    assert rows.skipped == ["joint_1"] * 8
-
-
-def test_slices_outside_the_identified_friction_are_left_out() -> None:
-    robot = robot_of("one", one_joint())
-    surface = surface_of(POSITIVE, NEGATIVE, np.diag(SPREAD**2))
-    narrow = replace(surface, scaling=Scaling((-1.0, 1.0), (0.9, 2.1)))
-    rows, joints = GravityRows(robot, base_parameters(robot, rotor=()), [narrow]), [Accumulator(2)]
-    kept = 0
-    given = trials(np.random.default_rng(0))
-    rows.add_joint(given, joints)
-    for trial in given:
-        if trial.speed in (1.0, 2.0):
-            kept += int(np.sum(np.abs(trial.q) <= 1.04)) // GROUP
-    assert joints[0].samples == kept
-    assert rows.used == 4
 
 
 def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None:

@@ -10,14 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
-from seqid_cli.identify.imu_calibration.readings import cleaned, roughness
-from seqid_cli.identify.imu_calibration.segments import lagrange
-from seqid_cli.identify.imu_calibration.solve import without
+from seqid_cli.identify.imu_calibration.readings import cleaned
 from seqid_cli.motion.imu.array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration
-from seqid_cli.robust import white_noise
-from tests.plants.sensors import Faults, delayed
 from tests.studies.imu_mounting import (
     CASES,
     Case,
@@ -157,35 +153,3 @@ def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
     flat = np.abs(clean[:, 2]) > 4.05
     assert bad[flat, 2].mean() > 0.95
     assert bad[np.abs(clean[:, 2]) < 3.9, 2].mean() < 0.01
-
-
-def test_roughness_is_as_large_as_noise_and_jolts_and_has_no_motion() -> None:
-    rng = np.random.default_rng(1)
-    valid = np.arange(4000) != 1000
-    t = np.arange(4000)[:, None] / 250.0
-    rough = 0.05 * rng.standard_normal((4000, 4)) + 0.3 * rng.standard_normal((4000, 1))
-    found = roughness(rough + 5 * np.sin(6 * t), valid)
-    assert np.isnan(found[998:1003]).all()
-    assert np.isfinite(found[2:998]).all()
-    np.testing.assert_allclose(np.nanstd(found, axis=0), np.hypot(0.05, 0.3), rtol=0.1)
-    np.testing.assert_allclose(white_noise(rough), np.hypot(0.05, 0.3), rtol=0.1)
-
-
-def test_lagrange_weights_pass_cubics() -> None:
-    u = np.linspace(0.0, 3.0, 13)
-    nodes = np.arange(4.0)
-    for power in range(4):
-        np.testing.assert_allclose(lagrange(u) @ nodes**power, u**power, atol=1e-12)
-
-
-def test_a_log_is_predicted_only_in_what_the_others_show() -> None:
-    """Whitened by hand: the first direction is the log's alone, of the second it has a half."""
-    total, own = np.diag([4.0, 10.0]), np.diag([4.0 - 1e-9, 5.0])
-    np.testing.assert_allclose(without(total, own, np.array([3.0, 2.0])), [0.0, 2.0 / 5.0])
-
-
-def test_a_late_stamp_shows_the_past() -> None:
-    t = np.arange(500)[:, None] / 250.0
-    late = delayed(np.sin(5 * t), 0.02, 250.0)
-    np.testing.assert_allclose(late[20:], np.sin(5 * (t - 0.02))[20:], atol=1e-6)
-    assert Faults(seed=3, scale=0.1).gains(4) == pytest.approx(Faults(seed=3, scale=0.1).gains(4))

@@ -13,7 +13,6 @@ from seqid_cli.identify.regression.least_squares import (
     Accumulator,
     Prior,
     solve,
-    triangular,
     whitened,
 )
 
@@ -91,45 +90,6 @@ def test_slow_noise_counts_as_so_much_more_white_noise(slow: float) -> None:
     assert solve([joint]).designs[0] == pytest.approx(expected, rel=0.3)
 
 
-def test_joints_are_weighted_by_their_noise() -> None:
-    got = solve([j.accumulated() for j in make(np.random.default_rng(1))])
-    np.testing.assert_allclose(got.sigma, NOISES, rtol=0.1)
-    white = np.sqrt(np.diag(got.bread))
-    quiet = solve([make(np.random.default_rng(1))[0].accumulated()])
-    assert (white < np.sqrt(np.diag(quiet.bread))).all()
-
-
-def test_the_bread_is_the_inverse_normal_matrix() -> None:
-    joints = make(np.random.default_rng(2))
-    got = solve([j.accumulated() for j in joints], iterations=20)
-    normal = sum(j.H.T @ j.H / s**2 for j, s in zip(joints, got.sigma, strict=True))
-    np.testing.assert_allclose(got.bread @ normal, np.eye(P), atol=1e-8)
-
-
-def test_the_order_of_blocks_does_not_matter() -> None:
-    joints = make(np.random.default_rng(3))
-    order = np.random.default_rng(4).permutation(12).tolist()
-    plain = solve([j.accumulated() for j in joints])
-    mixed = solve([j.accumulated(order) for j in joints])
-    np.testing.assert_allclose(mixed.theta, plain.theta, rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(mixed.covariance, plain.covariance, rtol=1e-8, atol=1e-16)
-
-
-def test_the_factor_does_not_know_how_rows_were_cut() -> None:
-    joint = make(np.random.default_rng(5))[0]
-    once = Accumulator(P)
-    once.add(joint.H, joint.y)
-    np.testing.assert_allclose(joint.accumulated().total, once.total, rtol=1e-9, atol=1e-9)
-    assert joint.accumulated().samples == once.samples == len(joint.y)
-
-
-def test_the_same_rows_give_the_same_bits() -> None:
-    joints = make(np.random.default_rng(6))
-    one, two = (solve([j.accumulated() for j in joints]) for _ in range(2))
-    np.testing.assert_array_equal(one.theta, two.theta)
-    np.testing.assert_array_equal(one.covariance, two.covariance)
-
-
 def test_memory_does_not_grow_with_the_log() -> None:
     rng = np.random.default_rng(7)
     joint, H_all, y_all = Accumulator(3), [], []
@@ -144,16 +104,6 @@ def test_memory_does_not_grow_with_the_log() -> None:
     expected = np.linalg.lstsq(np.vstack(H_all), np.concatenate(y_all), rcond=None)[0]
     np.testing.assert_allclose(solve([joint]).theta, expected, rtol=1e-10)
     assert joint.samples == 5 * (3 * MOST_BLOCKS + 17)
-
-
-def test_empty_blocks_keep_joints_in_step() -> None:
-    joints = make(np.random.default_rng(8))
-    accumulated = [j.accumulated() for j in joints]
-    idle = Accumulator(P)
-    for _ in range(12):
-        idle.add(np.zeros((0, P)), np.zeros(0))
-    with_idle = solve([*accumulated, idle])
-    np.testing.assert_allclose(with_idle.theta, solve(accumulated).theta, rtol=1e-12)
 
 
 def test_what_cannot_be_told_apart_is_not_determined() -> None:
@@ -181,16 +131,6 @@ def test_no_rows_determine_nothing() -> None:
     assert got.rank == 0
     assert not got.determined.any()
     assert not got.theta.any()
-
-
-def test_scaled_units_do_not_change_what_is_determined() -> None:
-    joints = make(np.random.default_rng(10))
-    factor = 10.0 ** np.array([-3, 3, 0, 2, -2, 1, 1])
-    scaled = [Joint([(H * factor, y) for H, y in j.blocks]) for j in joints]
-    plain, other = (solve([j.accumulated() for j in group]) for group in (joints, scaled))
-    np.testing.assert_allclose(other.theta * factor, plain.theta, rtol=1e-8)
-    np.testing.assert_array_equal(other.determined, plain.determined)
-    assert other.condition == pytest.approx(plain.condition, rel=1e-6)
 
 
 def test_a_prior_is_more_rows() -> None:
@@ -244,52 +184,6 @@ def test_holding_a_parameter_takes_its_column_out() -> None:
     np.testing.assert_allclose(got.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
 
 
-def test_residual_rms_needs_no_rows() -> None:
-    joint = make(np.random.default_rng(15))[0]
-    theta = THETA + 0.1
-    expected = np.sqrt(np.mean((joint.H @ theta - joint.y) ** 2))
-    assert joint.accumulated().residual_rms(theta) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("rows", [0, 1, 3, 4, 50])
-def test_a_triangular_factor_keeps_the_gram_matrix(rows: int) -> None:
-    A = np.random.default_rng(rows).standard_normal((rows, 4))
-    R = triangular(A)
-    assert R.shape == (4, 4)
-    assert (np.diag(R) >= 0).all()
-    assert not np.tril(R, -1).any()
-    np.testing.assert_allclose(R.T @ R, A.T @ A, atol=1e-12)
-
-
-def test_whitened_rows_carry_the_inverse_covariance() -> None:
-    B = np.random.default_rng(16).standard_normal((5, 5))
-    covariance = B @ B.T
-    L = whitened(covariance)
-    np.testing.assert_allclose(L.T @ L, np.linalg.inv(covariance), rtol=1e-7)
-    singular = whitened(np.diag([4.0, 0.0]))
-    np.testing.assert_allclose(singular.T @ singular, np.diag([0.25, 0.0]), atol=1e-12)
-
-
-def test_a_column_of_zeros_can_be_taken_out() -> None:
-    rng = np.random.default_rng(22)
-    full = rng.normal(size=(40, 31))
-    full[:, [0, 7, 29]] = 0.0
-    joint = Accumulator(30)
-    joint.add(full[:, :-1], full[:, -1])
-    kept, less = joint.with_fixed(7, 0.0).blocks[0], np.delete(full, 7, axis=1)
-    np.testing.assert_allclose(kept.T @ kept, less.T @ less, atol=1e-11)
-
-
-def test_rows_can_be_chosen_by_a_mask() -> None:
-    rng = np.random.default_rng(23)
-    H, y, where = rng.normal(size=(90, 5)), rng.normal(size=90), rng.random(90) < 0.6
-    some, chosen = Accumulator(5), Accumulator(5)
-    some.add(H, y, where)
-    chosen.add(H[where], y[where])
-    np.testing.assert_array_equal(some.total, chosen.total)
-    assert some.samples == int(where.sum())
-
-
 def test_blocks_of_a_long_log_hold_the_same_number_of_rows() -> None:
     """Up to the last one, or the jackknife would weigh the end of a log like its beginning."""
     rng = np.random.default_rng(24)
@@ -299,23 +193,6 @@ def test_blocks_of_a_long_log_hold_the_same_number_of_rows() -> None:
     assert len(joint.blocks) > MOST_BLOCKS // 2
     assert len(set(joint.rows[:-1])) == 1
     assert 0 < joint.rows[-1] <= joint.rows[0]
-
-
-def test_columns_that_come_later_and_merged_factors_keep_the_gram_matrix() -> None:
-    rng = np.random.default_rng(25)
-    early, late = rng.normal(size=(2, 40, 20))
-    early[:, 5:9] = late[:, 12:] = 0.0
-    y = rng.normal(size=(2, 40))
-    one = Accumulator(20, span=2)
-    one.add(early, y[0])
-    one.add(late, y[1])
-    two = Accumulator(20)
-    two.add(early, y[0])
-    two.add(late, y[1])
-    assert (len(one.blocks), len(two.blocks)) == (1, 2)
-    full = np.column_stack([np.vstack([early, late]), y.ravel()])
-    for joint in (one, two, Accumulator(20) + two):
-        np.testing.assert_allclose(joint.total.T @ joint.total, full.T @ full, atol=1e-11)
 
 
 def test_more_samples_of_the_same_do_not_outweigh_the_prior() -> None:

@@ -11,11 +11,9 @@ import pytest
 
 from seqid_cli.commands.app import run
 from seqid_cli.errors import InputError
-from seqid_cli.identify.common_cutoff import chosen_together, identification_options, score_of
+from seqid_cli.identify.common_cutoff import identification_options
 from seqid_cli.logs.read import read_recording
-from seqid_cli.motion.blocks import open_surveyed
-from seqid_cli.motion.filters.survey import Survey
-from seqid_cli.motion.motion import encoder_resolution, estimate_motion
+from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import ParameterFile
@@ -25,26 +23,6 @@ from tests.unit.identify.test_lost_samples import ROBOT, write_log
 
 SAMPLES = ROOT / "sample_logs" / "six_joint"
 LOGS = sorted((SAMPLES / "inertia").glob("*.parquet"))
-
-
-def test_one_log_scores_as_it_chooses() -> None:
-    robot = load_robot(SAMPLES / "robot.toml")
-    recording = read_recording(LOGS[0], robot)
-    one = score_of(recording, robot)
-    assert one is not None
-    own = Survey.of(recording.q, recording.rate_hz).cutoff(encoder_resolution(robot))
-    assert chosen_together([one])[0] == pytest.approx(own.hz, rel=0.06)
-
-
-def test_a_survey_scores_like_the_log_held() -> None:
-    robot = load_robot(SAMPLES / "robot.toml")
-    surveyed = open_surveyed(LOGS[0], robot)
-    assert surveyed is not None
-    both = [score_of(log, robot) for log in (surveyed, read_recording(LOGS[0], robot))]
-    assert both[0] is not None
-    assert both[1] is not None
-    first, second = (chosen_together([one])[0] for one in both if one)
-    assert first == pytest.approx(second, rel=0.06)
 
 
 def test_the_order_of_the_logs_does_not_matter() -> None:

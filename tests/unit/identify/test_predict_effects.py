@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.identify.options import InertiaOptions
@@ -16,8 +15,6 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, FrictionStage, Stages
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
 from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, wander
-
-Array = NDArray[np.float64]
 
 ROBOT = two_joint_robot()
 TOP = 4.0
@@ -93,14 +90,6 @@ def test_effects_explain_what_they_stand_for(recording: Recording) -> None:
         assert rms(with_both, joint) < left * rms(without, joint)
 
 
-def test_an_effect_changes_its_own_joint_by_its_own_torque(recording: Recording) -> None:
-    without, with_bias = predicted(recording), predicted(recording, BIAS)
-    rows = without.used & without.sliding[:, 1]
-    change = with_bias.predicted - without.predicted
-    np.testing.assert_allclose(change[rows, 1], 0.4, atol=1e-9)
-    np.testing.assert_array_equal(change[:, 0], 0.0)
-
-
 def test_rest_holds_what_the_effects_allow(recording: Recording) -> None:
     """Above the friction surface, within it and the hump: no error once the hump is known."""
     without, with_hump = predicted(recording), predicted(recording, STRIBECK)
@@ -108,13 +97,6 @@ def test_rest_holds_what_the_effects_allow(recording: Recording) -> None:
     assert not without.sliding[still, 0].any()
     np.testing.assert_allclose(without.beyond[still, 0], 0.95 * HUMP, atol=0.15)
     np.testing.assert_allclose(with_hump.beyond[still, 0], 0.0, atol=1e-6)
-
-
-def test_rest_includes_an_offset(recording: Recording) -> None:
-    """The offset moves the interval; a torque beyond it by more than that stays an error."""
-    with_bias = predicted(recording, BIAS)
-    still = (recording.t > 5.6) & (recording.t < 6.4)
-    np.testing.assert_allclose(with_bias.beyond[still, 1], 0.0, atol=1e-6)
 
 
 def test_an_unknown_effect_is_named(recording: Recording) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import (
     LogPrediction,
     LongPrediction,
-    local_effects,
     predict,
 )
 from seqid_cli.logs.read import read_recording
@@ -150,33 +148,3 @@ def test_effects_are_told_part_by_part(
     assert_same(parts, held)
     bare = held_of(path, robot, stages, options)
     assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
-
-
-@pytest.mark.slow
-def test_effects_that_remember_are_held(
-    robot: Robot, stages: Stages, all_local: list[FittedEffect]
-) -> None:
-    model = TorqueModel.from_stages(stages, robot)
-    assert local_effects(model, all_local)
-    names = {x.effect.name for x in all_local}
-    assert not names & {"backlash", "presliding_hysteresis"}
-    (first, *_) = all_local
-    backlash = FittedEffect(
-        CATALOGUE["backlash"], 1, {"trial_gap": 1e-3}, np.ones(1), np.eye(1), first.session
-    )
-    assert not local_effects(model, [*all_local, backlash])
-    warm = {"warm_up_time": 60.0, "reference_temperature": 20.0}
-    for logged in (0.0, 1.0):
-        thermal = CATALOGUE["thermal_friction"]
-        assert thermal.local({**warm, "logged": logged}) == (logged == 0.0)
-
-
-def test_it_can_be_sent_elsewhere(folder: Path, robot: Robot, stages: Stages) -> None:
-    options = InertiaOptions(source="encoder")
-    path = folder / "log.parquet"
-    long = long_of(path, robot, stages, options)
-    sent = pickle.dumps(long)
-    assert len(sent) < 100_000
-    parts = list(pickle.loads(sent).parts())
-    for part, other in zip(parts, long.parts(), strict=True):
-        np.testing.assert_array_equal(part.predicted, other.predicted)

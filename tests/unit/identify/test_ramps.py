@@ -73,30 +73,12 @@ def test_ramps_tell_the_inertia_within_its_error() -> None:
     assert np.sqrt(np.mean(np.square(off))) < 1.8
 
 
-def test_friction_that_is_off_hardly_moves_it() -> None:
-    robot = planar_2r()
-    given = trials_of(robot, wobble=0.01)
-    (true,) = without_acceleration(robot, given, surface())
-    (wrong,) = without_acceleration(robot, given, surface(off=0.3))
-    assert abs(wrong.inertia - true.inertia) < 0.05 * INERTIA
-
-
 def test_the_torque_of_a_wavering_speed_is_taken_off() -> None:
     robot = planar_2r()
     given = trials_of(robot, wobble=0.01)
     (group,) = without_acceleration(robot, given, surface())
     before, after = friction_left(given), friction_left(group.trials)
     assert np.std(after) < 0.35 * np.std(before)
-
-
-def test_without_ramps_nothing_is_taken_off_and_the_error_says_so() -> None:
-    robot = planar_2r()
-    given = trials_of(robot, wobble=0.01)
-    blind = [replace(trial, ramps=Ramps.none()) for trial in given]
-    elsewhere = [replace(t, configuration=t.configuration + np.array([0.5, 0.0])) for t in blind]
-    known, unknown = without_acceleration(robot, [*given, *elsewhere], surface())
-    assert unknown.inertia == 0.0
-    assert unknown.std_error >= 0.9 * known.inertia
 
 
 def test_where_no_ramp_tells_anything_all_torque_may_be_that_of_acceleration() -> None:
@@ -122,11 +104,3 @@ def test_slices_in_which_a_controller_still_settles_are_left_out() -> None:
     assert kept.t == pytest.approx(trial.t[3:])
     assert len(kept.q) == len(kept.dq) == len(kept.ddq) == len(kept.tau) == len(kept.t)
     assert abs(friction_left([kept]).mean()) < 0.05
-
-
-def test_acceleration_within_the_noise_is_taken_off_and_left_in() -> None:
-    robot = planar_2r()
-    given = trials_of(robot)
-    (group,) = without_acceleration(robot, given, surface())
-    counts = [len(t.q) for t in group.trials]
-    assert sum(counts) > 0.9 * sum(len(t.q) for t in given)

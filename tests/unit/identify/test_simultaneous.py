@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -23,8 +21,6 @@ from tests.plants.rigs import six_joint
 from tests.plants.robots.sample import rmse
 from tests.plants.robots.small import arm_6r
 from tests.plants.trajectories import fourier
-
-Array = NDArray[np.float64]
 
 RATE = 100.0
 COULOMB, VISCOUS, OFFSET = 4.0 - 0.5 * np.arange(6), 2.0 - 0.2 * np.arange(6), 0.1 * np.arange(6)
@@ -86,16 +82,6 @@ def test_friction_is_recovered(stages: Stages) -> None:
     assert stages.friction is not None
     found = [[p.value for p in joint.parameters] for joint in stages.friction.joints.values()]
     np.testing.assert_allclose(np.array(found).T, [COULOMB, VISCOUS, OFFSET], atol=0.06)
-
-
-def test_the_friction_surface_says_the_same_as_its_parameters(stages: Stages) -> None:
-    assert stages.friction is not None
-    for joint in stages.friction.joints.values():
-        coulomb, viscous, offset = (p.value for p in joint.parameters)
-        surface = FrictionSurface.from_stage(joint)
-        v = np.array([-0.9, -0.3, 0.4, 1.0]) * joint.speed_range[1]
-        expected = coulomb * np.sign(v) + viscous * v + offset
-        np.testing.assert_allclose(surface.torque(np.zeros(4), v), expected, rtol=1e-6)
 
 
 def test_a_new_motion_is_predicted_to_the_noise(stages: Stages) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -13,7 +12,6 @@ from seqid_cli.__main__ import main
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import streaming
-from seqid_cli.identify.regression.streaming import open_if_long, streams
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
@@ -21,7 +19,7 @@ from seqid_cli.motion.blocks import SurveyedLog, open_surveyed
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.params.schema import RigidStage
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.seven_joint import known_friction, write_arm, write_log
@@ -85,15 +83,6 @@ def test_the_parameters_are_those_of_the_held_log(
     same(identify_inertia([log], robot, known_friction(), options=OPTIONS), held)
 
 
-def test_every_sample_may_be_used(folder: Path, robot: Robot) -> None:
-    motion = MotionOptions(cutoff_hz=12.0, samples_per_cutoff=np.inf)
-    options = InertiaOptions(source="encoder", motion=motion, neighbours=())
-    recording = read_recording(folder / "log.parquet", robot)
-    expected = identify_inertia([recording], robot, known_friction(), options=options)
-    log = surveyed(folder / "log.parquet", robot)
-    same(identify_inertia([log], robot, known_friction(), options=options), expected)
-
-
 def test_the_bits_do_not_tell_how_the_file_was_cut(
     folder: Path, robot: Robot, tmp_path: Path
 ) -> None:
@@ -115,20 +104,6 @@ def test_a_log_shorter_than_the_filter_is_refused(
     options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=2.0))
     with pytest.raises(InputError, match="long enough"):
         identify_inertia([surveyed(path, robot)], robot, known_friction(), options=options)
-
-
-def test_short_logs_are_held(folder: Path, robot: Robot) -> None:
-    path = folder / "log.parquet"
-    assert open_if_long(path, robot) is None
-    assert open_if_long(path, robot, least=SAMPLES) is not None
-    assert open_if_long(path, robot, least=SAMPLES + 1) is None
-
-
-def test_logs_are_held_where_accelerometers_may_do_better() -> None:
-    friction = known_friction()
-    assert streams(friction, InertiaOptions(source="auto"))
-    assert streams(friction, InertiaOptions(source="encoder"))
-    assert not streams(friction, InertiaOptions(source="fused"))
 
 
 def test_the_command_passes_over_long_logs(
@@ -163,10 +138,3 @@ def test_the_command_passes_over_long_logs(
         strict=True,
     ):
         assert abs(a["value"] - b["value"]) < 1e-3 * b["std_error"]
-
-
-def test_friction_is_needed(folder: Path, robot: Robot) -> None:
-    with pytest.raises(Exception, match="friction stage"):
-        identify_inertia(
-            [surveyed(folder / "log.parquet", robot)], robot, Stages(), options=OPTIONS
-        )

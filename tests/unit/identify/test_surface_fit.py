@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.optimize import approx_fprime
 
 from seqid_cli.identify.friction_surface.fit import (
     DEVIATION,
@@ -26,7 +25,7 @@ from seqid_cli.identify.friction_surface.reduction import (
     reduce_trials,
     weighted,
 )
-from seqid_cli.identify.friction_surface.summary import fitted_errors, left_out_errors
+from seqid_cli.identify.friction_surface.summary import left_out_errors
 from seqid_cli.model.friction_basis import Scaling
 
 Array = NDArray[np.float64]
@@ -132,47 +131,6 @@ def test_fewer_orders_are_the_least_squares_of_those_terms(m: int, l: int) -> No
     np.testing.assert_allclose(got.ravel(), entries, atol=1e-8)
 
 
-def test_leaving_a_speed_out_is_a_refit_without_its_data() -> None:
-    data = data_of(COEFFICIENTS, np.random.default_rng(4), sizes=TRUE)
-    orders = Orders(3, 2)
-    fit = fit_of(data)
-    left_out = dict(fit.leaving_out(orders))
-    assert len(left_out) == len(SPEEDS) - 2
-    for u, D in left_out.items():
-        kept = [item for item, at in zip(data, fit.reduced.u, strict=True) if at != u]
-        np.testing.assert_allclose(D.ravel(), direct(kept, TRUE, orders)[0], atol=1e-8)
-
-
-def test_weights_of_zero_are_slices_that_are_not_there() -> None:
-    data = data_of(COEFFICIENTS, np.random.default_rng(5))
-    gone = [
-        replace(item, weight=np.where(np.arange(SLICES) < 9, 0.0, item.weight)) for item in data
-    ]
-    cut = [
-        replace(
-            i,
-            **{k: getattr(i, k)[9:] for k in ("q", "friction", "weight", "edges", "push")},
-        )
-        for i in data
-    ]
-    one, other = (reduce_trials(each, SCALING) for each in (gone, cut))
-    np.testing.assert_array_equal(one.slices, other.slices)
-    orders = Orders(4, 4)
-    np.testing.assert_allclose(fit_of(gone).entries(orders), fit_of(cut).entries(orders), atol=1e-9)
-
-
-@pytest.mark.parametrize("periodic", [False, True])
-def test_the_gradient_of_the_evidence_is_its_derivative(periodic: bool) -> None:
-    scaling = replace(SCALING, periodic=periodic)
-    rng = np.random.default_rng(6)
-    data = data_of(COEFFICIENTS[:3], rng, sizes=TRUE, scaling=scaling)
-    sets = [reduce_trials(data[::2], scaling), reduce_trials(data[1::2], scaling)]
-    evidence = Evidence.of(sets, Orders(6, 7))
-    for at in (np.zeros(10), rng.normal(size=10)):
-        expected = approx_fprime(at, lambda x: evidence(x)[0], 1e-6)
-        np.testing.assert_allclose(evidence(at)[1], expected, rtol=1e-3, atol=0.05)
-
-
 def drawn(sizes: Sizes, rng: np.random.Generator) -> Array:
     """A surface of the highest orders, drawn from the prior; Coulomb friction of 5."""
     prior = sizes.prior(SCALING, MAX_POSITION_ORDER + 1, Orders(MAX_POSITION_ORDER, 11))
@@ -270,24 +228,6 @@ def test_orders_that_the_user_fixes_are_kept() -> None:
     assert half.velocity >= 2
 
 
-def test_the_first_orders_at_which_the_criterion_holds_are_taken() -> None:
-    data = data_of(COEFFICIENTS, np.random.default_rng(6), sizes=replace(WHITE, noise=0.01))
-    fits, _ = fit_surfaces([reduce_trials(data, SCALING)])
-    asked = []
-
-    def accept(orders: Orders) -> bool:
-        asked.append(orders)
-        return left_out_errors(data, fits[0], orders).meets(0.05)
-
-    chosen = choose_orders(fits, position=None, velocity=None, accept=accept)
-    assert chosen == asked[-1]
-    assert left_out_errors(data, fits[0], chosen).meets(0.05)
-    smaller = (chosen.position + 1) * (chosen.velocity + 1)
-    assert all((o.position + 1) * (o.velocity + 1) <= smaller for o in asked)
-    assert not any(left_out_errors(data, fits[0], o).meets(0.05) for o in asked[:-1])
-    assert smaller < 11 * 12  # those of the whole surface
-
-
 def test_eq_11_holds_for_the_right_orders_and_fails_for_too_low_ones() -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(7), sizes=replace(WHITE, noise=0.05))
     (fit,), _ = fit_surfaces([reduce_trials(data, SCALING)])
@@ -296,33 +236,6 @@ def test_eq_11_holds_for_the_right_orders_and_fails_for_too_low_ones() -> None:
     assert not poor.meets(0.1)
     assert good.rms < 0.01
     assert poor.largest > 0.5
-
-
-def test_the_largest_error_is_no_smaller_than_the_rms() -> None:
-    data = data_of(COEFFICIENTS, np.random.default_rng(10), sizes=TRUE)
-    fit = fit_of(data)
-    orders = Orders(3, 2)
-    fitted, unseen = fitted_errors(data, fit, orders), left_out_errors(data, fit, orders)
-    assert fitted.rms <= fitted.largest
-    assert fitted.rms < unseen.rms <= unseen.largest
-    for u in fit.reduced.levels[[0, -1]]:  # the ends are the surface itself
-        np.testing.assert_array_equal(fitted.at(u).error, unseen.at(u).error)
-
-
-def test_near_zero_the_criterion_is_absolute() -> None:
-    """A friction that crosses zero does not make the relative error boundless."""
-    D = np.array([[0.0, 0.0], [3.0, 0.0]])
-    data = data_of(D, np.random.default_rng(8), sizes=replace(WHITE, noise=0.05))
-    (fit,), _ = fit_surfaces([reduce_trials(data, SCALING)])
-    assert left_out_errors(data, fit, Orders(1, 1)).relative < 0.05
-
-
-def test_with_three_speeds_nothing_is_left_out() -> None:
-    chosen = SPEEDS[[0, 5, 11]]
-    data = [i for i in data_of(COEFFICIENTS, np.random.default_rng(9)) if i.speed in chosen]
-    fit, orders = fit_of(data), Orders(1, 1)
-    got = left_out_errors(data, fit, orders)
-    np.testing.assert_array_equal(got.error, fitted_errors(data, fit, orders).error)
 
 
 def test_slices_in_which_the_joint_still_speeds_up_lose_their_weight() -> None:
@@ -338,16 +251,3 @@ def test_slices_in_which_the_joint_still_speeds_up_lose_their_weight() -> None:
             assert np.all(own.weight[:4] == 0.0)
         share = own.weight[4:] / item.weight[4:]
         assert np.mean(share > 0.3 * share.max()) > 0.9
-
-
-def test_what_all_trials_have_at_one_position_is_friction() -> None:
-    """A rough spot keeps its weight."""
-    data = data_of(known_surface(0, 1), np.random.default_rng(12), sizes=replace(WHITE, noise=0.3))
-    rough = [
-        replace(item, friction=item.friction + 2.0 * (np.abs(item.q - 1.0) < 0.15)) for item in data
-    ]
-    kept = [
-        own.weight[np.abs(own.q - 1.0) < 0.1] / own.weight.max()
-        for own in weighted(rough, around_medians(rough))
-    ]
-    assert np.mean(np.concatenate(kept) > 0.0) > 0.8

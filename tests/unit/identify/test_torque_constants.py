@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from seqid_cli.compare.differences import _torque_constants_held
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
+from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.gravity import GravityRows, _stage, identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
-from seqid_cli.identify.rigid.posterior import constant_moves
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.bodies.demand import identified
@@ -143,55 +142,6 @@ def test_export_counts_one_error_for_gravity_and_inertia(
     names = [p.name for stage in (stages.inertia, stages.gravity) for p in stage.parameters]
     assert len(set(names)) == len(names)
     assert demand.covariance[0, 1] == pytest.approx(moves[0] * moves[1], rel=1e-9)
-
-
-def test_the_notes_say_whose_constants_are_exact(
-    pair: tuple[Robot, Stages, Stages, Stages],
-) -> None:
-    _, plain, with_error, _ = pair
-    said = [" ".join(stages.friction.notes) for stages in (plain, with_error) if stages.friction]
-    assert "torque constants taken as exact: joint_1" in said[0]
-    assert "torque constants" not in said[1]
-
-
-def test_one_error_through_two_stages_counts_once() -> None:
-    rng = np.random.default_rng(0)
-    theta = np.array([1.0, -0.5, 2.0])
-    joint = Accumulator(3)
-    for _ in range(20):
-        H = rng.normal(size=(50, 3))
-        joint.add(H, H @ theta + 0.1 * rng.normal(size=50))
-    A = 30.0 * np.eye(2, 3)
-    prior = Prior(A, A @ (theta + 0.01))
-    solution = solve([joint], prior=prior)
-    through = {0: ERROR * (solution.bread @ A.T @ prior.b)}
-    move = constant_moves(solution, np.array([ERROR]), {}, through)[0]
-    np.testing.assert_allclose(move, ERROR * solution.theta, rtol=1e-6)
-
-
-def test_a_joint_among_others_moves_what_they_share_by_its_weight() -> None:
-    rng = np.random.default_rng(1)
-    theta = np.array([1.0, -0.5, 2.0])
-    rows = [rng.normal(size=(400, 3)) for _ in range(2)]
-    right = [H @ theta + s * rng.normal(size=400) for H, s in zip(rows, (0.1, 0.3), strict=True)]
-    joints = [Accumulator(3) for _ in range(2)]
-    for joint, H, y in zip(joints, rows, right, strict=True):
-        for part in range(0, 400, 20):
-            joint.add(H[part : part + 20], y[part : part + 20])
-    solution = solve(joints, iterations=30)
-
-    def held(scales: tuple[float, float]) -> Array:
-        """Dense least squares with the weights held."""
-        weight = 1.0 / solution.sigma
-        wide = np.vstack([w * H for w, H in zip(weight, rows, strict=True)])
-        y = np.concatenate([w * c * y for w, c, y in zip(weight, scales, right, strict=True)])
-        found: Array = np.linalg.lstsq(wide, y, rcond=None)[0]
-        return found
-
-    moves = constant_moves(solution, np.array([ERROR, 0.0]), {})
-    assert list(moves) == [0]
-    expected = (held((1.0 + STEP, 1.0)) - held((1.0, 1.0))) * ERROR / STEP
-    np.testing.assert_allclose(moves[0], expected, rtol=1e-6)
 
 
 def test_intervals_hold_the_truth_where_torque_constants_err() -> None:

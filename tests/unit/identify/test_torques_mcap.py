@@ -126,32 +126,10 @@ def test_logs_without_a_clock_follow_each_other(tmp_path: Path) -> None:
     assert records["seqid.logs"]["2"].startswith("b: 1.156000 to ")
 
 
-def test_logs_with_a_clock_stay_where_they_are(tmp_path: Path) -> None:
-    save(tmp_path / "out.mcap", prediction("a", 100.0), prediction("b", 250.0))
-    found = times(tmp_path / "out.mcap")
-    assert found["a"][0] == pytest.approx(100.0)
-    assert found["b"][0] == pytest.approx(250.0)
-
-
 @pytest.mark.parametrize("start", [float("nan"), float("inf"), 1e30])
 def test_a_clock_that_no_stamp_holds_starts_from_zero(tmp_path: Path, start: float) -> None:
     save(tmp_path / "out.mcap", prediction("a", start))
     assert times(tmp_path / "out.mcap")["a"][0] == 0.0
-
-
-def test_an_interrupted_run_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "out.mcap"
-    path.write_bytes(b"old")
-
-    def interrupted() -> None:
-        with McapTorqueWriter.open(path, JOINTS) as writer:
-            writer.write(prediction("a", 0.0))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert path.read_bytes() == b"old"
-    assert [p.name for p in tmp_path.iterdir()] == ["out.mcap"]
 
 
 def test_a_folder_that_is_not_there_is_a_message(tmp_path: Path) -> None:

@@ -20,10 +20,7 @@ from seqid_cli.identify.friction_surface.trials import (
     Ramps,
     Trial,
     _trial,
-    by_joint,
     collect_trials,
-    configurations,
-    speed_levels,
 )
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.long import Block
@@ -32,7 +29,7 @@ from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
-from tests.plants.robots.small import arm_6r, planar_2r, random_model, robot_from_chain
+from tests.plants.robots.small import planar_2r, random_model, robot_from_chain
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import sweeps
 
@@ -86,35 +83,6 @@ def test_columns_times_p_xi_are_the_gravity_torque(
     )
 
 
-def test_with_the_axis_along_z_the_columns_are_eq_13() -> None:
-    robot = arm_6r()
-    where = np.array([0.4, -1.1, 0.9, 0.3, 0.2, 0.1])
-    own = np.linspace(-2, 2, 9)
-    at_zero = where.copy()
-    at_zero[3] = 0.0
-    g = forward(robot.chain, at_zero[None]).R[0, 3].T @ robot.gravity
-    expected = np.column_stack(
-        [g[0] * np.sin(own) - g[1] * np.cos(own), g[0] * np.cos(own) + g[1] * np.sin(own)]
-    )
-    np.testing.assert_allclose(gravity_columns(robot, 3, where, own), expected, atol=1e-12)
-
-
-def test_where_gravity_cannot_load_the_joint_there_is_no_column() -> None:
-    q = np.linspace(-1, 1, 5)
-    assert gravity_columns(planar_2r(), 1, np.zeros(2), q).shape == (5, 0)
-    assert gravity_columns(arm_6r(), 0, np.zeros(6), q).shape == (5, 0)
-
-
-def test_the_plane_across_an_axis_is_right_handed() -> None:
-    for axis in np.vstack([np.eye(3), -np.eye(3), [[0.6, 0.0, 0.8]]]):
-        e_x, e_y = plane_across(axis)
-        np.testing.assert_allclose(
-            np.array([e_x, e_y, axis]) @ np.array([e_x, e_y, axis]).T, np.eye(3), atol=1e-12
-        )
-        np.testing.assert_allclose(np.cross(e_x, e_y), axis, atol=1e-12)
-    np.testing.assert_array_equal(plane_across(np.array([0.0, 0.0, 1.0])), np.eye(3)[:2])
-
-
 def trial(velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
     return Trial(
         joint=1,
@@ -141,44 +109,6 @@ def test_half_sums_take_friction_out() -> None:
     np.testing.assert_allclose(found.tau, 3 * np.cos(found.q), atol=1e-12)
     assert found.speed == 0.5
     assert len(found.q) == 20
-
-
-def test_only_common_positions_and_speeds_are_paired() -> None:
-    q, home = np.linspace(-1, 1, 20), np.zeros(2)
-    ahead, back = trial(0.5, q, q, home), trial(-0.5, q + 1.0, q, home)
-    (found,) = half_sums([ahead, back])
-    assert found.q.min() >= 0.0
-    assert found.q.max() <= 1.0
-    assert half_sums([ahead, trial(-0.8, q, q, home)]) == []
-    assert half_sums([ahead, trial(0.5, q, q, home)]) == []
-    assert half_sums([ahead, trial(-0.5, q + 5.0, q, home)]) == []
-
-
-def test_trials_are_grouped_by_where_the_others_are_locked() -> None:
-    q = np.linspace(-1, 1, 5)
-    places = [[0.0, 0.3], [0.5, -2.0], [0.001, 1.7], [0.499, 0.0]]
-    groups = configurations([trial(1.0, q, q, np.array(place)) for place in places])
-    assert [[t.configuration[0] for t in group] for group in groups] == [[0, 0.001], [0.5, 0.499]]
-
-
-def test_speeds_close_together_are_one_level() -> None:
-    q = np.linspace(-1, 1, 5)
-    pace = [1.0, -1.05, 0.5, -0.52, 1.4]
-    levels = speed_levels([trial(v, q, q, np.zeros(2)) for v in pace])
-    assert [[t.velocity for t in level] for level in levels] == [[0.5, -0.52], [1.0, -1.05], [1.4]]
-
-
-def test_trials_of_one_joint_come_slowest_first() -> None:
-    q = np.linspace(-1, 1, 5)
-    own = [trial(v, q, q, np.zeros(2)) for v in (1.0, -0.2, 0.5)]
-    other = replace(own[0], joint=0)
-    assert [t.velocity for t in by_joint([own[0], other, *own[1:]], 1)] == [-0.2, 0.5, 1.0]
-
-
-def test_positions_of_a_trial_move_its_joint_alone() -> None:
-    q = np.linspace(-1, 1, 5)
-    got = trial(1.0, q, q, np.array([0.7, 9.9])).positions(2)
-    np.testing.assert_array_equal(got, np.column_stack([np.full(5, 0.7), q]))
 
 
 def recording(q: Array, tau: Array | None) -> Recording:

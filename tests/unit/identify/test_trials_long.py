@@ -86,8 +86,3 @@ def test_the_trials_are_those_of_the_held_log(
         for name in ("q", "dq", "ddq", "tau"):
             np.testing.assert_array_equal(getattr(own.ramps, name), getattr(other.ramps, name))
             assert getattr(own.ramps, name).base is None  # no trial keeps its log alive
-
-
-def test_short_logs_are_held(robot: Robot, tmp_path: Path) -> None:
-    path = write(tmp_path / "log.parquet", waving=False)
-    assert TrialsOf(robot).open_log(path, robot, "header") is None

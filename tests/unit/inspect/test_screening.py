@@ -35,14 +35,6 @@ def planted(folder: Path, *plants: Plant) -> Path:
     return folder / "log.parquet"
 
 
-def test_a_sound_log_stays_as_it_is(robot: Robot) -> None:
-    found = read_screened(LOG, robot)
-    assert found.findings == ()
-    sound = read_recording(LOG, robot)
-    assert np.array_equal(found.recording.q, sound.q)
-    assert np.array_equal(found.recording.valid, sound.valid)
-
-
 @pytest.mark.parametrize("size", [0.3, -0.15])
 def test_spikes_are_taken_out_and_said(robot: Robot, tmp_path: Path, size: float) -> None:
     path = planted(tmp_path, p.spikes(POSITION, size))

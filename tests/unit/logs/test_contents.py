@@ -14,7 +14,7 @@ from seqid_cli.logs.contents import survey
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
 from tests.unit.logs.samples import JOINTS, grid, make_motion
-from tests.unit.logs.writers import write_mcap, write_parquet
+from tests.unit.logs.writers import write_mcap
 
 MOTION = make_motion(grid(100))
 
@@ -33,13 +33,6 @@ def test_mcap(tmp_path: Path, encoding: str) -> None:
     assert found.joints == JOINTS
     counts = {channel.name: channel.samples for channel in found.channels}
     assert counts["/joint_states"] == counts["/array/accel_2"] == 100
-
-
-def test_parquet_with_default_names(tmp_path: Path) -> None:
-    path = write_parquet(tmp_path / "log.parquet", MOTION.t, JOINTS, MOTION.q, torque=MOTION.tau)
-    found = survey(path)
-    assert guess(found).joints == JOINTS
-    assert next((c.name, c.kind, c.samples) for c in found.channels) == ("t", "double", 100)
 
 
 @pytest.mark.parametrize(("prefix", "first"), [("q_", 1), ("q_", 0), ("actual_q_", 0)])

@@ -9,13 +9,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.logs.read import read_recording, read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log, expand
-from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
@@ -90,37 +86,3 @@ def test_format_is_told_by_content(tmp_path: Path, label: str) -> None:
     kind = "rosbag2" if label == "rosbag2 sqlite" else kinds.get(label.split()[0], "mcap")
     assert check_log(renamed) == kind
     assert read_recording(renamed, robot(ONE)).format == kind
-
-
-@pytest.fixture(scope="module")
-def reference(tmp_path_factory: pytest.TempPathFactory) -> FrictionJoint:
-    return friction(tmp_path_factory.mktemp("reference"), "parquet")
-
-
-def friction(folder: Path, label: str) -> FrictionJoint:
-    """Friction of the one joint, from every eighth sample of its log."""
-    ({**EXACT, **FLOAT32})[label](folder / "log", sample(ONE, "friction/joint_1", 8))
-    recordings = read_recordings(expand([str(folder)]), robot(ONE))
-    options = FrictionOptions(position_order=2, velocity_order=3)
-    (joint,) = identify_friction(recordings, robot(ONE), options=options).joints.values()
-    return joint
-
-
-@pytest.mark.parametrize("label", list(EXACT)[1:])
-def test_same_friction(tmp_path: Path, label: str, reference: FrictionJoint) -> None:
-    found = friction(tmp_path, label)
-    np.testing.assert_allclose(found.positive, reference.positive, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.negative, reference.negative, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.rmse, reference.rmse, rtol=1e-9)
-
-
-@pytest.mark.parametrize("label", FLOAT32)
-def test_friction_of_rounded_samples_stays_inside_its_errors(
-    tmp_path: Path, label: str, reference: FrictionJoint
-) -> None:
-    """Rounding may end a constant-velocity stretch a sample earlier."""
-    one, other = (FrictionSurface.from_stage(j) for j in (reference, friction(tmp_path, label)))
-    q, v = (m.ravel() for m in np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(0.5, 7.5, 8)))
-    columns = one.columns(q, v)
-    error = np.sqrt(np.einsum("ij,jk,ik->i", columns, one.covariance, columns))
-    assert (np.abs(one.torque(q, v) - other.torque(q, v)) < error).all()

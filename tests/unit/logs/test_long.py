@@ -84,31 +84,12 @@ def test_uneven_stamps_and_a_gap(tmp_path: Path) -> None:
     assert log.gaps == 1
 
 
-def test_lost_rows(tmp_path: Path) -> None:
-    t = np.delete(np.arange(SAMPLES) / 250.0, [400, 401, 1_399, 2_000])
-    assert not check(write(tmp_path / "log.parquet", t), make_robot(), tolerance=1e-9).exact
-
-
-def test_current_instead_of_torque(tmp_path: Path) -> None:
-    t = np.arange(SAMPLES) / 250.0
-    path = write_parquet(tmp_path / "log.parquet", t, JOINTS, curve(t, 3), current=curve(t, 3, 2.0))
-    check(path, make_robot(constants=0.1, gear_ratio=50.0))
-
-
 def test_mcap(tmp_path: Path) -> None:
     t = np.arange(SAMPLES) / 250.0
     path = write_mcap(
         tmp_path / "log.mcap", t, JOINTS, curve(t, 3), encoding="cdr", effort=20 * curve(t, 3, 1.0)
     )
     check(path, make_robot(), tolerance=1e-12)
-
-
-def test_warnings_of_unit_and_of_silence(tmp_path: Path) -> None:
-    t = np.arange(SAMPLES) / 250.0
-    path = write(tmp_path / "log.parquet", t, torque=np.zeros((SAMPLES, 3)))
-    log = check(path, make_robot(limits=(-0.2, 0.2)))
-    assert any("zero throughout" in text for text in log.warnings)
-    assert any("the limits are" in text for text in log.warnings)
 
 
 @pytest.mark.parametrize("fault", ["nan", "backwards", "huge"])
@@ -122,16 +103,6 @@ def test_what_has_to_be_read_as_a_whole(fault: str, tmp_path: Path) -> None:
     else:
         t[1_234] = t[1_230]
     assert open_long(write(tmp_path / "log.parquet", t, torque=tau), make_robot()) is None
-
-
-def test_torque_that_gives_way_to_current_has_to_be_read_as_a_whole(tmp_path: Path) -> None:
-    t = np.arange(SAMPLES) / 250.0
-    torque, current = 20 * curve(t, 3, 1.0), curve(t, 3, 2.0)
-    torque[1_400:] = np.nan
-    path = write_parquet(
-        tmp_path / "log.parquet", t, JOINTS, curve(t, 3), torque=torque, current=current
-    )
-    assert open_long(path, make_robot(constants=0.1, gear_ratio=50.0)) is None
 
 
 def test_how_long_a_log_is_without_reading_it(tmp_path: Path) -> None:

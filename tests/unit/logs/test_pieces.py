@@ -11,7 +11,7 @@ import pytest
 from seqid_cli.errors import InputError
 from seqid_cli.logs.long import open_long
 from seqid_cli.logs.mcap import reader
-from seqid_cli.logs.pieces import by_log, cut, read_pieces, whole_of
+from seqid_cli.logs.pieces import cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.tables import parquet
@@ -105,22 +105,6 @@ def test_a_piece_keeps_its_place(tmp_path: Path) -> None:
     assert pieces[0].tau is not None
     held.tau[310] = 77.0  # a piece does not keep the log in memory
     assert pieces[0].tau[10, 0] != 77.0
-
-
-def test_pieces_go_with_their_log(tmp_path: Path) -> None:
-    held = read_recording(written(tmp_path, "parquet"), ROBOT)
-    copied = replace(held, path=tmp_path / "copy.parquet")
-    first, second = cut(held, RANGES), cut(copied, RANGES)
-    mixed = [first[0], held, second[0], first[1], held, *second[1:]]
-    assert by_log(mixed) == [first[:2], [held], second, [held]]
-
-
-def test_pieces_of_other_formats_are_cut(tmp_path: Path) -> None:
-    path = written(tmp_path, "parquet")
-    held = read_recording(path, ROBOT)
-    found = read_pieces(path, ROBOT, whole_of(held), RANGES)
-    for one, other in zip(found, cut(held, RANGES), strict=True):
-        assert_same(one, other)
 
 
 def test_uneven_stamps(tmp_path: Path) -> None:

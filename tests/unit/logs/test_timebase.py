@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.clocks import tidy
 from seqid_cli.logs.raw import Stream
-from seqid_cli.logs.read import read_recording, read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.logs.timebase import make_base, resample
 from tests.unit.logs.samples import JOINTS, curve, grid, make_motion, make_robot
 from tests.unit.logs.writers import write_parquet
 
@@ -41,14 +39,6 @@ def test_uniform_samples_are_not_touched(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.t, t - 17.0, atol=1e-8)
     assert recording.health.jitter < 1e-6
     assert recording.health.warnings == ()
-
-
-def test_time_shift_changes_nothing(tmp_path: Path) -> None:
-    t = np.sort(np.random.default_rng(1).uniform(0.0, 3.0, 900))
-    q = curve(t, 3)
-    first, second = (read_times(tmp_path, t + shift, q) for shift in (0.0, 4096.0))
-    np.testing.assert_allclose(second.t, first.t, atol=1e-9)
-    np.testing.assert_allclose(second.q, first.q, atol=1e-8)
 
 
 def test_jitter_is_interpolated(tmp_path: Path) -> None:
@@ -85,28 +75,6 @@ def test_gap_is_bridged_by_a_straight_line_and_marked(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         recording.q[recording.valid], curve(recording.t[recording.valid], 3), atol=1e-9
     )
-
-
-def test_single_dropped_samples_are_no_gaps(tmp_path: Path) -> None:
-    t = np.delete(grid(500), [50, 51, 120, 333])
-    recording = read_times(tmp_path, t)
-    assert recording.health.gaps == ()
-    assert recording.valid.all()
-    assert len(recording.t) == 500
-    np.testing.assert_allclose(recording.q, curve(grid(500), 3), atol=1e-6)
-
-
-def test_rows_out_of_order_and_duplicates(tmp_path: Path) -> None:
-    t = grid(300)
-    q = curve(t, 3)
-    order = np.arange(300)
-    order[[100, 101]] = [101, 100]
-    order = np.insert(order, 200, 199)
-    recording = read_times(tmp_path, t[order], q[order])
-    np.testing.assert_array_equal(recording.q, q)
-    assert recording.health.non_monotonic == 1
-    assert recording.health.duplicates == 1
-    assert recording.valid.all()
 
 
 @pytest.mark.parametrize("how", ["reversed", "shuffled", "halves", "late", "twice"])
@@ -156,11 +124,6 @@ def test_too_short(tmp_path: Path, count: int, rate: float) -> None:
         read_times(tmp_path, grid(count, rate))
 
 
-def test_one_stamp_for_all_is_too_short(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="only 1 samples"):
-        read_times(tmp_path, np.zeros(100))
-
-
 def test_wanted_rate(tmp_path: Path) -> None:
     t = grid(1001, 500.0)
     faster = read_times(tmp_path, t, rate_hz=1000.0)
@@ -193,32 +156,6 @@ def test_absurd_values_count_as_missing(tmp_path: Path) -> None:
     assert any("2 values" in warning for warning in recording.health.warnings)
 
 
-def test_block_seams_of_the_spline_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(5)
-    t = grid(4000) + rng.uniform(0.0, 3e-3, 4000)
-    values = rng.normal(size=(4000, 2))
-    joints = stream(t, values)
-    base = make_base(joints, None, "log")
-    knots = (joints.stamp_ns - base.start_ns) * 1e-9
-    monkeypatch.setattr("seqid_cli.logs.timebase._BLOCK", 128)
-    result = resample(joints, "position", base)
-    inside = base.t <= knots[-1]
-    np.testing.assert_allclose(
-        result.values[inside], CubicSpline(knots, values)(base.t[inside]), atol=1e-12
-    )
-
-
-def test_column_without_values_stays_nan() -> None:
-    t = grid(100)
-    joints = stream(t, curve(t, 2))
-    base = make_base(joints, 133.0, "log")
-    values = np.column_stack([t, np.full(100, np.nan)])
-    result = resample(Stream("x", joints.stamp_ns, {"temperature": values}), "temperature", base)
-    np.testing.assert_allclose(result.values[:, 0], base.t, atol=1e-9)
-    assert np.isnan(result.values[:, 1]).all()
-    assert result.valid.all()
-
-
 def test_tidy_merges_rows_that_complement_each_other() -> None:
     nan = np.nan
     values = np.array([[1.0, nan], [nan, 2.0], [3.0, nan], [nan, 4.0], [9.0, nan]])
@@ -226,15 +163,6 @@ def test_tidy_merges_rows_that_complement_each_other() -> None:
     np.testing.assert_array_equal(done.stream.channels["position"], [[1.0, 2.0], [3.0, 4.0]])
     assert done.duplicates == 1
     assert done.non_monotonic == 0
-
-
-def test_recordings_come_one_by_one(tmp_path: Path) -> None:
-    motion = make_motion(grid())
-    good = write_parquet(tmp_path / "a.parquet", motion.t, JOINTS, motion.q)
-    found = read_recordings([good, tmp_path / "none.parquet"], make_robot())
-    assert next(found).path == good
-    with pytest.raises(InputError):
-        next(found)
 
 
 def test_unknown_time_source(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from numpy.polynomial.chebyshev import chebval2d, chebvander
 from numpy.typing import NDArray
 
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.friction_basis import FADE, Scaling, tensor
+from seqid_cli.model.friction_basis import Scaling, tensor
 from seqid_cli.params.schema import FrictionJoint, Parameter
 
 Array = NDArray[np.float64]
@@ -71,16 +71,6 @@ def test_the_torque_is_the_formula_inside_the_range(any_surface: FrictionSurface
     )
 
 
-def test_without_direction_the_torque_is_odd_in_the_velocity() -> None:
-    q, v = states()
-    own = surface()
-    np.testing.assert_allclose(own.torque(q, -v), -own.torque(q, v), rtol=1e-12)
-
-
-def edge_of(own: FrictionSurface, q: Array) -> Array:
-    return np.clip(q, *own.scaling.position)
-
-
 def line_of(own: FrictionSurface, side: int) -> tuple[float, float]:
     """Mean friction over position at the fastest speed, and its slope over the faster half."""
     q = np.linspace(*POSITION, 4001)
@@ -123,32 +113,6 @@ def test_below_the_slowest_speed_its_value_holds(any_surface: FrictionSurface) -
     np.testing.assert_allclose(slower, slow, rtol=1e-5)
 
 
-def test_far_beyond_the_positions_it_is_the_mean_over_them(any_surface: FrictionSurface) -> None:
-    low, high = POSITION
-    speeds = np.array([0.5, -2.0, 3.0])
-    for v in speeds:
-        along = np.linspace(low, high, 20001)
-        inside = any_surface.torque(along, np.full(20001, v))
-        mean = float(np.trapezoid(inside, along)) / (high - low)
-        for far in (low - 5.0, high + 5.0):
-            got = any_surface.torque(np.array([far]), np.array([v]))
-            np.testing.assert_allclose(got, mean, rtol=1e-6)
-
-
-def test_it_fades_from_the_edge_without_a_step(any_surface: FrictionSurface) -> None:
-    low, high = POSITION
-    delta = FADE * (high - low)
-    v = np.full(1, 2.0)
-    for edge, away in ((low, -1.0), (high, 1.0)):
-        at = any_surface.torque(np.array([edge]), v)
-        mean = any_surface.torque(np.array([edge + 100.0 * away]), v)
-        assert np.abs(at - mean) > 0.05
-        near = any_surface.torque(np.array([edge + 1e-6 * away]), v)
-        np.testing.assert_allclose(near, at, rtol=1e-6)
-        half = any_surface.torque(np.array([edge + away * delta]), v)
-        np.testing.assert_allclose(half, mean + np.exp(-0.5) * (at - mean), rtol=1e-9)
-
-
 def test_the_error_grows_outside(any_surface: FrictionSurface) -> None:
     """Inside the covariance is the file's; outside what is not known comes on top."""
     count = any_surface.entries
@@ -166,14 +130,6 @@ def test_the_error_grows_outside(any_surface: FrictionSurface) -> None:
         errors = sure.std_error(np.zeros(3), v)
         assert errors[0] < 1e-2
         assert (np.diff(errors) > 0.0).all()
-
-
-def test_the_torque_is_linear_in_the_coefficients_everywhere(any_surface: FrictionSurface) -> None:
-    rng = np.random.default_rng(3)
-    q, v = rng.uniform(-5.0, 6.0, 300), rng.uniform(-9.0, 9.0, 300)
-    columns = any_surface.columns(q, v)
-    assert columns.shape[1] == len(any_surface.covariance) == len(any_surface.coefficients)
-    np.testing.assert_allclose(columns @ any_surface.coefficients, any_surface.torque(q, v))
 
 
 def test_outside_is_said(any_surface: FrictionSurface) -> None:
@@ -194,21 +150,6 @@ def test_the_torque_does_not_jump_at_rest(any_surface: FrictionSurface) -> None:
     assert np.abs(off).max() < 1e-5
     rest = any_surface.torque(q, np.zeros(3))
     np.testing.assert_allclose(rest, any_surface.torque(q, np.full(3, tiny)), atol=1e-5)
-
-
-def test_at_rest_the_part_that_does_not_flip_stays() -> None:
-    own = surface(directional=True)
-    q = np.array([0.2, 1.0])
-    slow = np.full(2, own.scaling.speed[0])
-    offset = (own.torque(q, slow) + own.torque(q, -slow)) / 2
-    np.testing.assert_allclose(own.torque(q, np.zeros(2)), offset, atol=1e-6)
-    assert np.abs(offset).min() > 0.1
-
-
-def test_the_torque_passes_rest_monotonically(any_surface: FrictionSurface) -> None:
-    v = np.linspace(-0.05, 0.05, 201)
-    torque = any_surface.torque(np.zeros_like(v), v)
-    assert (np.diff(torque) >= -1e-12).all()
 
 
 def test_columns_are_the_gradient(any_surface: FrictionSurface) -> None:
@@ -258,18 +199,6 @@ def test_the_papers_orders_are_well_conditioned(logarithmic: bool) -> None:
         len(q), -1
     )
     assert np.linalg.cond(raw) > 1e12
-
-
-def test_the_basis_runs_through_the_speed_first() -> None:
-    x, u = np.array([0.3]), np.array([-0.4])
-    D = np.arange(12.0).reshape(3, 4)
-    got = tensor(chebvander(x, 2), chebvander(u, 3)) @ D.ravel()
-    np.testing.assert_allclose(got, chebval2d(x, u, D), rtol=1e-14)
-
-
-def test_one_speed_or_one_position_alone() -> None:
-    own = replace(surface(orders=(0, 0)), scaling=Scaling((0.5, 0.5), (1.0, 1.0)))
-    np.testing.assert_allclose(own.torque(np.array([0.5]), np.array([1.0])), 5.0)
 
 
 def test_from_the_parameter_file_and_back(any_surface: FrictionSurface) -> None:

@@ -67,15 +67,6 @@ def test_thinned_friction_is_the_full_one_after_the_low_pass() -> None:
     assert not sampled_friction(surfaces, thinned)[:, 1].any()
 
 
-def test_away_from_reversals_it_is_the_surface_itself() -> None:
-    thinned = decimated(motion())
-    surfaces: list[FrictionSurface | None] = [surface(), surface()]
-    plain = friction_torque(surfaces, thinned.q, thinned.dq)
-    fast = np.abs(thinned.dq).min(axis=1) > 2.0
-    found = sampled_friction(surfaces, thinned)
-    np.testing.assert_allclose(found[fast], plain[fast], atol=1e-5)
-
-
 def test_beside_gaps_it_is_the_surface_itself() -> None:
     thinned = decimated(motion())
     valid = thinned.valid.copy()

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import (
     TorqueModel,
     friction_surfaces,
-    known_rotors,
     sliding,
-    standard_parameters,
 )
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -23,7 +20,6 @@ from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor, standard_names
-from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import six_joint
@@ -131,16 +127,6 @@ def test_prediction_is_the_regressor_times_the_parameters(
     np.testing.assert_allclose(model.predict(motion), expected, atol=1e-8)
 
 
-def test_friction_is_each_joints_own_surface(robot: Robot, motion: Motion) -> None:
-    own = stages(robot)
-    model = TorqueModel.from_stages(own, robot)
-    got = model.friction(motion.q, motion.dq)
-    assert own.friction is not None
-    for j, name in enumerate(robot.joint_names):
-        surface = FrictionSurface.from_stage(own.friction.joints[name])
-        np.testing.assert_array_equal(got[:, j], surface.torque(motion.q[:, j], motion.dq[:, j]))
-
-
 def test_a_joint_without_friction_has_none(robot: Robot, motion: Motion) -> None:
     own = stages(robot)
     assert own.friction is not None
@@ -166,46 +152,6 @@ def test_gravity_alone_and_friction_alone_are_models_too(robot: Robot, motion: M
         motion.filtered(sampled_friction(rubbing.surfaces, motion), times=2),
         atol=1e-12,
     )
-
-
-def test_a_known_rotor_is_one_column_of_its_own(robot: Robot, motion: Motion) -> None:
-    """Doubling rotor inertias adds exactly N^2 I_m ddq on the diagonal."""
-    arm = six_joint().arm
-    once = TorqueModel.from_stages(stages(robot), robot)
-    twice_stage = rigid_stage(arm.phi, 2 * arm.rotor_inertia)
-    twice = TorqueModel.from_stages(Stages(inertia=twice_stage), robot)
-    state = (motion.q, motion.dq, motion.ddq)
-    np.testing.assert_allclose(
-        twice.rigid(*state) - once.rigid(*state), arm.reflected * motion.ddq, atol=1e-9
-    )
-
-
-def test_known_rotors_are_the_robot_files(robot: Robot) -> None:
-    joints = tuple(
-        replace(joint, rotor_inertia=1e-4 if k % 2 else None)
-        for k, joint in enumerate(robot.joints)
-    )
-    known = known_rotors(replace(robot, joints=joints))
-    np.testing.assert_array_equal(known, [0, 1e-4, 0, 1e-4, 0, 1e-4])
-
-
-def test_rotors_coupled_to_links_differ_from_diagonal_ones(robot: Robot, motion: Motion) -> None:
-    state = (robot.chain, motion.q, motion.dq, motion.ddq, np.full(6, 101.0))
-    off = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
-    models = [TorqueModel.from_stages(stages(robot, c), robot) for c in ("gyroscopic", "diagonal")]
-    rigid = [m.rigid(motion.q, motion.dq, motion.ddq) for m in models]
-    np.testing.assert_allclose(rigid[0] - rigid[1], off @ six_joint().arm.rotor_inertia, atol=1e-9)
-
-
-def test_standard_parameters_of_a_stage() -> None:
-    arm = six_joint().arm
-    stage = rigid_stage(arm.phi, arm.rotor_inertia)
-    del stage.representative["Ixy_4"]
-    phi, rotor = standard_parameters(stage, 6)
-    expected = arm.phi.copy()
-    expected[3, 5] = 0.0
-    np.testing.assert_array_equal(phi, expected)
-    np.testing.assert_array_equal(rotor, arm.rotor_inertia)
 
 
 def test_at_rest_the_model_allows_what_friction_can_hold(robot: Robot, motion: Motion) -> None:

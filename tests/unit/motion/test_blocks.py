@@ -120,9 +120,3 @@ def test_a_survey_in_parts_chooses_as_that_of_the_whole_log(resolution: float) -
     assert found.bias == pytest.approx(expected.bias, rel=1e-9)
     np.testing.assert_allclose(found.encoder_step, expected.encoder_step)
     np.testing.assert_allclose(found.noise_density, expected.noise_density, rtol=1e-9)
-
-
-def test_a_survey_at_about_the_right_rate_says_whether_it_will_do() -> None:
-    assert Survey(3, RATE_HZ).at_rate(RATE_HZ * (1 + 1e-9), 100_000)
-    assert not Survey(3, RATE_HZ).at_rate(1.01 * RATE_HZ, 100_000)
-    assert not Survey(3, RATE_HZ).at_rate(RATE_HZ, 300)

@@ -10,11 +10,11 @@ import pytest
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.motion.motion import decimated, encoder_resolution, estimate_motion
+from seqid_cli.motion.motion import decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from tests.plants.robots.small import arm_6r, planar_2r
+from tests.plants.robots.small import planar_2r
 from tests.plants.sensors import quantise
 
 RATE = 500.0
@@ -71,16 +71,6 @@ def test_parallel_filtering_keeps_a_linear_equation_exact(robot: Robot) -> None:
         np.testing.assert_allclose(motion.filtered(tau, times=2), motion.tau, atol=1e-12)
 
 
-def test_the_users_cutoff_is_taken_and_shown(robot: Robot) -> None:
-    q = quantise(curves(3000)[1], STEP)
-    own = estimate_motion(recording(q), robot, MotionOptions())
-    told = estimate_motion(recording(q), robot, MotionOptions(cutoff_hz=3.5))
-    assert own.cutoff.chosen
-    assert not told.cutoff.chosen
-    assert told.cutoff.hz == told.lowpass.cutoff_hz == 3.5
-    assert own.cutoff.hz != 3.5
-
-
 def test_samples_near_ends_and_gaps_are_not_usable(robot: Robot) -> None:
     _, q, _, _ = curves()
     log = recording(q)
@@ -127,16 +117,3 @@ def test_a_sample_next_to_a_dropped_gap_is_invalid(robot: Robot) -> None:
     short = decimated(motion)
     assert not short.valid[300]
     assert short.valid[[299, 301]].all()
-
-
-def test_a_slow_log_is_not_decimated(robot: Robot) -> None:
-    motion = estimate_motion(recording(curves()[1]), robot, MotionOptions(cutoff_hz=40.0))
-    assert decimated(motion) is motion
-
-
-def test_resolutions_come_from_the_robot_file() -> None:
-    robot = arm_6r()
-    joints = (replace(robot.joints[0], encoder_resolution=1e-4), *robot.joints[1:])
-    np.testing.assert_array_equal(
-        encoder_resolution(replace(robot, joints=joints)), [1e-4, 0, 0, 0, 0, 0]
-    )

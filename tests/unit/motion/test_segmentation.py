@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.segmentation import (
-    SCALES_S,
     SMALLEST_STEP,
     Stretch,
     constant_velocity,
     moving_mask,
     noise_step,
     standing,
-    windowed_velocity,
 )
 from seqid_cli.typing import Array
 from tests.plants.sensors import quantise
@@ -28,9 +26,7 @@ from tests.plants.trajectories import (
     join,
     side_by_side,
     sweeps,
-    together,
     trapezoid,
-    zigzag,
 )
 
 COARSE, MIDDLE, FINE = (2 * np.pi / counts for counts in (600, 2**12, 2**17))
@@ -110,16 +106,6 @@ def test_moves_of_two_joints_at_once_are_not_trials() -> None:
         assert not any(shared[s.start : s.stop].any() for s in case.found)
 
 
-def test_zigzags_of_two_joints_hold_no_trial() -> None:
-    rng = np.random.default_rng(0)
-    moving = {j: zigzag(rng, (-1.0, 1.0), 2.0, 15.0, 8.0, 250.0) for j in (0, 1)}
-    reference = together(np.zeros(3), moving, 250.0)
-    case = find(reference, FINE)
-    shared = (reference.dq[:, :2] != 0).all(axis=1)
-    for stretch in case.found:
-        assert shared[stretch.start : stretch.stop].mean() < 0.02
-
-
 @pytest.mark.parametrize("step", [COARSE, FINE])
 @pytest.mark.parametrize("frequency", [0.05, 0.1, 0.3, 1.0, 3.0])
 def test_what_is_taken_of_a_sine_is_constant_within_four_percent(
@@ -174,13 +160,6 @@ def test_a_noisy_position_without_steps() -> None:
         assert stretch.velocity == pytest.approx(reference.dq[start + 1, 0], rel=2e-3)
 
 
-def test_rest_is_rest() -> None:
-    q = quantise(np.tile([0.3, -1.0], (2000, 1)), FINE)
-    step = noise_step(q)
-    assert not moving_mask(q, 250.0, step).any()
-    assert constant_velocity(q, 250.0, step=step, valid=np.ones(2000, dtype=bool)) == []
-
-
 @pytest.mark.parametrize("step", [COARSE, MIDDLE, FINE])
 def test_moving_and_standing_cover_motion_and_rest(step: float) -> None:
     reference = sweeps(np.zeros(2), 0, (-1.0, 1.0), [0.5, 2.0], 10.0, rate_hz=250.0, dwell=1.5)
@@ -193,11 +172,6 @@ def test_moving_and_standing_cover_motion_and_rest(step: float) -> None:
     assert not still[travelling, 0].any()
     assert still[:, 0].sum() > 0.3 * (reference.dq[:, 0] == 0).sum()
     assert not (still & moving).any()
-
-
-def test_windowed_velocity_of_a_ramp_is_its_slope() -> None:
-    q = np.asarray(0.7 * np.arange(200) / 100.0, dtype=np.float64)
-    np.testing.assert_allclose(windowed_velocity(q, 100.0, 10)[20:-20], 0.7, rtol=1e-12)
 
 
 def test_noise_step_sees_counts_and_noise() -> None:
@@ -219,31 +193,3 @@ def test_a_joint_that_others_shake_is_held() -> None:
     q = np.column_stack([np.sin(t), 0.3 * np.cos(t), shaken, np.zeros_like(t)])
     q[7] = np.nan
     assert driven(q).tolist() == [True, True, False, False]
-
-
-def plainly_moving(q: Array, rate_hz: float, step: Array) -> NDArray[np.bool_]:
-    """What `moving_mask` promises, looked at sample by sample."""
-    moving = np.zeros(q.shape, dtype=bool)
-    for scale in SCALES_S:
-        half = max(1, round(scale * rate_hz / 2))
-        travel = np.abs(q[2 * half :] - q[: -2 * half])
-        largest = travel.max(axis=1, keepdims=True, initial=0.0)
-        for i, j in zip(
-            *np.nonzero((travel > 2.5 * step) & (travel > 0.01 * largest)), strict=True
-        ):
-            moving[max(0, i + half - half // 3) : i + half + half // 3 + 1, j] = True
-    return moving
-
-
-@pytest.mark.parametrize("samples", [20, 60, 300, 3000])
-def test_moving_is_as_looked_at_sample_by_sample(samples: int) -> None:
-    rng = np.random.default_rng(3)
-    speed = np.repeat(rng.choice([0.0, 0.0, 1e-5, 2e-4], (samples // 20 + 1, 3)), 20, axis=0)
-    q = quantise(np.cumsum(speed, axis=0)[:samples], 1e-3)
-    step = np.full(3, 1e-3)
-    expected = plainly_moving(q, 250.0, step)
-    np.testing.assert_array_equal(moving_mask(q, 250.0, step), expected)
-    at = np.arange(7, samples, 9)
-    np.testing.assert_array_equal(moving_mask(q, 250.0, step, at), expected[at])
-    assert expected.any() or samples < 100
-    assert not expected.all()

@@ -10,8 +10,6 @@ from tests.unit.params.documents import (
     friction_file,
     friction_stage,
     full_file,
-    gravity_file,
-    imu_stage,
     inertia_file,
     log,
     rigid_stage,
@@ -33,12 +31,6 @@ def test_a_stage_is_added_to_what_was_there() -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", after.created)
 
 
-def test_a_stage_done_again_replaces_itself_and_its_inputs() -> None:
-    again = with_stage(gravity_file(), robot(), [log("x", "gravity")], gravity=rigid_stage("N m"))
-    assert again.stages.gravity == rigid_stage("N m")
-    assert [item.path for item in again.inputs] == ["a", "x"]
-
-
 def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:
     file = full_file()
     assert stale_stages(file, ["friction"]) == ("gravity", "inertia", "effects")
@@ -49,11 +41,6 @@ def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:
     again = with_stage(file, robot(), [], friction=friction_stage(good=False))
     assert list(present(again.stages)) == ["friction", "imu"]
     assert [item.stage for item in again.inputs] == ["imu"]
-
-
-def test_an_independent_stage_is_kept() -> None:
-    file = with_stage(gravity_file(), robot(), [], imu=imu_stage())
-    assert list(present(file.stages)) == ["friction", "gravity", "imu"]
 
 
 def test_a_refined_file_keeps_every_input_and_replaces_the_stages() -> None:

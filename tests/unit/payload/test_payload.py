@@ -125,14 +125,6 @@ def test_the_nearest_body_has_no_negative_inertia() -> None:
     assert found.mass == pytest.approx(2.5, rel=0.02)
 
 
-def test_a_body_is_left_as_it_is() -> None:
-    found = body_of(BODY, 1e-6 * np.eye(10))
-    assert found.distance == 0.0
-    assert found.center == pytest.approx([0.02, -0.03, 0.08])
-    assert found.inertia is not None
-    assert np.diag(found.inertia) == pytest.approx(2.5 * np.array([0.05, 0.06, 0.04]) ** 2)
-
-
 def test_settings_are_in_the_order_of_each_controller() -> None:
     inertia = [[1.0, 0.4, 0.5], [0.4, 2.0, 0.6], [0.5, 0.6, 3.0]]
     found = settings_of(1.5, (0.1, 0.2, 0.3), inertia)

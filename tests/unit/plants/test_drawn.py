@@ -11,11 +11,9 @@ import pytest
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests.plants.drawn import SLIDING, drawn_arm
-from tests.plants.rated import TRAVEL, rated_torque
-from tests.plants.rigid import Arm, Rigid, link_motion
+from tests.plants.rigid import Rigid
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant
-from tests.plants.undeclared import inject
 from tests.unit.plants.test_plants import fall
 
 
@@ -35,17 +33,6 @@ def test_energy_is_conserved_where_joints_slide(plant: Plant) -> None:
     assert np.abs(total - total[0]).max() < 5e-3 * moved
 
 
-def test_a_slide_alone_falls_freely() -> None:
-    """Along gravity, with a rotor that holds it back as its reflected mass does."""
-    phi = np.array([[2.0, *np.zeros(3), 0.01, 0.0, 0.01, 0.0, 0.0, 0.01]])
-    down = np.array([0.0, 0.0, -9.81])
-    gear, rotor = np.array([500.0]), np.array([4e-6])  # 1 kg
-    arm = Arm(("slide",), np.zeros((1, 4)), phi, down, gear, rotor, slides=(0,))
-    mass, bias = Rigid(arm).terms(np.array([0.3]), np.array([0.5]))
-    assert mass[0, 0] == pytest.approx(3.0)
-    assert bias[0] == pytest.approx(2.0 * 9.81)
-
-
 def test_the_robot_file_says_which_joints_slide(plant: Plant, tmp_path: Path) -> None:
     """The package, reading it, has the plant's torques."""
     path = tmp_path / "robot.toml"
@@ -59,19 +46,3 @@ def test_the_robot_file_says_which_joints_slide(plant: Plant, tmp_path: Path) ->
     gravity = np.asarray(robot.gravity)
     found = inverse_dynamics(robot.chain, gravity, plant.arm.phi, q, dq, ddq)
     assert found == pytest.approx(np.array(truth), rel=1e-9, abs=1e-9)
-
-
-def test_a_metre_of_a_slide_counts_as_ten_rad() -> None:
-    """A spring in a slide bends by a tenth of what one in a turning joint does."""
-    plant = drawn_arm(SLIDING)
-    (joint,) = plant.arm.slides
-    (spring,) = inject("backlash", plant, joint).plant.hidden.springs
-    assert spring.gap == pytest.approx(0.004 * TRAVEL)
-    assert spring.stiffness == pytest.approx(rated_torque(plant)[joint] / (0.001 * TRAVEL))
-
-
-def test_accelerometers_beyond_a_slide_are_refused(plant: Plant) -> None:
-    """Their simulation knows joints that turn alone."""
-    still = np.zeros((1, plant.arm.n))
-    with pytest.raises(ValueError, match="slides"):
-        link_motion(plant.arm, plant.arm.n - 1, still, still, still)

@@ -17,23 +17,19 @@ from tests.plants.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.friction import Friction, Frictionless, LoadDependent, stick_slip
+from tests.plants.friction import Friction, Frictionless, stick_slip
 from tests.plants.rigid import Arm, Rigid, build_model, link_motion
 from tests.plants.rigs import (
-    COUNTS,
     GEAR,
-    LINK_INERTIA,
-    MOMENT,
     PI_1,
-    TILT,
     UPPER_LENGTH,
     one_joint,
     six_joint,
     two_joint,
 )
-from tests.plants.robotfile import central_inertia, robot_toml, urdf_text
+from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.simulate import Plant, simulate
-from tests.plants.trajectories import Reference, hold, trapezoid
+from tests.plants.trajectories import Reference, hold
 
 Array = NDArray[np.float64]
 PLANTS: dict[str, Callable[..., Plant]] = {
@@ -88,40 +84,12 @@ def test_energy_is_conserved_without_friction_and_control(name: str, coupled: bo
     assert np.abs(total - total[0]).max() < 2e-4 * moved
 
 
-def test_step_size_error_is_second_order() -> None:
-    """Halving the step divides the error by four."""
-    rig = six_joint()
-    ends = [fall(rig, 0.4, rate)[0][:: int(rate // 500)][-1] for rate in (500.0, 1000.0, 8000.0)]
-    coarse, fine = (np.abs(end - ends[2]).max() for end in ends[:2])
-    assert coarse / fine == pytest.approx(4.0, rel=0.15)
-
-
 def test_rest_stays_at_rest(plant: Plant) -> None:
     """A held arm does not move by an encoder count, though its drives hold it against gravity."""
     start = np.linspace(0.4, 0.9, plant.arm.n)
     log = simulate(plant, hold(start, 1.0, 1000.0), 5, imus=False)
     assert np.ptp(log.truth.q, axis=0).max() < plant.encoder_step.min()
     assert np.ptp(log.q[100:], axis=0).max() <= 0.0
-
-
-def test_locked_joints_hold_while_another_moves() -> None:
-    """Stiction and the controller keep the others within a few encoder counts."""
-    rig = six_joint()
-    trial = imu_trials(rig, [np.linspace(0.2, 0.8, 6)], turns=1)[0]
-    log = simulate(rig, trial.reference, 1, imus=False)
-    assert np.ptp(log.truth.q[:, 0]) > 1.0
-    assert np.ptp(log.truth.q[:, 1:], axis=0).max() < 5 * rig.encoder_step.max()
-
-
-def test_accelerometers_at_rest_read_gravity(plant: Plant) -> None:
-    """Each triad reads 9.81 m/s^2, upwards in the base frame."""
-    q = np.linspace(0.3, 1.1, plant.arm.n)[None]
-    still = np.zeros_like(q)
-    for imu in plant.imus:
-        motion = link_motion(plant.arm, imu.after, q, still, still)
-        triads = imu.ideal(motion)[0].reshape(-1, 3)
-        upwards = motion.rotation[0] @ imu.rotation @ triads.T
-        np.testing.assert_allclose(upwards.T, np.tile([0.0, 0.0, 9.81], (4, 1)), atol=1e-12)
 
 
 def test_accelerometers_match_differentiated_positions(plant: Plant) -> None:
@@ -162,38 +130,6 @@ def test_torque_balance_is_rnea_on_the_true_motion(plant: Plant) -> None:
     assert (np.sqrt(np.mean(left**2, axis=0)) < 2e-3 * scale).all()
 
 
-def test_true_rates_are_the_derivatives_of_the_true_position(plant: Plant) -> None:
-    """Central differences of q give dq; the position of a row is neither early nor late."""
-    log = simulate(plant, busy(plant), 1, imus=False)
-    slope = (log.truth.q[2:] - log.truth.q[:-2]) / (log.t[2:] - log.t[:-2])[:, None]
-    np.testing.assert_allclose(slope, log.truth.dq[1:-1], atol=1e-9)
-
-
-def test_arm_follows_its_reference(plant: Plant) -> None:
-    """The controller keeps the arm near the wanted motion and the motion is a wide one."""
-    reference = busy(plant, 6.0)
-    log = simulate(plant, reference, 1, imus=False)
-    span = np.ptp(plant.position_limits, axis=1)
-    assert (np.abs(log.truth.q - reference.q).max(axis=0) < 0.05 * span).all()
-    assert (np.ptp(log.truth.q, axis=0) > 0.2 * span).all()
-
-
-def test_one_joint_constants_are_the_papers() -> None:
-    """Sec. 4.1: axis, gear, encoder and CAD values."""
-    rig = one_joint()
-    axis = link_motion(rig.arm, 0, np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))).rotation
-    up = -rig.arm.gravity / np.linalg.norm(rig.arm.gravity)
-    assert np.rad2deg(np.arccos(axis[0, :, 2] @ up)) == pytest.approx(30.0)
-    assert rig.arm.gear[0] == 6.0
-    assert 2 * np.pi / rig.encoder_step[0] == pytest.approx(600.0)
-    assert 2 * np.pi / one_joint(quadrature_factor=4).encoder_step[0] == pytest.approx(2400.0)
-    assert (COUNTS, GEAR, MOMENT, LINK_INERTIA) == (100, 6.0, 0.0087, 0.0019)
-    gravity = [
-        abs(Rigid(rig.arm).gravity_torque(np.array([q]))[0]) for q in np.linspace(-3, 3, 601)
-    ]
-    assert max(gravity) == pytest.approx(9.81 * np.sin(TILT) * MOMENT, rel=1e-4)
-
-
 def test_two_joint_torque_is_eq_43_times_eq_44() -> None:
     """H of Eq. 43 times pi of Eq. 44, written out, equals the plant's inverse dynamics."""
     arm, length = two_joint().arm, UPPER_LENGTH
@@ -208,16 +144,6 @@ def test_two_joint_torque_is_eq_43_times_eq_44() -> None:
         second = [0.0, ddq.sum(), ddq[1], length * a_23, length * a_24]
         h = np.array([first, second])
         np.testing.assert_allclose(Rigid(arm).inverse(q, dq, ddq), h @ pi_base, atol=1e-12)
-
-
-def test_bodies_are_physical(plant: Plant) -> None:
-    """Positive masses, inertias about the centre of mass obey the triangle inequality."""
-    for phi in np.vstack([plant.arm.phi, plant.nominal.phi]):
-        mass, _, inertia = central_inertia(phi)
-        moments = np.linalg.eigvalsh(inertia)
-        assert mass > 0
-        assert moments[0] > 0
-        assert moments[0] + moments[1] >= moments[2]
 
 
 def test_rotor_coupling_is_lagranges() -> None:
@@ -272,43 +198,6 @@ def test_stick_slip_holds_below_the_level_and_slips_above() -> None:
         assert friction[0] == pytest.approx(rub)
 
 
-def test_load_dependence_adds_friction_with_gravity_load() -> None:
-    """The same move, with friction that grows with the load, needs more torque both ways."""
-    rig = one_joint()
-    loaded = replace(rig, friction=LoadDependent(rig.friction, np.array([0.3])))
-    trial = friction_trials(rig, [np.zeros(1)], speeds=1, lowest=0.5)[0]
-    plain, heavy = (simulate(x, trial.reference, 0, imus=False).truth for x in (rig, loaded))
-    mid = np.abs(plain.dq[:, 0]) > 3.0
-    assert (np.abs(heavy.friction[mid]).mean() - np.abs(plain.friction[mid]).mean()) > 0.002
-
-
-def test_friction_trials_hold_long_stretches_of_constant_speed(plant: Plant) -> None:
-    """Every joint, twelve speeds, both directions, over most of its range."""
-    trials = friction_trials(plant, [np.zeros(plant.arm.n)])
-    assert len(trials) == plant.arm.n
-    for joint, trial in enumerate(trials):
-        motion = trial.reference
-        steady = (motion.ddq[:, joint] == 0) & (motion.dq[:, joint] != 0)
-        speeds = np.unique(motion.dq[steady, joint].round(9))
-        assert len(speeds) == 24
-        top = speeds.max()
-        stretch = motion.q[steady & np.isclose(motion.dq[:, joint], top), joint]
-        assert np.ptp(stretch) > 0.5 * np.ptp(plant.position_limits[joint])
-        assert not np.delete(motion.dq, joint, axis=1).any()
-
-
-def test_inertia_trials_move_every_pair_near_its_limits() -> None:
-    """Fifteen pairs of six joints, two joints each."""
-    rig = six_joint()
-    trials = inertia_trials(rig, [np.zeros(6)], np.random.default_rng(0), seconds=2.0)
-    assert len(trials) == 15
-    for trial in trials:
-        moving = trial.reference.dq.any(axis=0)
-        assert moving.sum() == 2
-        peak = np.abs(trial.reference.ddq).max(axis=0)
-        assert (peak[moving] > 0.5 * rig.acceleration_limits[moving]).all()
-
-
 def test_references_do_not_jump(plant: Plant) -> None:
     """Every trial is a motion that a robot could follow: no step in position."""
     rng, n = np.random.default_rng(0), plant.arm.n
@@ -326,16 +215,6 @@ def test_references_do_not_jump(plant: Plant) -> None:
         assert (step <= 1.001 * plant.velocity_limits).all(), trial.name
         assert (motion.q >= plant.position_limits[:, 0]).all()
         assert (motion.q <= plant.position_limits[:, 1]).all()
-
-
-def test_trapezoid_ends_where_it_should() -> None:
-    """Rest to rest, inside its limits, derivatives consistent."""
-    q, dq, ddq = trapezoid(1.0, -2.0, 1.5, 6.0, 1000.0)
-    assert q[-1] == pytest.approx(-2.0)
-    assert dq[-1] == pytest.approx(0.0, abs=1e-12)
-    assert np.abs(dq).max() <= 1.5 + 1e-12
-    assert np.abs(ddq).max() <= 6.0
-    np.testing.assert_allclose(np.diff(q) * 1000.0, 0.5 * (dq[1:] + dq[:-1]), atol=2e-3)
 
 
 def test_urdf_is_the_nominal_arm() -> None:

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.plants.cases import RIGS, Case, injections, motions, recorded
-from tests.plants.robots.lab import recording_of
+from tests.plants.cases import RIGS, Case, injections, motions
 from tests.plants.simulate import Log, Truth
-from tests.plants.trials import EVERY, FADE, PERIODS, RATE_HZ, load_log, record, save_log
+from tests.plants.trials import FADE, RATE_HZ, record
 
 
 @pytest.mark.parametrize("rig", sorted(RIGS))
@@ -34,37 +33,6 @@ def test_motions_are_periodic_where_they_say_so(rig: str) -> None:
             assert whole >= 3
             cycles = motion.q[edge : edge + whole * count].reshape(whole, count, -1)
             np.testing.assert_array_equal(cycles, np.broadcast_to(cycles[0], cycles.shape))
-
-
-def test_references_are_derivatives_of_each_other() -> None:
-    """Velocity and acceleration of the periodic motions by differences."""
-    for drill in motions(Case("vertical_two_joint", 1)):
-        if drill.period is not None:
-            motion = drill.reference
-            dq = np.gradient(motion.q, 1e-3, axis=0)
-            ddq = np.gradient(motion.dq, 1e-3, axis=0)
-            assert np.abs(dq - motion.dq)[1:-1].max() < 1e-3
-            assert np.abs(ddq - motion.ddq)[1:-1].max() < 0.1
-
-
-@pytest.mark.parametrize("hertz", [50.0, 60.0])
-def test_periods_are_whole_rows_but_no_multiples_of_the_mains(hertz: float) -> None:
-    """So that hum does not repeat with the motion."""
-    for period in PERIODS:
-        rows = period * RATE_HZ / EVERY
-        assert rows == pytest.approx(round(rows))
-        turns = (period * hertz) % 1.0
-        assert 0.1 < turns < 0.9
-
-
-def test_logs_are_minutes_apart_and_held_out_ones_inside() -> None:
-    """Starts grow; the first and the last log are for training."""
-    drills = motions(Case("vertical_two_joint", 2, repeat=True))
-    gaps = np.diff([x.start for x in drills])
-    assert ((gaps >= 120.0) & (gaps <= 240.0)).all()
-    assert not drills[0].held_out
-    assert not drills[-1].held_out
-    np.testing.assert_array_equal(drills[0].reference.q, drills[-1].reference.q)
 
 
 def test_same_case_same_logs_from_the_run_and_from_the_cache(tmp_path: Path) -> None:
@@ -92,17 +60,3 @@ def same(one: Log, two: Log) -> None:
     for name in Truth.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(one.truth, name), getattr(two.truth, name))
     assert one.start == two.start
-
-
-def test_recording_has_the_start_and_the_temperature(tmp_path: Path) -> None:
-    """From the log to what the stages read, through the file as well."""
-    case = Case("vertical_two_joint", 5, (("thermal_friction", 0, 1.0),), seconds=3.0)
-    study = recorded(case)
-    log = study.held_out[0].log
-    save_log(tmp_path / "log.npz", log)
-    same(log, load_log(tmp_path / "log.npz"))
-    recording = recording_of(study.declared, "held_out/waves", log)
-    assert recording.start == study.held_out[0].drill.start
-    assert recording.t[0] == 0.0
-    assert recording.temperature is not None
-    assert recording.rate_hz == pytest.approx(500.0)

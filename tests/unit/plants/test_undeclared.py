@@ -9,17 +9,17 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from tests.plants.drives import EncoderWave, Hum, Lag, Ripple, Saturation, Skew
+from tests.plants.drives import Lag, Skew
 from tests.plants.friction import Friction
 from tests.plants.hidden import Hidden, Run, Spring
-from tests.plants.rated import rated_torque, reach, tool_point
-from tests.plants.rigid import Rigid, build_model
+from tests.plants.rated import rated_torque, tool_point
+from tests.plants.rigid import build_model
 from tests.plants.rigs import six_joint
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant, simulate
 from tests.plants.torques import Contact, Counterbalance
-from tests.plants.trajectories import Reference, hold, periodic
-from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY, clean, inject
+from tests.plants.trajectories import Reference, periodic
+from tests.plants.undeclared import REGISTRY, inject
 from tests.plants.vertical import vertical_two_joint
 
 Array = NDArray[np.float64]
@@ -77,19 +77,6 @@ def friction_at(plant: Plant, joint: int, speed: float, load: float = 0.0) -> Fr
     return Friction(*(x[joint] for x in dry))
 
 
-def test_registry_covers_the_catalogue() -> None:
-    """All names that a diagnosis may give, other laws of them, and some that have no name."""
-    assert len(CATALOGUE) == 25
-    assert len(CATALOGUE) + len(OTHER_LAWS) + len(OUTSIDE) == len(REGISTRY)
-    for name in OTHER_LAWS:
-        assert REGISTRY[name].kind == name.split(".")[0]
-    for name in OUTSIDE:
-        found = inject(name, rig(), 1)
-        assert found.kind is None
-        assert found.depends_on
-        assert all(x == "other_joint:shoulder" for x in found.depends_on if "other" in x)
-
-
 @pytest.mark.parametrize("name", sorted(REGISTRY))
 def test_effect_shows_where_it_is(name: str, motion: Reference, plain: Array, stiff: Array) -> None:
     """It changes the log, its own joint's most, and leaves the robot file as it was."""
@@ -131,36 +118,6 @@ def test_gears_lose_more_when_driving() -> None:
     assert both.forward == both.backward == pytest.approx(level + 0.4)
 
 
-def test_springs_are_as_stiff_as_promised() -> None:
-    """At 60 % of the way from rest to the end of the range."""
-    plant = rig()
-    half = 2.4
-    source = inject("spring", plant, 1).plant.hidden.torques[0].begin(RUN)
-    rest = source(0.0, np.array([0.0, 0.1 * half]), np.zeros(2))
-    bent = source(0.0, np.array([0.0, 0.7 * half]), np.zeros(2))
-    np.testing.assert_allclose(rest, 0.0, atol=1e-12)
-    np.testing.assert_allclose(bent, [0.0, -0.05 * rated_torque(plant)[1]])
-
-
-def test_sensors_err_as_promised() -> None:
-    """Offset, drift after 15 minutes, and hum at rest, in shares of rated torque."""
-    plant, still = rig(), hold(np.array([0.3, 0.2]), 0.4, 1000.0)
-    rated = float(rated_torque(plant)[1])
-    for name, start, wanted in (("torque_bias", 0.0, 0.05), ("drift", 900.0, 0.05)):
-        one, two = (
-            simulate(x, still, 0, imus=False, start=start)
-            for x in (plant, inject(name, plant, 1).plant)
-        )
-        off = (two.current - one.current) * plant.torque_per_ampere
-        np.testing.assert_allclose(off[:, 1], wanted * rated, rtol=1e-3)
-        assert not off[:, 0].any()
-    t = np.asarray(7.0 + np.arange(1000) * 1e-3, dtype=np.float64)
-    hum = Hum(np.array([0.0, 2.0]), 50.0).read(t, np.zeros((1000, 2)), RUN)
-    spectrum = np.abs(np.fft.rfft(hum[:, 1])) / 500.0
-    assert spectrum[50] == pytest.approx(2.0)
-    assert np.delete(spectrum, 50).max() < 1e-9
-
-
 def test_lag_and_skew_delay_by_their_times() -> None:
     """A ramp is late by the lag; a skewed reading is the true one of before."""
     stage = Lag(np.array([0.004])).begin(RUN)
@@ -171,39 +128,6 @@ def test_lag_and_skew_delay_by_their_times() -> None:
     late = Skew(np.array([0.004, -0.0025])).read(t, wave, RUN)
     wanted = np.column_stack([np.sin(5.0 * (t - 0.004)), np.sin(9.0 * (t + 0.0025))])
     np.testing.assert_allclose(late[10:-10], wanted[10:-10], atol=2e-5)
-
-
-def test_saturation_takes_its_share_at_rated_and_never_turns_back() -> None:
-    """Odd, monotone, 8 % less at rated."""
-    stage = Saturation(np.array([0.08, 0.0]), np.array([10.0, 10.0])).begin(RUN)
-    made = np.array([stage(0.0, np.array([x, x]), np.zeros(2)) for x in np.linspace(-40, 40, 81)])
-    assert (np.diff(made[:, 0]) >= 0).all()
-    np.testing.assert_allclose(made[:, 1], np.linspace(-40, 40, 81))
-    np.testing.assert_allclose(stage(0.0, np.array([10.0, -10.0]), np.zeros(2)), [9.2, -10.0])
-
-
-def test_ripple_and_encoder_repeat_with_the_motor() -> None:
-    """Order 2 of a gear of 80: 160 waves per turn of the joint."""
-    stage = Ripple(1, 2.0, 80.0, 0.7, 0.3).begin(RUN)
-    turn = 2.0 * np.pi * np.arange(4096) / 4096.0
-    wave = np.array([stage(0.0, np.zeros(2), np.array([0.0, x]))[1] for x in turn])
-    assert np.argmax(np.abs(np.fft.rfft(wave))) == 160
-    assert np.abs(wave).max() == pytest.approx(0.3, rel=1e-3)
-    error = EncoderWave(1, 5e-5, 80.0, 0.4)(np.column_stack([turn, turn]))
-    assert not error[:, 0].any()
-    assert np.argmax(np.abs(np.fft.rfft(error[:, 1]))) == 80
-
-
-def test_eccentric_encoder_misleads_log_and_controller(motion: Reference) -> None:
-    """The log is the true angle plus the error, and the arm's motion is another."""
-    plant = rig()
-    found = inject("encoder_eccentricity", plant, 1)
-    log = simulate(found.plant, motion, 0, imus=False)
-    wave = found.plant.hidden.encoders[0]
-    np.testing.assert_allclose(
-        log.q, log.truth.q + wave(log.truth.q), atol=0.501 * plant.encoder_step.max()
-    )
-    assert (log.truth.q != simulate(plant, motion, 0, imus=False).truth.q).any()
 
 
 @pytest.mark.parametrize("plant", [vertical_two_joint(), six_joint()], ids=["two", "six"])
@@ -224,62 +148,6 @@ def test_push_does_the_work_of_its_force(plant: Plant) -> None:
         moved = (places[1] - places[0]) / 2e-6
         torque = contact.torque(model, data, q, force)
         assert torque @ way == pytest.approx(force @ moved, abs=1e-7)
-
-
-def test_pushes_come_once_or_twice_inside_the_log() -> None:
-    """0.2 to 0.6 s each, other ones in other logs, never larger than promised."""
-    plant = vertical_two_joint()
-    contact = Contact(plant.arm, tool_point(plant), 5.0)
-    seen = set()
-    for number in range(40):
-        run = Run(100.0 * number, 20.0, 1e-3, 3)
-        pushes = contact.pushes(run)
-        assert len(pushes) in (1, 2)
-        for push in pushes:
-            assert 0.2 <= push.length <= 0.6
-            assert run.start < push.begin < run.start + run.duration - push.length
-            assert np.linalg.norm(push.at(push.begin + 0.5 * push.length)) <= 6.0 + 1e-9
-            assert not push.at(push.begin - 0.01).any()
-        seen.add(round(pushes[0].begin - run.start, 3))
-    assert len(seen) == 40
-
-
-def test_bodies_and_base_change_as_promised() -> None:
-    """Payload's largest torque at rest, tilt's angle, rotor's inertia."""
-    plant = rig()
-    loaded = inject("payload", plant, 0).plant.arm
-    mass = loaded.phi[-1, 0] - plant.arm.phi[-1, 0]
-    assert mass * 9.81 * reach(plant) == pytest.approx(0.05 * rated_torque(plant).max())
-    tilted = inject("base_tilt", plant, 0, 0.4).plant.arm.gravity
-    lean = np.degrees(np.arccos(tilted @ plant.arm.gravity / 9.81**2))
-    assert lean == pytest.approx(2.0)
-    heavy = inject("rotor_inertia", plant, 1).plant.arm.rotor_inertia / plant.arm.rotor_inertia
-    np.testing.assert_allclose(heavy, [1.0, 1.25])
-    q = np.array([0.2, 0.4])
-    weights = [Rigid(x).gravity_torque(q) for x in (plant.arm, loaded)]
-    assert (weights[1] > weights[0]).all()
-
-
-def test_effects_can_be_put_in_one_after_the_other(motion: Reference, plain: Array) -> None:
-    """Bias on one joint and drag on the other, each as large as alone."""
-    plant = rig()
-    drag = inject("quadratic_drag", plant, 0)
-    both = inject("torque_bias", drag.plant, 1)
-    assert both.declared is drag.plant
-    log = simulate(both.plant, motion, 0, imus=False, start=600.0)
-    alone = simulate(drag.plant, motion, 0, imus=False, start=600.0)
-    off = (log.current - alone.current) * plant.torque_per_ampere
-    np.testing.assert_allclose(off[:, 1], 0.05 * rated_torque(plant)[1])
-    assert np.abs(alone.current[:, 0] * plant.torque_per_ampere[0] - plain[:, 0]).max() > 0.2
-
-
-def test_impossible_places_are_refused() -> None:
-    """The first joint has none before it to be coupled with."""
-    assert clean(rig()).kind is None
-    with pytest.raises(ValueError, match="transmission_coupling"):
-        inject("transmission_coupling", rig(), 0)
-    with pytest.raises(ValueError, match="joint 2 of 2"):
-        inject("stribeck", rig(), 2)
 
 
 def test_a_counterbalance_is_conservative_and_sized() -> None:

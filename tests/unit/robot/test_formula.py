@@ -75,14 +75,6 @@ def test_the_column_of_what_is_wrong_is_said(text: str, column: int) -> None:
         parse_formula(text, 2)
 
 
-@pytest.mark.filterwarnings("error")
-def test_python_gives_no_advice_about_a_formula() -> None:
-    with pytest.raises(FormulaError, match="may have"):
-        parse_formula("c * q(1)(2)", 2)
-    with pytest.raises(FormulaError, match="may have"):
-        parse_formula("c * '\\d'", 2)
-
-
 def test_coefficients_and_symbols_are_found() -> None:
     found = parse_formula(
         "-c2 * sign(dq) * abs(load) + c10 * tanh(q_2 / width) ** 2 - c", 2, ["width"]

@@ -19,7 +19,7 @@ from seqid_cli.robot.placement import (
     tidy_rotation,
 )
 from seqid_cli.robot.types import Array
-from tests.plants.robots.small import arm_6r, random_model, states
+from tests.plants.robots.small import random_model, states
 
 MIXED = [False, True, False, False]
 
@@ -105,9 +105,3 @@ def test_real_misalignment_is_kept() -> None:
     np.testing.assert_allclose(tidy_rotation(R), R, atol=1e-8)
     assert abs(tidy_rotation(R)[1, 2]) > 0.99e-4
     np.testing.assert_array_equal(tidy_position(np.array([1e-5, 4e-17, -0.2])), [1e-5, 0.0, -0.2])
-
-
-def test_one_sample_and_none_have_their_shapes() -> None:
-    chain = arm_6r().chain
-    assert forward(chain, np.zeros((1, 6))).R.shape == (1, 6, 3, 3)
-    assert forward(chain, np.zeros((0, 6))).p.shape == (0, 6, 3)

@@ -22,7 +22,6 @@ from tests.plants.robots.small import (
     arm_6r,
     joint,
     link,
-    oracle_regressor,
     states,
     urdf,
     urdf_6r,
@@ -78,15 +77,6 @@ def test_urdf_and_dh_of_the_same_arm_agree(tmp_path: Path) -> None:
     )
     assert robot.joint_names == NAMES_6R
     assert base_parameters(robot, rotor=[]).names == base_parameters(twin, rotor=[]).names
-
-
-def test_base_count_is_the_rank_of_pinocchios_regressor(tmp_path: Path) -> None:
-    for text, names in ((urdf_6r(), NAMES_6R), (urdf_gantry(), NAMES_GANTRY)):
-        robot = _load(tmp_path, text, names)
-        model = pin.buildModelFromXML(text.replace("continuous", "revolute"))
-        q, dq, ddq = states(np.random.default_rng(2), 300, robot.n)
-        Y = oracle_regressor(model, q, dq, ddq).reshape(-1, 10 * robot.n)
-        assert base_parameters(robot, rotor=[]).size == np.linalg.matrix_rank(Y, tol=1e-7)
 
 
 def test_prismatic_joints_come_from_the_urdf(tmp_path: Path) -> None:
@@ -152,11 +142,6 @@ def test_unknown_joint_offers_the_nearest_and_lists_all(tmp_path: Path) -> None:
         _load(tmp_path, urdf_6r(), ("tool_mount",))
 
 
-def test_robot_without_inertials_has_no_nominal_parameters(tmp_path: Path) -> None:
-    text = urdf(link("base"), link("arm"), joint("turn", "base", "arm"))
-    assert _load(tmp_path, text, ("turn",)).nominal is None
-
-
 def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
     rough = urdf_6r().replace(repr(float(np.pi / 2)), "1.5708")
     assert "1.5708" in rough
@@ -186,13 +171,6 @@ def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
 def test_damaged_urdf_is_a_message(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         _load(tmp_path, text, ("turn",))
-
-
-def test_xacro_remedy(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError) as caught:
-        _load(tmp_path, urdf('<xacro:arm prefix=""/>'), ("turn",))
-    assert "xacro" in caught.value.hint
-    assert caught.value.where.endswith("robot.urdf")
 
 
 @pytest.mark.parametrize(

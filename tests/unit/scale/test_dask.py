@@ -85,15 +85,6 @@ def test_predictions_come_in_order(
     capsys.readouterr()
 
 
-def test_a_log_that_fails_stops_the_command_by_name(
-    scheduler: str, logs: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    Path(logs[2]).write_bytes(Path(logs[1]).read_bytes()[:-1000] + b"PAR1")
-    words = ["inertia", *logs, *GOLDEN, "--engine", "dask", "--scheduler", scheduler]
-    assert run(words) == 2
-    assert f"error: {logs[2]}: " in capsys.readouterr().err
-
-
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import UsageError
 from seqid_cli.params.schema import Parameter, ParameterFile
-from seqid_cli.trend.fleet import judge_fleet, robust_scores
+from seqid_cli.trend.fleet import judge_fleet
 from tests.studies import fleet
 from tests.unit.params.documents import full_file
 
@@ -77,15 +77,6 @@ def test_differences_of_no_use_are_no_drift() -> None:
     assert abs(judged.deviations[0].z) > judged.limit
     found["r3"] = result(np.array([1.05, 2.0]), error=1e-9)
     assert judge_fleet(found).drifting == ("r3",)
-
-
-def test_scores_are_the_definition() -> None:
-    values = np.array([[1.0], [2.0], [3.0], [4.0], [100.0]])
-    center, spread, z = robust_scores(values, np.full((5, 1), 0.5))
-    scatter = 1.4826 * 1.0
-    assert center[0] == 3.0
-    assert spread[0] == pytest.approx(np.sqrt(scatter**2 - 0.25))
-    assert z[4, 0] == pytest.approx(97.0 / scatter)
 
 
 def test_what_cannot_be_compared_is_said() -> None:

@@ -9,35 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.identify.rigid.rotor_coupling import _open
 from tests.plants.rigs import plain
 from tests.studies import coverage
-from tests.studies.coverage import TUNING, key_of, read, seeds_of, summary
-from tests.studies.coverage_cases import Case, case_of, draw, record
-from tests.studies.coverage_score import Result, compare, identified, program, row, z_of
+from tests.studies.coverage import key_of, read, seeds_of
+from tests.studies.coverage_cases import Case, draw, record
+from tests.studies.coverage_score import Result, compare, identified, program, row
 from tests.studies.coverage_tables import coverage as coverage_of
-from tests.studies.coverage_tables import decision, independent, tables_of, wilson
-
-
-def test_z_of_an_error_stated_as_none_is_infinite() -> None:
-    z = z_of([row("inertia", "a", 1.5, 0.25, 1.0), row("inertia", "a", 1.5, 0.0, 1.0)])
-    assert z[0] == 2.0
-    assert np.isinf(z[1])
-
-
-def test_wilsons_interval_of_a_textbook_case() -> None:
-    assert wilson(0.9, 100) == pytest.approx((0.8256, 0.9448), abs=1e-4)
-    low, high = wilson(1.0, 20)
-    assert low == pytest.approx(20 / (20 + 1.96**2), abs=1e-4)
-    assert high == pytest.approx(1.0)
-
-
-def test_values_of_one_seed_that_agree_count_once() -> None:
-    rng = np.random.default_rng(0)
-    apart = list((rng.random((400, 10)) < 0.7).astype(float))
-    alike = [np.full(10, float(x)) for x in rng.random(400) < 0.7]
-    assert independent(apart) == pytest.approx(4000, rel=0.25)
-    assert independent(alike) == pytest.approx(400, rel=0.25)
+from tests.studies.coverage_tables import tables_of
 
 
 def test_honest_errors_are_covered_and_halved_ones_are_not() -> None:
@@ -52,34 +30,6 @@ def test_honest_errors_are_covered_and_halved_ones_are_not() -> None:
 def test_seeds_for_tuning_and_for_judging_are_not_mixed(text: str) -> None:
     with pytest.raises(SystemExit, match="not both"):
         seeds_of(text)
-
-
-def test_seeds_of_either_kind() -> None:
-    assert seeds_of("0:1000") == TUNING
-    assert seeds_of("10000-10200") == range(10000, 10200)
-    assert seeds_of("12") == range(12, 13)
-
-
-def test_a_table_of_both_kinds_is_refused() -> None:
-    one: Result = {"seed": 3, "program": "", "cpu_s": 1.0}
-    with pytest.raises(SystemExit, match="not both"):
-        summary([one, one | {"seed": 10003}])
-
-
-@pytest.mark.parametrize("rig", ["one", "planar", "six"])
-def test_seeds_draw_other_arms_and_the_same_with_every_noise(rig: str) -> None:
-    first, second = (draw(Case(rig, seed, "white", "fine")).plant for seed in (4, 5))
-    other = draw(Case(rig, 4, "coloured", "coarse")).plant
-    assert not np.allclose(first.arm.phi, second.arm.phi)
-    assert (first.arm.phi == other.arm.phi).all()
-    assert (first.current_noise == other.current_noise).all()
-    assert (first.encoder_step < other.encoder_step).all()
-
-
-def test_four_seeds_have_all_noises_and_encoders() -> None:
-    cases = [case_of("one", seed, None, None) for seed in range(4)]
-    assert len({(case.noise, case.encoder) for case in cases}) == 4
-    assert case_of("one", 1, "coloured", None).noise == "coloured"
 
 
 @pytest.mark.parametrize("seed", [4, 8])
@@ -111,14 +61,6 @@ def test_identification_without_noise_recovers_the_truths(seed: int, tmp_path: P
         assert found["truth"] == pytest.approx(truth[found["name"]], rel=1e-12)
         scale = truth[found["name"].replace("my", "mx")]
         assert abs(found["estimate"] - found["truth"]) < 1e-2 * scale, found["name"]
-
-
-def test_a_coupling_that_the_notes_leave_open_is_no_decision() -> None:
-    note = "these logs do not tell whether rotors are coupled to the links that carry them"
-    assert decision({"rotor_coupling": "diagonal", "notes": []}) == "diagonal"
-    assert decision({"rotor_coupling": "diagonal", "notes": [note]}) == "left open"
-    assert "do not tell whether rotors" in _open(0.5, 0.5, near=True)[0]
-    assert "neither 0 nor 1" in _open(3.0, 0.5, near=False)[0]
 
 
 def made(seed: int, *, sources: str) -> Result:

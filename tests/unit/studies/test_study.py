@@ -13,50 +13,22 @@ from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.schema import Parameter
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
-from tests.plants.robots.identified import noise_floor, summed
-from tests.plants.robots.lab import recording_of, robot_of, run, true_standard, true_value
+from tests.plants.robots.identified import summed
+from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import simulate
 from tests.plants.trajectories import single, sweeps, trapezoid
-from tests.studies import one_joint as one_joint_study
 from tests.studies import recorded
 from tests.studies.bound import (
     Knowledge,
     bounds,
-    coloured_density,
     friction_columns,
-    noise_density,
     rigid_columns,
     surface_of,
     whittle,
 )
-from tests.studies.tables import number, placed, rms, share_within, spread, table
-from tests.studies.variants import another
+from tests.studies.tables import placed, table
 
 Array = NDArray[np.float64]
-
-
-def test_spread_of_known_errors() -> None:
-    found = spread([-3.0, 1.0, 2.0])
-    assert (found.median, found.worst, found.mean) == (2.0, 3.0, 0.0)
-    assert found.std == pytest.approx(np.sqrt(7.0))
-    assert np.isnan(spread([1.0]).std)
-
-
-def test_rms_and_shares() -> None:
-    assert rms([3.0, -4.0]) == pytest.approx(np.sqrt(12.5))
-    assert share_within([-2.0, 0.5, 2.1, 7.0], 2.0) == 0.5
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0"), (0.01234, "0.012"), (12.34, "12"), (1234.5, "1234"), (-0.996, "-1.00")],
-)
-def test_numbers_have_two_digits(value: float, text: str) -> None:
-    assert number(value) == text
-
-
-def test_number_that_is_none() -> None:
-    assert number(float("nan")) == "-"
 
 
 def test_table_is_markdown_and_refuses_ragged_rows() -> None:
@@ -72,14 +44,6 @@ def test_content_is_placed_between_its_own_markers_and_again() -> None:
     assert "old" not in once
     assert once.endswith("mid\n<!-- study:b --><!-- /study -->\n")
     assert placed(once, "a", "| new \\1 |") == once
-
-
-@pytest.mark.parametrize(
-    "page", ["", "<!-- study:a -->", "<!-- study:a --><!-- study:b --><!-- /study -->"]
-)
-def test_missing_markers_are_an_error(page: str) -> None:
-    with pytest.raises(ValueError, match="study:a"):
-        placed(page, "a", "x")
 
 
 def prediction(error: Array, *, sliding: Array, used: Array) -> LogPrediction:
@@ -121,12 +85,6 @@ def test_white_noise_information_is_that_of_least_squares() -> None:
         np.testing.assert_allclose(whittle(H, density), H.T @ H / 0.7**2, rtol=1e-9)
 
 
-def test_coloured_noise_has_unit_variance_and_the_simulated_spectrum() -> None:
-    count = 1 << 16
-    frequency: Array = np.fft.fftfreq(count).astype(np.float64)
-    assert np.mean(coloured_density(frequency, 1000.0)) == pytest.approx(1.0, rel=1e-3)
-
-
 def test_columns_reproduce_the_torque_of_the_plant() -> None:
     """Gravity, inertia and friction columns times the true parameters are the actuator's torque."""
     plant = one_joint()
@@ -162,42 +120,6 @@ def test_bound_grows_with_noise_and_with_what_is_not_known() -> None:
         assert blind[name] > value
     twice = bounds(plant, [log, log], Knowledge(friction=True, motion=True))
     assert twice["Izz_1"] == pytest.approx(known["Izz_1"] / np.sqrt(2.0), rel=1e-9)
-
-
-def test_encoder_noise_dominates_high_frequencies_only() -> None:
-    plant = one_joint()
-    both = noise_density(plant, 4000, 1000.0, encoder=True)
-    current = noise_density(plant, 4000, 1000.0, encoder=False)
-    assert both[1] == pytest.approx(current[1], rel=1e-3)
-    assert both[-1] > 100 * current[-1]
-
-
-def test_noise_floor_is_that_of_the_current_alone() -> None:
-    """Without current noise only the resolution of the current is left."""
-    plant = replace(one_joint(), current_noise=np.zeros(1), current_step=0.0)
-    trials = one_joint_study.trials(plant, np.random.default_rng(0))[-1:]
-    assert noise_floor(run("one_joint", plant, trials, 0), "validation", [10.0])[0] < 1e-12
-
-
-def test_recording_has_what_the_log_has() -> None:
-    plant = two_joint()
-    profile = trapezoid(0.0, 0.2, 1.0, 5.0, 1000.0)
-    log = simulate(plant, single(np.zeros(2), 0, profile, 1000.0), 1, every=4)
-    recording = recording_of(plant, "x", log)
-    robot = robot_of("two_joint", plant)
-    assert recording.rate_hz == 250.0
-    assert recording.tau is not None
-    expected = log.current * np.array([j.torque_per_ampere for j in robot.joints])
-    np.testing.assert_allclose(recording.tau, expected)
-    assert set(recording.accelerometers) == {imu.name for imu in robot.imus}
-
-
-def test_variants_differ_in_friction_and_mountings_only() -> None:
-    plant = two_joint()
-    first, again, second = (another(plant, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first.imus[0].rotation, again.imus[0].rotation)
-    assert np.abs(first.imus[0].rotation - second.imus[0].rotation).max() > 0.01
-    assert first.arm is plant.arm
 
 
 def test_true_value_follows_the_expression() -> None:

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import get_args
 
-import numpy as np
 import pytest
 from msgspec import structs
 
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
-from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY
 from tests.studies.undeclared_cases import (
-    RIG_NAMES,
-    SENSORS,
-    Condition,
     Group,
     Truth,
     built,
-    declared,
     matrix,
 )
-from tests.studies.undeclared_run import key_of
-from tests.studies.undeclared_score import both_found, loud, score, visible
+from tests.studies.undeclared_score import both_found, score
 from tests.unit.params.documents import diagnosis_of
 
 SPRING = Truth("spring", "spring", ("elbow",), ("position",))
@@ -131,40 +123,6 @@ def test_two_effects_need_two_findings() -> None:
     assert both_found(diagnosis(other, spring), [SPRING, bias])
 
 
-def test_what_is_visible() -> None:
-    assert visible((0.0, 0.02))
-    assert not visible((0.019, -0.3))
-    assert loud((0.5,))
-    assert not loud((0.49,))
-
-
-def test_matrix_covers_what_the_study_promises() -> None:
-    cases = matrix()
-    assert len({key_of(c) for c in cases}) == len(cases)
-    seeds: dict[tuple[str, str, float], set[int]] = {}
-    joints: dict[tuple[str, str], set[int]] = {}
-    for case in cases:
-        if len(case.effects) == 1 and case.start == "simultaneous":
-            name, joint, size = case.effects[0]
-            seeds.setdefault((name, case.rig, size), set()).add(case.seed)
-            joints.setdefault((name, case.rig), set()).add(joint)
-            assert joint >= REGISTRY[name].first
-    for rig in RIG_NAMES:
-        for name in (*CATALOGUE, *OUTSIDE):
-            assert len(seeds[name, rig, 1.0]) >= 5
-            assert len(seeds[name, rig, 0.4]) >= 5
-            assert len(joints[name, rig]) >= (1 if REGISTRY[name].first and rig == "two" else 2)
-        assert all(len(seeds[name, rig, 1.0]) >= 5 for name in OTHER_LAWS)
-    clean = [c for c in cases if not c.effects]
-    assert len(clean) >= 100
-    assert {c.sensors for c in clean} == set(SENSORS)
-    assert {c.seed for c in clean}.isdisjoint(c.seed for c in cases if c.effects)
-    both = [c for c in cases if c.group == "pairs"]
-    same = Counter(c.effects[0][1] == c.effects[1][1] for c in both)
-    assert min(same.values()) >= 20
-    assert all(c.effects[0][0] != c.effects[1][0] for c in both)
-
-
 @pytest.mark.parametrize("group", get_args(Group))
 def test_every_kind_of_case_can_be_built(group: str) -> None:
     """Plant and truth; the joint that is right is one of the robot's, or None for the arm's."""
@@ -177,12 +135,3 @@ def test_every_kind_of_case_can_be_built(group: str) -> None:
             assert truth.name == name
             assert truth.joints == (None,) or plant.arm.names[joint] in truth.joints
             assert "other_joint" not in truth.depends_on
-
-
-def test_other_instruments() -> None:
-    usual = declared(Condition("clean", "two", 1))
-    loud_one = declared(Condition("clean", "two", 1, sensors="twice the noise"))
-    coarse = declared(Condition("clean", "two", 1, sensors="encoders 4 times as coarse"))
-    np.testing.assert_array_equal(loud_one.current_noise, 2.0 * usual.current_noise)
-    np.testing.assert_array_equal(coarse.encoder_step, 4.0 * usual.encoder_step)
-    np.testing.assert_array_equal(coarse.current_noise, usual.current_noise)

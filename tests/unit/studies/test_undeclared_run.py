@@ -6,19 +6,16 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from msgspec import structs
 
 from seqid_cli.params.results.diagnosis import DiagnosisFile
-from tests.studies import __main__ as program
 from tests.studies import undeclared, undeclared_run
 from tests.studies.undeclared_cases import (
     Condition,
     matrix,
     quick,
 )
-from tests.studies.undeclared_run import Choice, Record, key_of, latest, read, run
+from tests.studies.undeclared_run import Choice, Record, key_of, run
 from tests.studies.undeclared_tables import judged, reliability, tables
 from tests.unit.studies.test_undeclared import diagnosis, finding
 
@@ -57,38 +54,6 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len(ran) == 5
 
 
-def test_failures_are_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    outcomes = iter([None, diagnosis()])
-
-    def fake(condition: Condition, cache: Path, sources: str, diagnose: object) -> Record:
-        return replace(record(condition, next(outcomes)), sources=sources)
-
-    monkeypatch.setattr(undeclared_run, "run_case", fake)
-    choice = Choice(quick()[:1], False, tmp_path)
-    assert run(choice)[0].error
-    for _ in range(2):
-        assert not run(choice)[0].error
-
-
-def test_the_last_record_of_a_case_counts(tmp_path: Path) -> None:
-    case = quick()[0]
-    path = tmp_path / "results.jsonl"
-    for found in (diagnosis(), diagnosis(finding("spring", "elbow"))):
-        undeclared_run.append(path, record(case, found))
-    records = read(path, Record)
-    assert len(records) == 2
-    (last,) = latest(records, [case], "now")
-    assert last == record(case, diagnosis(finding("spring", "elbow")))
-    assert latest(records, [case], "then") == []
-
-
-def test_numbers_of_numpy_are_numbers_and_nan_is_an_error() -> None:
-    odd = structs.replace(finding("spring", "elbow"), gain=np.float64(0.25))
-    assert undeclared_run.finite(diagnosis(odd)).findings[0].gain == 0.25
-    with pytest.raises(ValueError, match="float"):
-        undeclared_run.finite(diagnosis(structs.replace(odd, gain=float("nan"))))
-
-
 # ---- the choice
 
 
@@ -119,13 +84,6 @@ def test_parts_of_the_study_can_be_chosen() -> None:
     assert not chosen("--quick").whole
 
 
-def test_parts_leave_the_page_alone() -> None:
-    assert not program.written("undeclared", parsed("--rig", "two"))
-    assert program.written("undeclared", parsed())
-    assert program.written("one_joint", parsed("--rig", "two"))
-    assert "<!-- study:undeclared -->" in undeclared.DOCUMENT.read_text(encoding="utf-8")
-
-
 # ---- the tables
 
 
@@ -149,15 +107,3 @@ def test_tables_count_what_was_judged() -> None:
     assert "| as usual | - | 50 % of 2 |" in text
     assert "| 0.95 to 0.99 | 2 | 96 % | 50 % |" in reliability(judged(cases))
     assert "failed: catalogue/two/spring" in text
-
-
-def test_backlash_is_counted_apart() -> None:
-    loose = Condition("catalogue", "six", 0, (("backlash", 2, 1.0),))
-    cases = [
-        record(loose, diagnosis(finding("backlash", "elbow"))),
-        record(replace(loose, seed=1), diagnosis(), more=0.2),
-    ]
-    text = tables(cases, 2)
-    assert "| backlash, RMSE half above | - | - | 100 % of 1 |" in text
-    assert "| backlash, less than that | - | - | 0 % of 1 |" in text
-    assert "all of these" not in text

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -126,13 +125,6 @@ def test_a_date_that_is_none_is_refused() -> None:
     files = history(7)
     with pytest.raises(ConfigError, match="is no date"):
         trend([files[0], replace(files[1], created="yesterday")])
-
-
-def test_the_document_is_json(tmp_path: Path) -> None:
-    trend(history(8), output=tmp_path / "trend.json")
-    document = json.loads((tmp_path / "trend.json").read_text())
-    assert document["schema"] == "seqid/trend@1"
-    assert document["alarm"] is False
 
 
 def test_the_page_shows_what_changed(tmp_path: Path) -> None:

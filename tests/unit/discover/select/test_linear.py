@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.rows import ALIKE, Part, Predicted, Rows
+from seqid_cli.discover.select.rows import Part, Rows
 
 Array = NDArray[np.float64]
 
@@ -101,17 +101,6 @@ def test_gain_of_the_file_is_what_the_term_gains_less_without_it(
     assert told.total == pytest.approx(told.density.sum() + told.file)
 
 
-def test_share_is_of_the_squares_beside_as_many_as_independent_rows(
-    rows: Rows, base: list[Part], term: Part, weight: list[Array]
-) -> None:
-    told = Linear(rows, base, weight).predicted([term])[0]
-    touched = sum(len(rows.y[c]) for c in term.columns)
-    assert told.rows.sum() == pytest.approx(touched / ALIKE)
-    gains = Predicted(np.abs(told.density), told.rows)
-    assert gains.share == pytest.approx(2 * gains.total / (2 * gains.total + touched / ALIKE))
-    assert Predicted(-gains.density, told.rows).share < 0.0
-
-
 def test_coefficients_and_errors_are_the_models_own(
     rows: Rows, base: list[Part], term: Part, weight: list[Array]
 ) -> None:
@@ -120,11 +109,3 @@ def test_coefficients_and_errors_are_the_models_own(
     at = whole.where[-1]
     np.testing.assert_allclose(gained.coefficients, whole.theta[at], rtol=1e-6)
     np.testing.assert_allclose(gained.covariance, whole.covariance[at, at], rtol=1e-6)
-
-
-def test_left_is_what_the_parameters_leave(
-    rows: Rows, base: list[Part], weight: list[Array]
-) -> None:
-    linear = Linear(rows, base, weight)
-    shown = base[0].columns[0] @ linear.theta[:3] + base[1].columns[0] @ linear.theta[3:]
-    np.testing.assert_allclose(linear.residual()[0], rows.y[0] - shown, atol=1e-12)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select import terms
-from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
-from seqid_cli.discover.select.naming import named, reality
+from seqid_cli.discover.select.model import FREE, HELD, Model
+from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.results import Options, Selected
-from seqid_cli.discover.select.selection import Selection, select, select_again
+from seqid_cli.discover.select.selection import select
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
@@ -101,31 +99,6 @@ def test_what_no_effect_explains_is_a_smooth_function() -> None:
     assert one.term.joint == 0
 
 
-def test_an_effect_without_its_name_in_the_list_is_no_other_effect() -> None:
-    found = selected(at_joint(1, stribeck), ("spring", "torque_bias"))
-    assert all(one.term.smooth for one in found.taken)
-    assert found.taken
-
-
-def test_no_improvement_is_enough_if_more_is_asked() -> None:
-    assert keys(selected(both, options=Options(improvement=0.999))) == []
-
-
-def test_no_more_terms_than_asked_for() -> None:
-    assert len(keys(selected(both, options=Options(most=1)))) == 1
-
-
-@pytest.mark.slow
-def test_selection_goes_on_from_what_was_found() -> None:
-    found = select(ground_of(arm_scenes(both)), None, [CATALOGUE[name] for name in SOME])
-    rows = found.model.ground.stage.rows
-    first = [np.arange(scene.samples) < 200 for scene in rows.scenes]
-    fewer = rows.without(first)
-    again = select_again(Ground.of(Stage(fewer), base_of(fewer, Stages())), found)
-    assert sorted(keys(again.told()), key=str) == sorted(keys(found.told()), key=str)
-    assert len(again.model.linear.rows.y[0]) < len(found.model.linear.rows.y[0])
-
-
 @pytest.mark.slow
 def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) -> None:
     for taken in pair.taken:
@@ -137,44 +110,6 @@ def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) 
         assert taken.without[joint] > 1.2 * pair.model.rms()[joint]
     assert not {taken.term.key for taken in pair.taken} & set(pair.visible)
     assert all(0.0 <= share <= 1.0 for share in pair.visible.values())
-
-
-@pytest.mark.slow
-def test_more_of_the_error_is_surer(pair: Selected) -> None:
-    told = pair.taken[0].one.predicted
-    less = replace(told, density=0.1 * told.density)
-    little = replace(told, density=0.02 * told.density)
-    assert 1.0 > reality(told, np.inf) > reality(less, np.inf) > reality(little, np.inf) > 0.0
-
-
-@pytest.mark.slow
-def test_what_the_base_may_explain_as_well_is_less_sure(pair: Selected) -> None:
-    for taken in pair.taken:
-        assert taken.margin > 100.0
-        assert reality(taken.one.predicted, 3.0) < reality(taken.one.predicted, taken.margin)
-
-
-def creeping(scene: Scene) -> Array:
-    """An offset of the second joint's torque that drifts."""
-    return np.asarray(0.8 + 0.01 * scene.time)
-
-
-def test_one_effect_goes_before_two_that_explain_as_much() -> None:
-    ground = ground_of(arm_scenes(at_joint(1, creeping)))
-    drift = Candidate(CATALOGUE["drift"], 1, {"duration": 100.0})
-    bias = Candidate(CATALOGUE["torque_bias"], 1, {})
-    one, of_two = terms.effects(ground.stage, [drift, bias], ground.size)
-    time = [t for t in terms.smooth_terms(ground.stage.rows, ground.size) if t.joint == 1]
-    rest = next(t for t in time if t.name == "time of all logs")
-    model = Model(ground, HELD)
-    model.terms = [of_two, rest]
-    model.settle()
-    found = Selection(model, Options(), [])
-    found.merge()
-    assert model.terms == [of_two, rest]
-    found._tied = {of_two.key: [one]}
-    found.merge()
-    assert [term.name for term in model.terms] == ["drift"]
 
 
 def payload(scene: Scene) -> Array:

@@ -9,11 +9,8 @@ from numpy.typing import NDArray
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
-from seqid_cli.discover.select.smoothest import knots_of, smoothest
-from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import greville, splines
 from tests.unit.discover.arms import Extra, at_joint, ground_of, measuring
 from tests.unit.discover.residuals import coloured, related_scenes
 
@@ -104,16 +101,6 @@ def test_the_term_is_the_torque_that_was_put_in() -> None:
     np.testing.assert_allclose(total[0][:, 1], expected, atol=1e-9)
 
 
-def test_columns_are_filtered_like_any_effect() -> None:
-    rows = rows_of(related_scenes(0, logs=2, seconds=8.0))
-    term = next(t for t in smooth_terms(rows, np.ones(4)) if "position" in t.name)
-    what = term.what
-    assert isinstance(what, SmoothFunction)
-    basis = [s.motion.filtered(what.source.basis(s) @ what.mixing, times=2) for s in rows.scenes]
-    direct = rows.torque(what.joint, basis)
-    np.testing.assert_allclose(term.part.columns[what.joint], direct, atol=1e-4)
-
-
 def test_a_joint_at_rest_is_no_quantity() -> None:
     scenes = related_scenes(0, logs=2, seconds=8.0)
     for scene in scenes:
@@ -123,27 +110,3 @@ def test_a_joint_at_rest_is_no_quantity() -> None:
     labels = {one.label for one in smooth_functions(rows, 1)}
     assert "position" in labels
     assert not [label for label in labels if "joint_1" in label]
-
-
-def test_smoothest_combinations_start_with_constant_and_line() -> None:
-    x = np.random.default_rng(0).normal(size=4000)
-    knots = knots_of(x, np.arange(4000) // 500, 9)
-    assert knots is not None
-    basis = splines(x, knots)
-    columns = basis @ smoothest(basis, greville(knots))
-    np.testing.assert_allclose(columns.T @ columns / 4000, np.eye(11), atol=1e-4)
-    np.testing.assert_allclose(columns[:, 0], columns[0, 0], rtol=1e-6)
-    held = np.clip(x, knots[0], knots[-1])
-    assert abs(np.corrcoef(columns[:, 1], held)[0, 1]) > 0.999
-
-
-def test_knots_end_where_more_than_one_fold_has_been() -> None:
-    fold = np.repeat(np.arange(4), 300)
-    x = np.random.default_rng(1).uniform(-1, 1, 1200)
-    x[fold == 2] *= 5.0
-    knots = knots_of(x, fold, 9)
-    assert knots is not None
-    assert -1.0 <= knots[0] < -0.9
-    assert 0.9 < knots[-1] <= 1.0
-    assert knots_of(np.ones(1200), fold, 9) is None
-    assert knots_of(x[:50], fold[:50], 9) is None

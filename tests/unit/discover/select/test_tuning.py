@@ -13,23 +13,17 @@ from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.time_skew import delayed
 from tests.unit.discover.arms import Extra, arm_scenes, at_joint, candidate, model_of
 from tests.unit.model.effects.two_mass import LOG_HZ, Gear, run, scene
 
 Array = NDArray[np.float64]
 
 HUMP, SPEED = 1.2, 0.37  # N m, rad/s
-DELAY = 0.012  # s
 
 
 def stribeck(scene: Scene) -> Array:
     ratio = scene.motion.dq[:, 1] / SPEED
     return np.asarray(HUMP * np.exp(-(ratio**2)) * scene.sign[:, 1])
-
-
-def late(scene: Scene) -> Array:
-    return delayed(scene.modelled, DELAY, scene.motion.rate_hz) - scene.modelled
 
 
 def tuner_in(model: Model) -> Tuner:
@@ -55,17 +49,6 @@ def test_a_stribeck_speed_between_the_grids_is_found() -> None:
     assert found.candidate.settings["exponent"] == 2.0
     assert found.gained.coefficients[0] == pytest.approx(HUMP, rel=0.1)
     assert found.evidence > tried.evidence
-
-
-def test_settings_move_to_where_the_coefficients_say() -> None:
-    model = model_of(arm_scenes(late))
-    tried = best(model, "time_skew", None)
-    assert tried.candidate.settings == {"around": 0.0}
-    found = tuner_in(model).tuned(tried)
-    around, (delay,) = found.candidate.settings["around"], found.gained.coefficients
-    assert found.evidence > tried.evidence
-    assert delay == pytest.approx(around, rel=0.5)
-    assert abs(delay - DELAY) < abs(tried.gained.coefficients[0] - DELAY) + 1e-4
 
 
 def lag(scene: Scene) -> Array:
@@ -96,11 +79,6 @@ def test_implausible_points_are_not_taken(extra: Extra | None, name: str, joint:
         end = tuner_in(model).tuned(tried)
         c = end.candidate
         assert c.effect.plausible(scenes, joint, c.settings, end.gained.coefficients)
-
-
-def test_what_touches_no_row_is_left_out() -> None:
-    model = model_of(arm_scenes(logs=2, seconds=8.0))
-    assert tuner_in(model).tried([candidate("external_contact", None)]) == []
 
 
 def sprung(gear: Gear, seed: int) -> Scene:

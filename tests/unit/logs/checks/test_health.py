@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.types import Imu
@@ -55,25 +54,11 @@ def test_wrong_units_are_told(tmp_path: Path, channels: dict[str, object], fragm
     assert any(fragment in warning for warning in warnings_of(tmp_path, **channels))
 
 
-def test_many_turns_without_limits_are_silent(tmp_path: Path) -> None:
-    assert warnings_of(tmp_path, q=Q * 100, dq=DQ * 100) == ()
-
-
 @pytest.mark.parametrize(("scale", "unit"), [(9.81, "looks like g,"), (9.81e-3, "looks like mg,")])
 def test_accelerometers_in_g(tmp_path: Path, scale: float, unit: str) -> None:
     values = make_motion(T).accelerometers["array"] / scale
     found = warnings_of(tmp_path, accelerometers={"array": values})
     assert any(unit in warning for warning in found)
-
-
-def test_accelerometers_with_skew_axes(tmp_path: Path) -> None:
-    axes: NDArray[np.float64] = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 0, -1.0]])
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    imu = Imu("skew", 0, np.zeros((4, 3)), axes)
-    force = np.array([0.3, -0.2, 9.8]) + 0.1 * curve(T, 3)
-    for scale, silent in ((1.0, True), (1 / 9.81, False)):
-        found = warnings_of(tmp_path, imu=imu, accelerometers={"skew": scale * force @ axes.T})
-        assert (found == ()) is silent
 
 
 def test_time_in_other_units(tmp_path: Path) -> None:

@@ -6,12 +6,10 @@ import sqlite3
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap_ros2.writer import Writer as Ros2Writer
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from rosbags.rosbag2 import Writer as Bag2Writer
@@ -34,7 +32,6 @@ from tests.unit.logs.format_writers import (
     rosbag2_sqlite,
 )
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
-from tests.unit.logs.writers import header
 
 MOTION = make_motion(grid())
 DATA = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
@@ -264,28 +261,3 @@ def test_bag_folder_with_mcap_inside_needs_no_library(
     rosbag2_mcap(tmp_path / "log", DATA)
     monkeypatch.setitem(sys.modules, "rosbags", None)
     np.testing.assert_array_equal(read_recording(tmp_path / "log", make_robot()).q, MOTION.q)
-
-
-def test_interfaces_of_dynamic_joint_states_in_mcap(tmp_path: Path) -> None:
-    """Effort itself counts before an interface that is called current or torque."""
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Ros2Writer(out)
-        schema = writer.register_msgdef(DYNAMIC, DYNAMIC_DEFINITION)
-        for i, at in enumerate(DATA.stamps_ns):
-            values = [
-                SimpleNamespace(
-                    interface_names=["temperature", "torque", "position"],
-                    values=[40.0, MOTION.tau[i, j], MOTION.q[i, j]],
-                )
-                for j in range(3)
-            ]
-            message = SimpleNamespace(
-                header=header(at), joint_names=list(JOINTS), interface_values=values
-            )
-            writer.write_message("/arm/states", schema, message, at, at)
-        writer.finish()  # type: ignore[no-untyped-call]
-    recording = read_recording(path, make_robot())
-    assert recording.tau is not None
-    np.testing.assert_array_equal(recording.tau, MOTION.tau)
-    np.testing.assert_array_equal(recording.q, MOTION.q)

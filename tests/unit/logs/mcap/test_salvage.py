@@ -84,19 +84,6 @@ def test_reading_goes_on_behind_garbage(
         assert not lost or f"{lost} of {COUNT} messages are lost" in partial
 
 
-def test_dropped_chunk_is_counted_without_statistics(
-    tmp_path: Path, source: Path, q: np.ndarray
-) -> None:
-    path = rewrite(source, tmp_path / "log", summary=False, chunk_size=20_000)
-    data = bytearray(path.read_bytes())
-    data[records(data, 0x06)[3] + 100] ^= 0xFF
-    path.write_bytes(data)
-    partial = assert_rows_of(path, q, int(0.8 * COUNT))
-    lost = COUNT - len(read_raw(path, ROBOT).joints)
-    assert lost > 0
-    assert f"{lost} messages are lost" in partial
-
-
 def test_garbage_between_loose_messages(tmp_path: Path, source: Path, q: np.ndarray) -> None:
     path = rewrite(source, tmp_path / "log", chunking=False, crc=False)
     data = bytearray(path.read_bytes())
@@ -154,12 +141,3 @@ def test_parquet_blocks_are_the_whole(tmp_path: Path) -> None:
     for name, values in whole.joints.channels.items():
         parts = [block.channels[name] for block in blocks]
         np.testing.assert_array_equal(np.vstack(parts), values)
-
-
-def test_damaged_parquet_blocks(tmp_path: Path) -> None:
-    path = write_columns(tmp_path / "log.parquet", 1_000)
-    data = bytearray(path.read_bytes())
-    data[100:3_000] = bytes(2_900)
-    path.write_bytes(data)
-    with pytest.raises(InputError, match="damaged"):
-        list(parquet.read_blocks(path, make_robot(PANDA)))

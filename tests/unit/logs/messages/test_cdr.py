@@ -123,40 +123,6 @@ def test_usual_definition_is_recognised(comments: bool) -> None:
     assert not parsers.is_usual(Schema(1, other.encode(), "ros2msg", IMU), "imu")
 
 
-def test_dynamic_joint_states(tmp_path: Path) -> None:
-    kind = "control_msgs/msg/DynamicJointState"
-    line = "=" * 80
-    definition = (
-        "std_msgs/Header header\nstring[] joint_names\nInterfaceValue[] interface_values\n"
-        f"{line}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
-        + DEFINITIONS[JOINT_STATE][DEFINITIONS[JOINT_STATE].index(line) :]
-    )
-    motion = make_motion(grid(100))
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Writer(out)
-        schema = writer.register_msgdef(kind, definition)
-        for i, t in enumerate(motion.t):
-            interfaces = [
-                SimpleNamespace(
-                    interface_names=["effort", "position", "other"],
-                    values=[motion.tau[i, k], motion.q[i, k], 5.0],
-                )
-                for k in (2, 0, 1)
-            ]
-            content = SimpleNamespace(
-                header=header(round((t + 1.0) * 1e9)),
-                joint_names=[JOINTS[k] for k in (2, 0, 1)],
-                interface_values=interfaces,
-            )
-            writer.write_message("/dynamic_joint_states", schema, content, 0)
-        writer.finish()
-    recording = read_recording(path, make_robot())
-    np.testing.assert_array_equal(recording.q, motion.q)
-    np.testing.assert_array_equal(recording.tau, motion.tau)
-    assert recording.dq is None
-
-
 @pytest.mark.parametrize("effort", ["torque", "current"])
 def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) -> None:
     kind, line = "control_msgs/msg/DynamicJointState", "=" * 80

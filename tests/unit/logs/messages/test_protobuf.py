@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.records import Schema
 from mcap.writer import Writer
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.messages.parsers import schema_parser
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.samples import GYRO, JOINTS, grid, make_motion, make_robot
 
@@ -101,22 +99,6 @@ def test_joint_states_and_imu(tmp_path: Path, packed: bool) -> None:
     np.testing.assert_array_equal(recording.gyros["hand"], motion.gyros["hand"])
     np.testing.assert_array_equal(recording.accelerometers["hand"], motion.accelerometers["hand"])
     np.testing.assert_allclose(recording.t, motion.t, atol=1e-9)
-
-
-def test_negative_and_absent_fields() -> None:
-    types = item(1, b"M") + field("a", 1, INT32) + field("b", 2, DOUBLE) + field("c", 3, STRING)
-    types += field("d", 4, INT32, repeated=True)
-    data = item(1, item(1, b"m.proto") + item(4, types) + PROTO3)
-    parse = schema_parser("protobuf", Schema(1, data, "protobuf", "M"))
-    assert parse is not None
-
-    def values(content: bytes) -> tuple[object, ...]:
-        found = parse(content)
-        return found.a, found.b, found.c, list(found.d)
-
-    assert values(b"") == (0, 0.0, "", [])
-    message = item(1, (1 << 64) - 5) + item(4, varint(3) + varint((1 << 64) - 1)) + item(9, b"?")
-    assert values(message) == (-5, 0.0, "", [3, -1])
 
 
 @pytest.mark.parametrize("schema", [b"", b"\xff", b"\x0a\xff\xff\xff\xff\x7f"])

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.files import check_log, expand
-from tests.unit.logs.samples import JOINTS, grid, make_motion
-from tests.unit.logs.writers import write_mcap, write_parquet
 
 
 @pytest.fixture
@@ -76,14 +72,6 @@ def test_misspelt_name_gets_a_hint(folder: Path) -> None:
     with pytest.raises(InputError) as caught:
         expand([str(folder / "run3.parquet")])
     assert "run2.parquet" in caught.value.hint
-
-
-def test_format_is_told_by_content(tmp_path: Path) -> None:
-    motion = make_motion(grid())
-    parquet = write_parquet(tmp_path / "a.mcap", motion.t, JOINTS, motion.q)
-    mcap = write_mcap(tmp_path / "a.parquet", motion.t, JOINTS, motion.q, encoding="cdr")
-    assert check_log(parquet) == "parquet"
-    assert check_log(mcap) == "mcap"
 
 
 @pytest.mark.parametrize(
@@ -210,13 +198,3 @@ def test_missing_file_folder_and_unreadable_file(tmp_path: Path) -> None:
         pytest.skip("this user may read everything")
     with pytest.raises(InputError, match="may not be read"):
         check_log(path)
-
-
-def test_no_heavy_import() -> None:
-    code = (
-        "import sys, seqid_cli.logs.storage.files\n"
-        "heavy = {'numpy', 'scipy', 'pyarrow', 'mcap', 'msgspec'} & set(sys.modules)\n"
-        "sys.exit(' '.join(heavy) if heavy else 0)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr

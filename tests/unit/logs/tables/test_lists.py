@@ -16,7 +16,6 @@ from seqid_cli.robot.toml.schema import Channels
 from tests.unit.logs.format_writers import Data, lerobot_table
 from tests.unit.logs.samples import JOINTS, curve, grid, make_motion, make_robot
 
-STEP = 2.0**-23
 MOTION = make_motion(grid(120, 30.0))
 LISTS = pa.list_(pa.float32())
 
@@ -139,21 +138,6 @@ def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
     rows["name"] = [names] * 60 + [names[::-1]] * 60
     with pytest.raises(InputError, match="change from row to row"):
         read_recording(write(path, pa.table(rows)), make_robot())
-
-
-def test_elements_may_be_declared(tmp_path: Path) -> None:
-    table = lerobot_table([episode(0.0)])
-    robot = make_robot(channels=Channels(position="action[{index0}]", time="timestamp"))
-    recording = read_recording(write(tmp_path / "a.parquet", table), robot)
-    np.testing.assert_allclose(recording.q, episode(0.0).q, atol=1e-6)
-
-
-def test_coarse_time_at_the_end_of_a_long_episode_is_told(tmp_path: Path) -> None:
-    t = (grid(200, 200.0) + 3600.0).astype(np.float32)
-    q = pa.array(list(curve(grid(200, 200.0), 3).astype(np.float32)), LISTS)
-    path = write(tmp_path / "a.parquet", pa.table({"timestamp": t, "observation.state": q}))
-    warnings = read_recording(path, make_robot()).health.warnings
-    assert any("less than 0.000244 s" in warning for warning in warnings)
 
 
 @pytest.mark.parametrize(

@@ -71,18 +71,6 @@ def test_patterns_of_the_robot_file(tmp_path: Path, pattern: str, name: str) -> 
     np.testing.assert_array_equal(read_recording(path, make_robot(channels=channels)).q, MOTION.q)
 
 
-def test_rtde_names_need_no_configuration(tmp_path: Path) -> None:
-    columns: Columns = {"timestamp": MOTION.t + 1000.0}
-    for i in range(3):
-        columns[f"actual_q_{i}"] = MOTION.q[:, i]
-        columns[f"actual_current_{i}"] = MOTION.tau[:, i]
-    path = write(tmp_path / "log.parquet", columns)
-    recording = read_recording(path, make_robot(constants=0.1, gear_ratio=100.0))
-    np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-12)
-    assert recording.tau is not None
-    np.testing.assert_allclose(recording.tau, 10.0 * MOTION.tau, atol=1e-9)
-
-
 def numeric_time() -> list[object]:
     start = 1_700_000_000
     whole = np.rint(MOTION.t * 1e9).astype(np.int64) + start * 10**9
@@ -108,22 +96,6 @@ def test_every_form_of_time(tmp_path: Path, time: object) -> None:
     recording = read_recording(path, make_robot())
     np.testing.assert_allclose(recording.t, MOTION.t, atol=2e-6)
     np.testing.assert_allclose(recording.q, MOTION.q, atol=2e-6)
-
-
-@pytest.mark.parametrize("name", ["time", "timestamp"])
-def test_other_names_of_time(tmp_path: Path, name: str) -> None:
-    columns = default_columns()
-    columns[name] = columns.pop("t")
-    path = write(tmp_path / "log.parquet", columns)
-    np.testing.assert_allclose(read_recording(path, make_robot()).t, MOTION.t, atol=1e-12)
-
-
-def test_ambiguous_time(tmp_path: Path) -> None:
-    columns = default_columns()
-    columns["time"] = columns["timestamp"] = columns.pop("t")
-    path = write(tmp_path / "log.parquet", columns)
-    with pytest.raises(InputError, match="time or timestamp"):
-        read_recording(path, make_robot())
 
 
 def test_coarse_float_time_is_told_with_its_step(tmp_path: Path) -> None:

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.errors import ConfigError, InputError
+from seqid_cli.errors import ConfigError
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.effects.apply import (
     added_torque,
     effect_torque,
-    filtered_effect_torque,
     placed,
     session_of,
     without_effects,
@@ -38,7 +37,6 @@ from seqid_cli.params.schema import (
     EffectSession,
     FrictionJoint,
     FrictionStage,
-    Parameter,
     Stages,
 )
 from tests.plants.robots.two_joint import SIGN_WIDTH, two_joint_robot
@@ -116,14 +114,6 @@ def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> Non
     )
 
 
-def test_parameters_alone_do_where_they_are_the_coefficients() -> None:
-    entry = as_stage(stribeck(0.7), ROBOT)
-    entry.coefficients, entry.covariance = [], []
-    (restored,) = fitted_effects(Stages(effects=[entry]), ROBOT)
-    assert isinstance(restored, FittedEffect)
-    assert restored.coefficients == [0.7]
-
-
 def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene]) -> None:
     """A cubic spring had no square."""
     now = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
@@ -169,27 +159,6 @@ def test_what_is_wrong_is_named(changes: dict[str, object], message: str) -> Non
         fitted_effects(wrong, ROBOT)
 
 
-def test_torques_add_up_each_with_its_own_filtering(logs: list[Scene]) -> None:
-    scene, motion = logs[0], logs[0].motion
-    both = [stribeck(), fitted("torque_constant", 1, [0.1])]
-    total = filtered_effect_torque(scene, both)
-    rubbing = both[0].torques(scene)[0]
-    np.testing.assert_allclose(total[:, 0], motion.filtered(rubbing, times=2), atol=1e-12)
-    gain = 0.1 * (motion.filtered(scene.rigid) + motion.filtered(scene.friction, times=2))
-    np.testing.assert_allclose(total[:, 1], gain[:, 1], atol=1e-10)
-
-
-def test_a_delay_of_all_joints_touches_all(logs: list[Scene]) -> None:
-    shared = fitted("time_skew", None, [0.004], around=0.004)
-    each = [fitted("time_skew", j, [0.004], around=0.004) for j in range(2)]
-    np.testing.assert_allclose(
-        effect_torque(logs[0], [shared]), effect_torque(logs[0], each), atol=1e-12
-    )
-    (restored,) = fitted_effects(Stages(effects=[as_stage(shared, ROBOT)]), ROBOT)
-    assert isinstance(restored, FittedEffect)
-    assert restored.joint is None
-
-
 SESSION = EffectSession(logs=["a", "b", "c"], starts=[0.0, 100.0, 200.0], origin=1.7e9)
 UNCLOCKED = EffectSession(logs=["a", "b", "c"])
 
@@ -232,23 +201,6 @@ def test_a_session_is_described_by_its_logs(logs: list[Scene]) -> None:
         again = placed(replace(scene, log=7, start=0.0), recording, session)
         assert (again.log, again.start) == (scene.log, scene.start)
     assert session_of(recordings, starts, False) == EffectSession(logs=["a", "b", "c"])
-
-
-def test_effects_of_different_sessions_keep_their_clocks(logs: list[Scene]) -> None:
-    """Two ramps, one counted from a hundred seconds earlier."""
-    scene = replace(logs[0], log=0, start=0.0, shared_clock=False)
-    log = recording_of(scene.motion.q, None, "x", 1000.0)
-    ramps = [
-        replace(
-            fitted("drift", 0, [0.0, 1e-3], duration=1e4),
-            session=EffectSession(logs=["a"], starts=[0.0], origin=origin),
-        )
-        for origin in (1000.0, 900.0)
-    ]
-    added = added_torque(scene, log, ramps, np.zeros(2)).torque
-    usable = scene.motion.usable
-    expected = 1e-3 * (2 * scene.motion.t + 100.0)
-    np.testing.assert_allclose(added[usable, 0], expected[usable], atol=1e-6)
 
 
 def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
@@ -328,13 +280,6 @@ def test_an_encoder_error_is_taken_off_the_angle() -> None:
     assert freed.tau is given.tau
 
 
-def test_a_log_without_torque_cannot_be_freed() -> None:
-    with pytest.raises(InputError, match="neither joint torque nor motor current"):
-        without_effects(
-            recording_of(np.zeros((100, 2)), None), ROBOT, Stages(), [], motion=MotionOptions()
-        )
-
-
 def test_a_smooth_term_counts_when_asked(logs: list[Scene]) -> None:
     term = SmoothTerm(
         joint=0,
@@ -352,10 +297,3 @@ def test_a_smooth_term_counts_when_asked(logs: list[Scene]) -> None:
     assert without[0] == "effects in the prediction: stribeck (joint_1)"
     assert "--with-unexplained" in without[1]
     assert with_it == ["effects in the prediction: stribeck (joint_1), unexplained (joint_1)"]
-
-
-def test_parameters_are_reported_in_physical_terms() -> None:
-    parameters = as_stage(stribeck(0.7), ROBOT).parameters
-    assert parameters[0] == Parameter(
-        name="stribeck_torque", value=0.7, std_error=0.01, unit="N m", joint="joint_1"
-    )

@@ -7,7 +7,6 @@ import pytest
 
 from seqid_cli.model.effects.asymmetric_friction import AsymmetricFriction
 from tests.unit.model.effects.fitting import Array, direction, fit, trial
-from tests.unit.model.effects.scenes import scene_of, wander
 
 FORTH, BACK = (3.0, 1.1), (2.2, 0.8)  # Coulomb N m, viscous N m s/rad
 
@@ -26,11 +25,3 @@ def test_half_differences_come_back(offset: bool) -> None:
     wanted = [0.5 * (a - b) for a, b in zip(FORTH, BACK, strict=True)]
     assert found.c == pytest.approx(wanted, rel=0.1)
     assert found.left < 0.05
-
-
-def test_nothing_at_rest_and_even_in_the_velocity() -> None:
-    q = wander(10.0, rests=((3.0, 6.0),))
-    scene, mirrored = scene_of(q), scene_of(-q)
-    column = AsymmetricFriction().columns(scene, 1, {})[1]
-    assert np.abs(column[round(4.5 * 240)]).max() < 1e-3
-    np.testing.assert_allclose(AsymmetricFriction().columns(mirrored, 1, {})[1], column, atol=1e-12)

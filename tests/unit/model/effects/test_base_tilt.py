@@ -64,22 +64,6 @@ def test_the_first_links_moment_shows_once_its_axis_leans() -> None:
     )
 
 
-def test_level_axes_show_their_moments_upright() -> None:
-    assert not first_joint_upright(two_joint_robot())
-
-
-@pytest.mark.parametrize("gravity", [[0.0, 0.0, -9.81], [9.81, 0.0, 0.0], [1.0, -5.0, 3.0]])
-def test_axes_are_square_to_gravity(gravity: list[float]) -> None:
-    first, second = tilt_axes(np.array(gravity))
-    frame = np.array([first, second, -np.array(gravity) / np.linalg.norm(gravity)])
-    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(frame) == pytest.approx(1.0)
-
-
-def test_upright_they_are_x_and_y() -> None:
-    np.testing.assert_allclose(tilt_axes(np.array([0.0, 0.0, -9.81])), np.eye(3)[:2], atol=1e-15)
-
-
 def test_moments_without_a_tilt_are_none() -> None:
     """Of the first link alone they are any function of its angle."""
     scene = scene_of(wander(5.0), robot=upright_robot())

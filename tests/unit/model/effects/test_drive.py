@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.measurement import TorqueMeasurement
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
@@ -93,39 +92,11 @@ def test_a_delay_comes_back_down_to_the_floor(floor: Array, samples: int, joint:
     assert rms(skewed[0], joint) > (5.0 if abs(samples) > 5 else 1.2) * floor[joint]
 
 
-@pytest.mark.parametrize("samples", [-30, 10, 40])
-def test_a_delay_sharpens_to_where_it_is(samples: int) -> None:
-    """From a first guess that base parameters have made too short, and no further once there."""
-    effect = CATALOGUE["time_skew"]
-    skewed = scenes(late(samples))
-    d = samples / FINE_HZ
-    settings = effect.sharpened({"around": 0.0}, np.array([0.7 * d]))
-    for _ in range(3):
-        assert settings is not None
-        c, _ = fitted(effect, skewed, 0, settings)
-        assert effect.plausible(skewed, 0, settings, c)
-        settings = effect.sharpened(settings, c)
-    assert settings is not None
-    assert settings["around"] == pytest.approx(d, abs=3e-5)
-    longest = effect.sharpened(settings, np.array([np.sign(d) * 7.0]))
-    assert longest == {"around": np.sign(d) * 0.1}
-
-
 def test_one_delay_of_all_joints(floor: Array) -> None:
     skewed = scenes(late(10))
     _, c, left = best_fitted(CATALOGUE["time_skew"], skewed, None)
     assert c[0] == pytest.approx(10 / FINE_HZ, abs=2e-5)
     assert left < 1.05 * np.sqrt(np.mean(floor**2))
-
-
-def test_the_delayed_column_beats_its_first_order(floor: Array) -> None:
-    """20 ms are not small against the friction's steps and the motion."""
-    skewed = scenes(late(48))
-    effect = CATALOGUE["time_skew"]
-    _, first = fitted(effect, skewed, 0, {"around": 0.0})
-    _, exact = fitted(effect, skewed, 0, {"around": 0.02})
-    assert exact < 1.05 * floor[0]
-    assert first > 2.0 * exact
 
 
 @pytest.mark.parametrize("constant", [0.002, 0.01])
@@ -186,13 +157,6 @@ def test_an_offset_and_a_drift_come_back() -> None:
     assert bias[0] == pytest.approx(0.5, abs=0.02)
 
 
-def test_drift_is_held_beyond_the_session() -> None:
-    effect = CATALOGUE["drift"]
-    (scene,) = [scene_measuring(honest, seconds=5.0, start=1e6, shared_clock=True)]
-    column = effect.columns(scene, 0, {"duration": 200.0})[0]
-    assert np.all(column == [1.0, 200.0])
-
-
 TRUTHS = [
     ("torque_constant", {}, [0.08], lambda t, x: 1.08 * x),
     ("torque_bias", {}, [0.7], lambda t, x: x + 0.7),
@@ -212,25 +176,3 @@ def test_true_torque_undoes_the_distortion(
     tau = np.stack([80 * np.sin(3 * t) + 20 * np.cos(11 * t), 40 * np.cos(5 * t)], axis=1)
     undone = effect.true_torque(distortion(t, tau), FINE_HZ, settings, np.array(c))
     np.testing.assert_allclose(undone[200:-200], tau[200:-200], atol=5e-3)
-
-
-@pytest.mark.parametrize("name", ["time_skew", "actuator_lag"])
-def test_timing_effects_say_so(name: str) -> None:
-    effect: Effect = CATALOGUE[name]
-    assert effect.timing
-    assert effect.shared
-
-
-def test_saturation_beyond_its_largest_torque_is_finite() -> None:
-    effect = CATALOGUE["torque_saturation"]
-    scene = scene_measuring(honest, seconds=5.0)
-    column = effect.columns(scene, 0, {"around": 1e-2})[0]
-    assert np.all(np.isfinite(column))
-    assert not effect.plausible([scene], 0, {"around": 1e-2}, np.array([1e-4]))
-
-
-def test_contact_is_a_name() -> None:
-    effect = CATALOGUE["external_contact"]
-    assert effect.columns(scene_measuring(honest, seconds=5.0), 0, {}) == {}
-    assert effect.coefficients({}) == ()
-    assert not effect.available([], 0)

@@ -11,7 +11,7 @@ from seqid_cli.model.effects.encoder_eccentricity import EncoderEccentricity
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from tests.plants.robots.two_joint import GEAR
-from tests.unit.model.effects.measured import best_fitted, fitted, left_over
+from tests.unit.model.effects.measured import best_fitted, left_over
 from tests.unit.model.effects.scenes import RATE_HZ, motion_of, scene_of, wander
 
 SIN, COS = 1.2e-4, -0.9e-4  # rad at the joint: 6 and 4.5 mrad at the motor
@@ -44,21 +44,3 @@ def test_error_and_order_come_back(order: float) -> None:
     assert values[0].value == pytest.approx(np.hypot(SIN, COS), rel=0.15)
     assert values[1].value == pytest.approx(np.arctan2(COS, SIN), abs=0.1)
     assert values[0].std_error == pytest.approx(1e-6)
-
-
-def test_it_grows_with_the_square_of_the_speed() -> None:
-    """Twice as fast through the same angles, the inertial torque is four times as large."""
-    slow = scene_of(wander(10.0, rests=()))
-    motion = slow.motion
-    fast = replace(slow, motion=replace(motion, dq=2 * motion.dq, ddq=4 * motion.ddq))
-    bare = replace(slow.model, surfaces=[None, None])
-    size = [
-        float(np.std(EncoderEccentricity().columns(replace(s, model=bare), 1, {"order": 2.0})[1]))
-        for s in (slow, fast)
-    ]
-    assert size[1] / size[0] == pytest.approx(4.0, rel=0.01)
-
-
-def test_no_error_is_found_where_there_is_none() -> None:
-    c, _ = fitted(EncoderEccentricity(), [scene_of(wander(10.0))], 1, {"order": 1.0})
-    assert np.max(np.abs(c)) < 1e-8

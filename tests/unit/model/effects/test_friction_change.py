@@ -35,11 +35,6 @@ def test_the_change_comes_back(joint: int) -> None:
     assert effect.plausible([scene], joint, {}, c)
 
 
-def test_friction_that_drives_is_not_believed() -> None:
-    scene = scene_of(wander(10.0))
-    assert not FrictionChange().plausible([scene], 0, {}, np.array([-3.0 * COULOMB[0], -2.0]))
-
-
 def test_friction_that_nobody_knew_has_not_changed() -> None:
     scene = scene_of(wander(10.0))
     known = torque_model(scene.robot)

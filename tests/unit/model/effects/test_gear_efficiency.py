@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.gear_efficiency import GearEfficiency
-from seqid_cli.model.effects.load_dependent_friction import LoadDependentFriction
 from tests.plants.robots.two_joint import GEAR, ROTOR, torque_model, two_joint_robot
 from tests.unit.model.effects.fitting import FINE_HZ, Array, direction, fit, trial
-from tests.unit.model.effects.scenes import scene_of, wander
 
 FORWARD, BACKWARD = 0.82, 0.91
 
@@ -42,25 +40,3 @@ def test_efficiencies_come_back(joint: int) -> None:
     assert values["backdriving_efficiency"].value == pytest.approx(BACKWARD, rel=0.01)
     assert values["driving_efficiency"].std_error == pytest.approx(FORWARD**2 * 1e-3, rel=0.03)
     assert found.left < 0.05
-
-
-def test_equal_losses_are_load_dependent_friction() -> None:
-    """The nested special case."""
-    scene = scene_of(wander(10.0))
-    both = GearEfficiency().columns(scene, 0, {})[0]
-    one = LoadDependentFriction().columns(scene, 0, {})[0]
-    np.testing.assert_allclose(both.sum(axis=1), one[:, 0], atol=1e-12)
-
-
-def test_each_sample_is_in_one_quadrant() -> None:
-    scene = scene_of(wander(10.0))
-    driving, driven = GearEfficiency().columns(scene, 1, {})[1].T
-    power = scene.load[:, 1] * scene.motion.dq[:, 1]
-    assert np.all(driving * driven == 0.0)
-    assert np.all(power[driving != 0] > 0)
-    assert np.all(power[driven != 0] < 0)
-
-
-def test_both_take_power_from_the_motion() -> None:
-    scene = scene_of(wander(10.0))
-    assert np.all(GearEfficiency().columns(scene, 0, {})[0] * scene.motion.dq[:, :1] >= 0)

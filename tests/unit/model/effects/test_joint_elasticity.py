@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqid_cli.model.effects.joint_elasticity import JointElasticity, twist
+from seqid_cli.model.effects.joint_elasticity import JointElasticity
 from tests.unit.model.effects.measured import best_fitted, left_over
 from tests.unit.model.effects.scenes import scene_of, wander
 from tests.unit.model.effects.two_mass import Gear, Log, run, scene
@@ -31,32 +31,6 @@ def test_the_stiffness_comes_back(logs: list[Log], cutoff_hz: float, side: str) 
     assert value.value == pytest.approx(STIFFNESS, rel=0.06)
     assert value.std_error == pytest.approx(1e-7 * value.value**2)
     assert rms < 0.4 * before
-
-
-def test_the_twist_is_that_of_the_springs_ends(logs: list[Log]) -> None:
-    """In phase and size, with the true stiffness."""
-    seen = scene(logs[0], cutoff_hz=20.0)
-    true = (logs[0].link - logs[0].motor)[:: round(1000 / seen.motion.rate_hz)]
-    true = seen.motion.lowpass(true)[: seen.samples]
-    found = twist(seen, 0, STIFFNESS) / STIFFNESS
-    at = seen.motion.usable
-    assert np.std(found[at] - true[at]) < 0.06 * np.std(true[at])
-
-
-def test_a_rigid_gear_has_none() -> None:
-    stiff = [scene(run(Gear(2e5, 60.0)), cutoff_hz=20.0)]
-    effect = JointElasticity()
-    for settings in effect.grid(stiff, 0, []):
-        x = stiff[0].motion.filtered(effect.columns(stiff[0], 0, settings)[0])[:, 0]
-        at = stiff[0].motion.usable
-        c = (x[at] @ left_over(stiff[0])[at, 0]) / (x[at] @ x[at])
-        assert abs(c) < 0.1 / STIFFNESS
-
-
-def test_a_very_stiff_joint_twists_as_it_is_loaded() -> None:
-    seen = scene_of(wander(10.0))
-    found = twist(seen, 1, 1e7)
-    np.testing.assert_allclose(found, -seen.load[:, 1], atol=1e-3 * np.ptp(seen.load[:, 1]))
 
 
 def test_a_compliance_that_its_shape_contradicts_is_not_believed() -> None:

@@ -34,15 +34,3 @@ def test_without_a_rigid_body_there_is_no_load() -> None:
     effect, q = LoadDependentFriction(), wander(10.0)
     assert effect.available([scene_of(q)], 0)
     assert not effect.available([scene_of(q), scene_of(q, model=unknown)], 0)
-
-
-def test_the_own_rotor_is_no_load() -> None:
-    """Its torque does not pass the gear."""
-    scene = scene_of(wander(10.0))
-    heavy = torque_model(scene.robot)
-    rotors = TorqueModel(scene.robot, heavy.surfaces, heavy.phi, np.array([0.1, 0.2]), "diagonal")
-    other = scene_of(wander(10.0), model=rotors)
-    effect = LoadDependentFriction()
-    np.testing.assert_allclose(
-        effect.columns(other, 0, {})[0], effect.columns(scene, 0, {})[0], atol=1e-9
-    )

@@ -7,7 +7,6 @@ import pytest
 
 from seqid_cli.model.effects.nonlinear_viscous import NonlinearViscous
 from tests.unit.model.effects.fitting import Array, Law, direction, fit, trial
-from tests.unit.model.effects.scenes import scene_of, wander
 
 
 def power_law(size: float, exponent: float) -> Law:
@@ -35,10 +34,3 @@ def test_drag_is_not_called_nonlinear_viscous() -> None:
     found = fit(effect, trials, joint=0)
     assert found.settings["exponent"] == pytest.approx(2.0, abs=0.1)
     assert not effect.plausible([t.scene for t in trials], 0, found.settings, found.c)
-
-
-def test_a_negative_root_is_not_believed() -> None:
-    scene = scene_of(wander(10.0))
-    for exponent, size, believed in ((0.5, -1.0, False), (0.5, 1.0, True), (3.0, -1.0, True)):
-        got = NonlinearViscous().plausible([scene], 0, {"exponent": exponent}, np.array([size]))
-        assert got == believed

@@ -63,24 +63,11 @@ def test_every_symbol_is_a_quantity_of_its_joint(name: str) -> None:
     assert np.array_equal(columns[0][1], columns[1][1])
 
 
-def test_it_asks_for_the_temperature_that_it_names() -> None:
-    place, effect = scene(), effect_of(asked("c*(temperature - 25)*dq"))
-    assert not effect.available([place], 1)
-    warm = replace(place, temperature=np.full_like(place.motion.q, 30.0))
-    assert effect.available([warm], 1)
-    assert effect.columns(warm, 1, {})[1][:, 0] == pytest.approx(5.0 * warm.motion.dq[:, 1])
-
-
 def test_what_is_no_number_is_said_and_not_fitted() -> None:
     place = scene()
     with pytest.raises(ConfigError, match=r"drag.*no finite number.*samples") as caught:
         effect_of(asked("c*log(q - q)")).columns(place, 1, {})
     assert caught.value.hint
-
-
-def test_the_direction_makes_it_friction() -> None:
-    assert effect_of(asked("c*sign(dq)*q**2")).family == "friction"
-    assert effect_of(asked("c*q**2")).family == "transmission"
 
 
 def test_it_is_written_and_restored_and_sent_to_other_processes() -> None:

@@ -43,10 +43,3 @@ def test_mass_moment_and_log_come_back() -> None:
     assert max(float(np.max(np.abs(r))) for r in rest.values()) < 1e-4
     assert c[1] == pytest.approx(MASS * AT[0], abs=1e-3)
     assert c[2] == pytest.approx(MASS * AT[1], abs=1e-3)
-
-
-def test_nothing_acts_before_its_log() -> None:
-    scene = scene_of(wander(4.0), log=1)
-    columns = Payload().columns(scene, None, {"from_log": 2.0})
-    assert sorted(columns) == [0, 1]
-    assert not any(X.any() for X in columns.values())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.spectral_lines import Signal, refined, strongest_lines
+from seqid_cli.model.effects.spectral_lines import Signal, strongest_lines
 from tests.unit.model.effects.measured import noise_like
 from tests.unit.model.effects.scenes import RATE_HZ, scene_of, wander
 
@@ -103,22 +103,3 @@ def test_harmonics_of_the_motion_are_no_disturbance() -> None:
     missing = [noise_like(s, s.log, 0.01) + 0.1 * s.modelled for s in scenes]
     assert strongest_lines([Signal(m[:, 0], RATE_HZ) for m in missing], 1.0, 3)
     assert list(EFFECT.grid(scenes, 0, missing)) == []
-
-
-def test_short_logs_have_no_lines() -> None:
-    scenes = [replace(s, motion=s.motion) for s in logs(seconds=8.0)]
-    tiny = [np.zeros_like(s.motion.q) for s in scenes]
-    assert list(EFFECT.grid(scenes, 0, tiny)) == []
-    assert strongest_lines([Signal(np.ones(20), RATE_HZ)], 1.0, 3) == []
-    assert strongest_lines([], 1.0, 3) == []
-
-
-def test_coherence_is_one_for_a_line_and_small_for_noise() -> None:
-    t = np.arange(4000) / 200.0
-    pure = [Signal(np.sin(2 * np.pi * 31.0 * (start + t)), 200.0, start) for start in (0.0, 500.0)]
-    frequency, coherence = refined(pure, 31.01)
-    assert frequency == pytest.approx(31.0, abs=1e-4)
-    assert coherence > 0.99
-    rng = np.random.default_rng(5)
-    hiss = [Signal(rng.normal(size=4000), 200.0, float(k)) for k in range(0, 4000, 500)]
-    assert refined(hiss, 31.0)[1] < 0.3

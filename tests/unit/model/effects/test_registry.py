@@ -160,14 +160,6 @@ def test_columns_are_sound_for_a_joint_that_never_moves(
             assert_sound(effect, bare, settings, effect.columns(bare, joint, settings))
 
 
-def test_the_grid_is_sound_for_a_joint_that_never_moves(effect: Effect, dull: Scene) -> None:
-    """Either the effect is not available, or its grid keeps the rules."""
-    for joint, settings in points(effect, [dull]):
-        assert_sound(effect, dull, settings, effect.columns(dull, joint, settings))
-        for setting in effect.settings:
-            assert setting.low <= settings[setting.name] <= setting.high
-
-
 def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene]) -> None:
     """They name all settings within bounds, do not depend on what they were, and take any size."""
     for joint, settings in points(effect, logs):
@@ -182,33 +174,6 @@ def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene]) ->
             assert effect.sharpened(nearer, np.full(count, size)) == nearer
             for scene in logs[:1]:
                 assert_sound(effect, scene, nearer, effect.columns(scene, joint, nearer))
-
-
-def test_only_these_are_sharpened(logs: list[Scene]) -> None:
-    """The others' columns hold whatever their size."""
-    sharp = {
-        name
-        for name, effect in CATALOGUE.items()
-        for _, settings in points(effect, logs)
-        if effect.sharpened(settings, np.full(len(effect.coefficients(settings)), 1e-3))
-    }
-    assert sharp == {"time_skew", "torque_saturation", "backlash"}
-    assert {name for name, effect in CATALOGUE.items() if effect.first_order} < sharp
-
-
-def test_columns_are_deterministic_and_leave_the_scene_alone(
-    effect: Effect, logs: list[Scene]
-) -> None:
-    scene = logs[0]
-    q, dq = scene.motion.q.copy(), scene.motion.dq.copy()
-    for joint, settings in points(effect, logs):
-        once = effect.columns(scene, joint, settings)
-        kept = {j: values.copy() for j, values in once.items()}
-        again = effect.columns(scene, joint, settings)
-        for j, values in kept.items():
-            np.testing.assert_array_equal(again[j], values)
-    np.testing.assert_array_equal(scene.motion.q, q)
-    np.testing.assert_array_equal(scene.motion.dq, dq)
 
 
 def test_derivatives_by_continuous_settings_exist(effect: Effect, logs: list[Scene]) -> None:

@@ -12,7 +12,7 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
 from tests.plants.robots.two_joint import GEAR, ROTOR
 from tests.unit.model.effects.measured import fitted
-from tests.unit.model.effects.scenes import scene_of, settings_of, wander
+from tests.unit.model.effects.scenes import scene_of, wander
 
 ERROR = 3e-5  # kg m^2
 
@@ -50,18 +50,3 @@ def test_the_spin_of_a_carried_rotor_comes_back() -> None:
     moment = np.gradient(momentum[2], 1.0 / motion.rate_hz)
     column = RotorInertia().columns(scene, 1, {"coupling": 1.0})[0][:, 0]
     np.testing.assert_allclose(column[50:-50], moment[50:-50], atol=0.01 * np.ptp(moment))
-
-
-def test_any_rotor_may_be_another_than_before() -> None:
-    """But none weighs less than nothing, where its inertia is known."""
-    scene = scene_of(wander(6.0))
-    effect = RotorInertia()
-    assert settings_of(effect, [scene], 0) == [{"coupling": 0.0}]
-    assert len(settings_of(effect, [scene], 1)) == 2
-    joints = tuple(replace(j, rotor_inertia=None) for j in scene.robot.joints)
-    unknown = replace(scene, robot=replace(scene.robot, joints=joints))
-    assert settings_of(effect, [unknown], 0) == [{"coupling": 0.0}]
-    less, far_less = np.array([-0.9 * ROTOR[0]]), np.array([-1.1 * ROTOR[0]])
-    assert effect.plausible([scene], 0, {"coupling": 0.0}, less)
-    assert not effect.plausible([scene], 0, {"coupling": 0.0}, far_less)
-    assert effect.plausible([unknown], 0, {"coupling": 0.0}, far_less)

@@ -35,12 +35,3 @@ def test_a_hump_wider_than_the_motion_is_not_believed() -> None:
     assert effect.plausible([scene], 0, inside, np.array([1.0]))
     assert not effect.plausible([scene], 0, inside, np.array([-1.0]))
     assert not effect.plausible([scene], 0, beyond, np.array([1.0]))
-
-
-def test_the_grid_spans_the_speeds() -> None:
-    scene = scene_of(wander(10.0))
-    speeds = Stribeck().axes([scene], 1)["stribeck_speed"]
-    top = np.abs(scene.motion.dq[scene.motion.usable, 1]).max()
-    assert speeds[0] <= 0.02 * top * 1.001
-    assert speeds[-1] == pytest.approx(0.5 * top)
-    assert max(np.diff(np.log(speeds))) < np.log(2.5)

@@ -9,7 +9,6 @@ import pytest
 
 from seqid_cli.model.effects.thermal_friction import ThermalFriction
 from tests.unit.model.effects.fitting import Array, Trial, direction, fit, trial
-from tests.unit.model.effects.scenes import scene_of, wander
 
 AMBIENT, CAPACITY, LOSS, POWER = 22.0, 600.0, 2.0, 40.0  # degC, J/K, W/K, W
 TIME_CONSTANT = CAPACITY / LOSS
@@ -92,26 +91,6 @@ def test_the_time_constant_comes_back_from_the_clock(trials: list[Trial]) -> Non
     assert found.left < 0.05
 
 
-def test_a_later_clock_is_only_less_cold(trials: list[Trial]) -> None:
-    """Nothing but the coefficients' meaning hangs on when the clock began."""
-    scene = trials[1].scene
-    point = {"warm_up_time": 250.0, "logged": 0.0, "reference_temperature": 0.0}
-    late = replace(scene, start=scene.start + 100.0)
-    effect = ThermalFriction()
-    here, there = (effect.columns(each, 0, point)[0] for each in (scene, late))
-    np.testing.assert_allclose(there, here * np.exp(-100.0 / 250.0), rtol=1e-9, atol=1e-12)
-
-
-def test_a_constant_temperature_leaves_the_clock(trials: list[Trial]) -> None:
-    effect = ThermalFriction()
-    constant = [replace(e.scene, temperature=np.full((e.scene.samples, 2), 30.0)) for e in trials]
-    grid = list(effect.grid(constant, 0, []))
-    assert {point["logged"] for point in grid} == {0.0}
-    assert len(grid) == 8
-    names = [spec.name for spec in effect.coefficients(grid[0])]
-    assert names == ["coulomb_when_cold", "viscous_when_cold"]
-
-
 def test_damaged_temperature_is_not_used(trials: list[Trial]) -> None:
     """Not numbers, or not degrees Celsius."""
     effect = ThermalFriction()
@@ -123,22 +102,3 @@ def test_damaged_temperature_is_not_used(trials: list[Trial]) -> None:
         assert {point["logged"] for point in grid} == {0.0}
         hot = {"warm_up_time": 100.0, "logged": 1.0, "reference_temperature": 25.0}
         assert np.all(np.isfinite(effect.columns(scenes[0], 0, hot)[0]))
-
-
-def test_short_logs_are_asked_as_well() -> None:
-    q = wander(20.0)
-    assert ThermalFriction().available([scene_of(q), scene_of(q)], 0)
-    assert not ThermalFriction().available([scene_of(np.zeros_like(q))], 0)
-
-
-def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
-    """Where file and logs know the temperature, and it is the same, it can."""
-    short = scene_of(wander(10.0))
-    assert ThermalFriction().possible([short], 0)
-    known = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
-    surface = short.model.surfaces[0]
-    assert surface is not None
-    surfaces = [replace(surface, temperature=AMBIENT), short.model.surfaces[1]]
-    assert ThermalFriction().possible([known], 0)
-    same = replace(known, model=replace(known.model, surfaces=surfaces))
-    assert not ThermalFriction().possible([same], 0)

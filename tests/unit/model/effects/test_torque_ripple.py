@@ -77,12 +77,6 @@ def test_a_ripple_that_comes_late_is_found_both_ways() -> None:
     assert all(law == 0.0 for _, law, late in gains if late > 0.0)
 
 
-def test_without_a_line_no_lag_is_tried() -> None:
-    scene, _ = rippling(2.0, 0, seed=4)
-    noise = np.random.default_rng(4).normal(size=scene.motion.q.shape)
-    assert all(s["lag"] == 0.0 for s in TorqueRipple().grid([scene], 1, [noise]))
-
-
 def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> None:
     """Two waves per turn of a large gear are above what most samples of a fast log resolve."""
     effect, gear = TorqueRipple(), 400.0
@@ -93,33 +87,3 @@ def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> 
     coarse, residual = rippling(2.0, 0, seed=5, gear=4.0)
     orders = [s["order"] for s in effect.grid([coarse], 1, [residual])]
     assert 1.0 not in orders  # four waves per turn are a smooth function of position
-
-
-def test_a_joint_that_does_not_move_has_no_orders() -> None:
-    scene = scene_of(wander(10.0, still=(1,)))
-    residual = [np.ones((scene.samples, 2))]
-    for settings in TorqueRipple().grid([scene], 1, residual):
-        assert np.isfinite(settings["order"])
-
-
-def test_a_screw_repeats_along_its_slide() -> None:
-    scene = scene_of(wander(20.0, rests=()), robot=two_joint_robot(prismatic=True))
-    order = 4.0  # cycles per turn of its motor
-    wave = 3.0 * np.sin(order * scene.gear[1] * scene.motion.q[:, 1] + 0.4)
-    residual = [np.stack([np.zeros(scene.samples), wave], axis=1)]
-    offered = list(TorqueRipple().grid([scene], 1, residual))
-    assert {"order": order, "law": 0.0, "lag": 0.0} in offered
-    sines = 3.0 * np.array([np.cos(0.4), np.sin(0.4)])
-    X = TorqueRipple().columns(scene, 1, {"order": order, "law": 0.0, "lag": 0.0})[1]
-    np.testing.assert_allclose(X @ sines, wave, atol=1e-9)
-
-
-def test_a_bend_over_the_range_of_a_slide_is_no_ripple() -> None:
-    """Waves that are no whole number per motor turn must be many in the range."""
-    scene = scene_of(wander(20.0, rests=()), robot=two_joint_robot(prismatic=True))
-    span = float(np.ptp(scene.motion.q[:, 1]))
-    wave = np.sin(2 * np.pi * 3.3 / span * scene.motion.q[:, 1])
-    residual = [np.stack([np.zeros(scene.samples), wave], axis=1)]
-    offered = [s["order"] for s in TorqueRipple().grid([scene], 1, residual)]
-    assert offered
-    assert all(order == round(order) or order * scene.gear[1] * span > 50.0 for order in offered)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -52,37 +50,6 @@ def test_both_neighbours_are_tried() -> None:
         if s["ratio"] == 1.0
     ]
     assert offered == [(0, 1.0), (1, -1.0)]
-
-
-def test_equal_drives_are_one_torque_beside_each_joints_own_friction() -> None:
-    """Where the drive turns with both joints alike, whose it is makes no difference."""
-    scene = scenes_with(with_both(1.0), logs=1)[0]
-    effect = TransmissionCoupling()
-    own = [
-        np.column_stack([scene.sign[:, j], scene.motion.dq[:, j], scene.motion.ddq[:, j]])
-        for j in (0, 1)
-    ]
-    here = effect.columns(scene, 0, {"neighbour": 1.0, "ratio": 1.0})
-    there = effect.columns(scene, 1, {"neighbour": -1.0, "ratio": 1.0})
-    np.testing.assert_allclose(here[0] + own[0], there[0], atol=1e-12)
-    np.testing.assert_allclose(here[1], there[1] + own[1], atol=1e-12)
-
-
-def test_a_drive_is_the_same_from_either_joint() -> None:
-    """Coefficients differ by the ratio: speed and torque are told at the other joint."""
-    ratio = 0.4
-    scene, effect = scenes_with(with_both(ratio), logs=1)[0], TransmissionCoupling()
-    scene = replace(scene, sign_width=SIGN_WIDTH * np.array([ratio, 1.0]))
-    settings = {"neighbour": 1.0, "ratio": ratio}
-    here = effect.columns(scene, 0, settings)
-    there = effect.columns(scene, 1, {"neighbour": -1.0, "ratio": 1 / ratio})
-    v, a = scene.motion.dq, scene.motion.ddq
-    own = [
-        np.column_stack([np.tanh(v[:, j] / scene.sign_width[j]), v[:, j], a[:, j]]) for j in (0, 1)
-    ]
-    scale = np.array([ratio, ratio**2, ratio**2])
-    np.testing.assert_allclose(here[0] + own[0], there[0] * scale, atol=1e-12)
-    np.testing.assert_allclose(here[1], (there[1] + own[1]) * scale, atol=1e-12)
 
 
 def test_a_screw_that_slides_and_turns() -> None:

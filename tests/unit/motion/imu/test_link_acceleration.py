@@ -11,17 +11,15 @@ import pytest
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.imu.link_acceleration import axes_in_link, best_motion
+from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
-from seqid_cli.robot.kinematics import link_angular_motion
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 from tests.plants.experiments import inertia_trials
 from tests.plants.rigs import two_joint
 from tests.plants.robots.lab import recording_of, robot_of
-from tests.plants.robots.small import random_model
 from tests.plants.simulate import simulate
 
 DENSITY = 0.05  # rad/s^2/sqrt(Hz), of accelerometers with 0.03 m/s^2 of noise 0.05 m apart
@@ -85,13 +83,6 @@ def test_the_source_and_its_imus_are_named(scene: Scene) -> None:
     assert scene.best().source == "fused"
 
 
-def test_only_the_accelerations_change(scene: Scene) -> None:
-    best = scene.best(source="imu")
-    np.testing.assert_array_equal(best.q, scene.motion.q)
-    np.testing.assert_array_equal(best.dq, scene.motion.dq)
-    assert best.ddq.shape == scene.motion.ddq.shape
-
-
 def test_what_imus_leave_of_error_is_said(scene: Scene) -> None:
     """Noise, and what calibrations usually leave; these are perfect."""
     best = scene.best(source="imu")
@@ -148,16 +139,3 @@ def test_what_calibration_found_is_taken_off(scene: Scene) -> None:
 def test_an_unknown_source_is_refused(scene: Scene) -> None:
     with pytest.raises(UsageError, match="'gps' is not one of auto, needed, encoder, imu, fused"):
         scene.best(source="gps")
-
-
-def test_axes_in_the_link_map_rates_to_its_turning() -> None:
-    """w of a link is the sum of its joints' axes times their rates, prismatic joints aside."""
-    rng = np.random.default_rng(2)
-    chain = random_model(rng, [False, True, False, False])[1]
-    q, dq, zero = rng.normal(size=(20, 4)), rng.normal(size=(20, 4)), np.zeros((20, 4))
-    robot = Robot("test", (), chain, np.zeros(3), "", __file__)  # type: ignore[arg-type]
-    for link in range(4):
-        axes = axes_in_link(robot, q, link)
-        w = np.einsum("nj,njk->nk", dq[:, : link + 1], axes)
-        expected = link_angular_motion(chain, q, dq, zero, link).w
-        np.testing.assert_allclose(w, expected, atol=1e-12)

@@ -12,12 +12,11 @@ import pytest
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filters.bandwidth import differentiated_error, smoothed_error
 from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, decimated, estimate_motion
+from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother import fused as fused_module
-from seqid_cli.motion.smoother.fused import disagreement, fused_motion
+from seqid_cli.motion.smoother.fused import fused_motion
 from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
@@ -72,16 +71,6 @@ def test_more_band_and_far_less_error_than_encoders(name: str) -> None:
     assert motion.cutoff.bias < 1e-4
 
 
-def test_encoders_are_compared_at_their_own_cutoff() -> None:
-    given = fused("two", 40.0)
-    assert given.encoder_error is not None
-    np.testing.assert_allclose(given.encoder_error, encoder(scene("two")).acceleration_error)
-
-
-def test_fine_encoders_keep_their_cutoff_at_least() -> None:
-    assert fused("six").cutoff.hz >= encoder(scene("six")).cutoff.hz
-
-
 @pytest.mark.parametrize("hz", [6.0, 25.0])
 def test_torque_and_motion_are_filtered_alike(hz: float) -> None:
     """Twice each, once on the way here and once by `filtered`: a linear equation stays exact."""
@@ -100,13 +89,6 @@ def test_an_inertia_is_not_shrunk_by_the_smoothers_error() -> None:
         x, y = motion.filtered(motion.ddq)[motion.usable], motion.tau[motion.usable]
         slope = np.sum(x * y, axis=0) / np.sum(x * x, axis=0)
         np.testing.assert_allclose(slope, 1.0, atol=limit)
-
-
-def test_decimation_keeps_what_was_used() -> None:
-    short = decimated(fused("two"))
-    assert (short.source, short.imus) == ("fused", ("imu_a", "imu_b"))
-    assert short.samples < 0.5 * fused("two").samples
-    assert short.error is fused("two").error
 
 
 def changed(s: Scene, readings: Mapping[str, Array | None]) -> Scene:
@@ -132,14 +114,6 @@ def test_an_imu_without_calibration_is_said() -> None:
     got = best(s, "auto", stage)
     assert got.imus == ("imu_b",)
     assert got.warnings == ("imu_a is not calibrated",)
-
-
-def test_a_dead_imu_is_left_out_by_name() -> None:
-    s = scene("two")
-    dead = np.zeros_like(s.recording.accelerometers["imu_b"])
-    got = best(changed(s, {"imu_b": dead}), "auto")
-    assert got.imus == ("imu_a",)
-    assert any("imu_b is left out" in warning for warning in got.warnings)
 
 
 @pytest.mark.parametrize("readings", [{"imu_a": None, "imu_b": None}, {}])
@@ -179,31 +153,6 @@ def test_a_link_that_does_not_follow_its_encoder_is_not_smoothed_over() -> None:
     forced = best(off, "fused")
     assert forced.source == "fused"
     assert any(warning.endswith("disagree") for warning in forced.warnings)
-
-
-def test_disagreement_weighs_noise_and_size() -> None:
-    before = encoder(scene("two"))
-    noise = before.cutoff.acceleration_noise
-    assert not disagreement(before, before.ddq + 4 * noise).any()
-    size = np.sqrt(np.mean(before.ddq[before.usable] ** 2, axis=0))
-    off = before.ddq + np.array([0.0, 1.0]) * (6 * noise + 0.06 * size)
-    assert disagreement(before, off).tolist() == [False, True]
-    assert disagreement(before, np.full_like(off, np.nan)).all()
-
-
-def test_the_smoothers_error_is_what_its_variances_say() -> None:
-    """White above f_c and held below it, the three variances give back the density."""
-    density, corner, top = 4e-4, 2.0, 100.0
-    omega = 2 * np.pi
-    acceleration = density * top
-    velocity = 4 * density / (3 * omega**2 * corner)
-    position = 4 * density / (3 * omega**4 * corner**3)
-    variance = np.array([[position, velocity, acceleration]])
-    loud, quiet = np.array([1.0]), np.array([1e-14])
-    assert smoothed_error(variance, loud, 20.0) == pytest.approx(20.0 * density)
-    assert smoothed_error(variance, loud, 500.0) == pytest.approx(acceleration)
-    limit = differentiated_error(quiet, 20.0)
-    assert smoothed_error(variance, quiet, 20.0) == pytest.approx(limit)
 
 
 @pytest.mark.parametrize(

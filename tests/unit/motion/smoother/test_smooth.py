@@ -28,7 +28,6 @@ from seqid_cli.motion.smoother.terms import (
     felt,
     imu_rows,
     readings,
-    spline_weights,
 )
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import link_motion
@@ -199,18 +198,6 @@ def test_the_place_of_each_imu_is_found(name: str) -> None:
         )
 
 
-def test_a_bias_goes_into_the_bias() -> None:
-    s, before = scene("two"), smoothed("two")
-    shift = 0.1 * np.random.default_rng(3).standard_normal(12)
-    moved = {name: values + shift for name, values in s.recording.accelerometers.items()}
-    got = smoothed_motion(replace(s.recording, accelerometers=moved), s.robot, s.stage)
-    np.testing.assert_allclose(rms(got.ddq - before.ddq), 0.0, atol=0.03)
-    for name in moved:
-        np.testing.assert_allclose(
-            got.mounted[name].bias - before.mounted[name].bias, shift, atol=0.06
-        )
-
-
 @pytest.mark.parametrize("name", RIGS)
 def test_without_imus_it_is_as_good_as_the_best_differentiation(name: str) -> None:
     s = scene(name)
@@ -265,19 +252,6 @@ def test_a_slower_log_is_smoothed_on_finer_knots() -> None:
     assert (ratio < 1.8).all()
 
 
-def test_splines_hold_cubics_exactly() -> None:
-    """Coefficients of t^3 are the products of the knots around; derivatives follow."""
-    h = 0.1
-    k = np.arange(-1, 9) * h
-    c = k**3 - h**2 * k
-    u = np.linspace(0.0, 0.9, 7)
-    W = spline_weights(u, h)
-    for first in range(7):
-        t = (first + u) * h
-        expected = np.column_stack([t**3, 3 * t**2, 6 * t])
-        np.testing.assert_allclose(W @ c[first : first + 4], expected, atol=1e-12)
-
-
 def test_readings_and_their_derivatives() -> None:
     """Readings are those of the package's kinematics; Jacobians those of differences."""
     rng = np.random.default_rng(0)
@@ -316,27 +290,3 @@ def test_readings_and_their_derivatives() -> None:
         ahead, back = (turn * Rotation.from_rotvec(sign * change) for sign in (1, -1))
         slope = (value(x, lever, ahead) - value(x, lever, back)) / 2 / step
         np.testing.assert_allclose(rows.by_mounting[:, :, 3 + k], slope, atol=1e-6)
-
-
-def test_edges_are_where_the_motion_crosses_them() -> None:
-    step, dt = 0.01, 1e-3
-    t = np.arange(3000) * dt
-    motion = 0.4 * np.sin(3 * t)
-    view = encoder_view(np.round(motion / step) * step, step)
-    crossed = np.flatnonzero(np.isfinite(view.edge))
-    assert len(crossed) > 100
-    halfway = 0.5 * (motion[crossed] + motion[crossed + 1])
-    assert np.abs(view.edge[crossed] - halfway).max() < 1.2 * dt / 2 + 1e-9
-    samples, edges = view.weights(np.full(3000, 1.2), dt)
-    assert edges[crossed].min() > 20 * samples.max()
-    assert samples[0] == pytest.approx(12 / step**2 / view.dwell[0])
-    _, edges = view.weights(np.full(3000, 2 * step / dt), dt)
-    assert not edges.any()
-
-
-def test_a_noisy_encoder_has_no_edges() -> None:
-    rng = np.random.default_rng(0)
-    q = np.round(0.3 * np.sin(np.arange(2000) / 300) + 0.8 * rng.standard_normal(2000)) * 1.0
-    assert not np.isfinite(encoder_view(q * 1e-3, 1e-3).edge).any()
-    fine = encoder_view(1e-4 * rng.standard_normal(5000), 0.0)
-    assert np.sqrt(fine.white) == pytest.approx(1e-4, rel=0.1)

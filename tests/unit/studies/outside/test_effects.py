@@ -7,16 +7,13 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.studies.outside import motions
 from tests.studies.outside.arms import GRAVITY, Arm
 from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
-from tests.studies.outside.effects import Effect, State
+from tests.studies.outside.effects import Effect
 from tests.studies.outside.plan import KINDS, LEAST, MOST, sized
 from tests.studies.outside.simulate import Log, built, simulate
-
-Array = NDArray[np.float64]
 
 
 def made(kind: str, arm: Arm, joint: int = 0, scale: float = 1.0, seed: int = 3) -> Effect:
@@ -66,13 +63,6 @@ def test_what_is_no_friction_does_not(kind: str) -> None:
     odd, even = halves(kind)
     assert abs(even) > 0.03
     assert abs(odd) < 0.2 * abs(even) + 0.01
-
-
-@pytest.mark.parametrize(("kind", "grows"), [("stribeck", -1), ("quadratic_drag", 1)])
-def test_friction_over_speed(kind: str, grows: int) -> None:
-    arm = pendulum(coulomb=1.0)
-    slow, fast = (abs(halves(kind, speed=speed)[0]) for speed in (0.2, 1.2))
-    assert (fast - slow) * grows > 0.1 * arm.drives[0].coulomb
 
 
 def test_gear_losses_follow_the_load_and_the_power() -> None:
@@ -147,15 +137,6 @@ def test_a_coupled_drive_rubs_when_the_other_joint_turns() -> None:
     assert both[0] == pytest.approx(3.0, rel=0.1)
 
 
-def test_a_heavier_rotor_is_felt_in_acceleration_alone() -> None:
-    arm = pendulum()
-    motion = motions.multisine(arm, np.random.default_rng(1), 6.0)
-    plain, heavy = (simulate(arm, motion, 1, e) for e in ((), [made("rotor_inertia", arm)]))
-    more = (heavy.torque - plain.torque)[:, 0]
-    ddq = np.gradient(np.gradient(heavy.q[:, 0], heavy.t), heavy.t)
-    assert np.polyfit(ddq, more, 1)[0] == pytest.approx(0.5 * arm.drives[0].rotor, rel=0.1)
-
-
 def test_what_sensors_say() -> None:
     """Sensors' effects as functions of the true torque and time, exactly."""
     arm = replace(quiet_arm(6), drives=tuple(replace(d, coulomb=2.0) for d in quiet_arm(6).drives))
@@ -174,42 +155,6 @@ def test_what_sensors_say() -> None:
     late = np.abs(np.interp(t - 0.003, t, own) - own)
     early = np.abs(np.interp(t + 0.003, t, own) - own)
     assert min(np.abs(np.abs(more["time_skew"]) - x)[10:-10].max() for x in (late, early)) < 1e-9
-
-
-def test_a_lagging_drive_follows_in_its_time_constant() -> None:
-    drive = made("actuator_lag", pendulum()).drive
-    assert drive is not None
-    state = State(0.0, np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
-    drive(np.zeros(1), state)
-    acting = [drive(np.ones(1), state)[0] for _ in range(3)]
-    assert acting[-1] == pytest.approx(1.0 - np.exp(-1.0), rel=1e-9)
-
-
-def test_bristles_bend_over_a_distance_whatever_the_speed() -> None:
-    arm = pendulum(coulomb=2.0)
-    bent = []
-    for speed in (0.1, 1.0):
-        effect = made("presliding_hysteresis", arm, scale=0.5)
-        assert effect.push is not None
-        state = State(0.0, np.zeros(1), np.full(1, speed), np.zeros(1), np.zeros(1))
-        for _ in range(round(0.02 / (1e-3 * speed))):
-            torque = effect.push(state)
-        bent.append(float(torque[0]))
-    assert bent[0] == pytest.approx(bent[1], rel=1e-6)
-    assert -0.5 * 2.0 < bent[0] < -0.05
-
-
-def test_an_eccentric_disc_misleads_by_a_wave() -> None:
-    arm = quiet_arm(7)
-    angle = made("encoder_eccentricity", arm, 1).angle
-    assert angle is not None
-    q = np.column_stack([np.zeros(2000), np.linspace(-3.2, 3.2, 2000)])
-    apart = angle(q) - q
-    assert np.all(apart[:, 0] == 0.0)
-    assert np.ptp(apart[:, 1]) in (
-        pytest.approx(0.02, rel=0.02),
-        pytest.approx(0.04 / arm.drives[1].ratio, rel=0.02),
-    )
 
 
 @pytest.mark.parametrize("kind", KINDS)

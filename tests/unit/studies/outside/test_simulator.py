@@ -115,28 +115,6 @@ def test_imus_feel_weight_and_turn(gyro: bool) -> None:
         assert apart.max() > 0.02
 
 
-@pytest.mark.parametrize("sort", motions.MOTIONS)
-def test_motions_keep_ranges_and_speeds(sort: str) -> None:
-    arm = drawn_arm(np.random.default_rng(2), "panda", 3, imus=False)
-    q = motions.MOTIONS[sort](arm, np.random.default_rng(3), 12.0)
-    assert 10.0 < 1e-3 * len(q) < 14.0
-    for link, line in zip(arm.links, q.T, strict=False):
-        assert np.abs(line - link.middle).max() <= link.reach + 1e-9
-        assert np.abs(np.diff(line)).max() <= 1e-3 * link.speed * 1.001
-        assert np.ptp(line) > 0.2 * link.reach
-    speed = np.abs(q[1] - q[0]) / 1e-3
-    assert np.all(speed < [0.01 * link.speed for link in arm.links[:3]])  # no jolt
-
-
-def test_trials_begin_at_rest() -> None:
-    arm = drawn_arm(np.random.default_rng(2), "drawn", 2, imus=False)
-    q = motions.trial(arm, 1, np.zeros(2), SPEEDS)
-    assert np.abs(np.diff(q[:50], axis=0)).max() == 0.0
-    speeds = np.abs(np.diff(q[:, 1])) / 1e-3 / arm.links[1].speed
-    for speed in SPEEDS:
-        assert np.mean(np.abs(speeds - speed) < 1e-3) * len(speeds) * 1e-3 > 1.0
-
-
 @pytest.mark.parametrize("suffix", ["parquet", "mcap"])
 def test_a_clean_pendulum_is_identified_to_within_its_errors(tmp_path: Path, suffix: str) -> None:
     arm = replace(pendulum(coulomb=1.0), noise=0.05)

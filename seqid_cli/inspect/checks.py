@@ -30,7 +30,7 @@ from seqid_cli.inspect.channels.torques import (
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.imu.link_fit import FOLLOWS
 from seqid_cli.inspect.imu.motion import Following, follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings

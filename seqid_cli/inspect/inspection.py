@@ -10,7 +10,7 @@ from msgspec import structs
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.checks import check
-from seqid_cli.inspect.findings.finding import found, located, verdict_of
+from seqid_cli.inspect.findings import found, located, verdict_of
 from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData, read_log

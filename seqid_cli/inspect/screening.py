@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
-from seqid_cli.inspect.findings.finding import located
+from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.material import log_data
 from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.long import READERS, Block, Bridge

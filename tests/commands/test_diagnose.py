@@ -17,7 +17,7 @@ from seqid_cli.commands.show_diagnosis import show_diagnosis, verdict_sentence
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing_share
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding

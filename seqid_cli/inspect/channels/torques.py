@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing_share
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Robot

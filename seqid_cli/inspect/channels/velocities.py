@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array

@@ -17,7 +17,7 @@ import numpy as np
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import Motion, decimated

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, LinkFit, fit_link, scan
 from seqid_cli.inspect.imu.readings import channel_name, odd_channel
 from seqid_cli.inspect.material import LogData

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing_share
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.checks.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO

@@ -6,8 +6,6 @@ is the same wherever it shows, and its size is of the order of the URDF's. The l
 (`seqid inspect`) join in, and a stage is good as a whole only if all of it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

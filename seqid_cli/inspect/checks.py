@@ -4,8 +4,6 @@ Samples that are known to be damaged (spikes, freezes) are taken out, and the ch
 compare channels with each other go on without them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

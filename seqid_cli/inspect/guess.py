@@ -1,7 +1,5 @@
 """A robot guessed from the names in a log alone: joints, channels, IMUs, but no geometry."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Inspection of logs, one after the other, and of the set."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """One log as the checks see it: samples as they were logged, and on one time base."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property

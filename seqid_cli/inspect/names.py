@@ -1,7 +1,5 @@
 """Channels of the robot file against those of a log."""
 
-from __future__ import annotations
-
 import difflib
 
 from seqid_cli.inspect.findings import found

@@ -1,7 +1,5 @@
 """A robot file proposed from logs and a URDF."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re
@@ -164,9 +162,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -
     pairs = {name: name for name in log if name in urdf}
     left = [name for name in log if name not in pairs]
     free = [name for name in urdf if name not in pairs.values()]
-    scored = sorted(
-        ((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free),
-    )
+    scored = sorted((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free)
     for score, i, j in scored:
         if -score >= near and log[i] not in pairs and urdf[j] not in pairs.values():
             pairs[log[i]] = urdf[j]
@@ -217,13 +213,7 @@ def _joint(
         limits = (joint.lower, joint.upper)
     remark = "" if joint.name == log_name else f"{log_name} in the log"
     return JointTemplate(
-        joint.name,
-        limits,
-        joint.velocity,
-        joint.effort,
-        seen.encoder_step,
-        seen.moves,
-        remark,
+        joint.name, limits, joint.velocity, joint.effort, seen.encoder_step, seen.moves, remark
     )
 
 

@@ -5,8 +5,6 @@ positions block by block; torque and motion are compared with each other in some
 that memory does not grow with the log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -250,11 +250,7 @@ def open_long(
 
 
 def _rows(
-    path: Path,
-    kind: str,
-    robot: Robot,
-    time_source: TimeSource,
-    health: LongHealth | None = None,
+    path: Path, kind: str, robot: Robot, time_source: TimeSource, health: LongHealth | None = None
 ) -> Iterator[Rows]:
     last, first_sources = None, None
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):

@@ -1,7 +1,5 @@
 """From a log file to a `Recording`."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -56,11 +54,7 @@ def read_recordings(
 
 
 def read_recording(
-    path: Path,
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    rate_hz: float | None = None,
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", rate_hz: float | None = None
 ) -> Recording:
     """Read one log on a uniform time base.
 
@@ -92,11 +86,7 @@ def read_recording(
 
 
 def read_both(
-    path: Path,
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    rate_hz: float | None = None,
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", rate_hz: float | None = None
 ) -> tuple[Recording, RawLog]:
     """Read one log as a recording and as it was logged; see `read_recording`."""
     with local_copy(path) as file:

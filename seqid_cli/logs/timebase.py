@@ -7,8 +7,6 @@ where the base is coarser than the samples, they are averaged over one interval 
 come in bursts a spline would swing, and straight lines are used throughout.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise

@@ -5,8 +5,6 @@ with so many samples more on either side that the zero-phase filters have forgot
 the signal) what lies beyond; gaps and the ends of the log are runs' ends like in the whole log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a user may set about motion; kept free of heavy imports for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 # "auto": fused where it can be had; "needed": only where the encoders are much the worse as well.

@@ -7,8 +7,6 @@ by more than the encoder's own uncertainty plus a few percent; the ramps at its 
 the window.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

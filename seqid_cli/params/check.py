@@ -1,7 +1,5 @@
 """Checks of a parameter file beyond its types: shapes, ranges, names that refer to each other."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from seqid_cli.errors import ConfigError

@@ -4,8 +4,6 @@ Objects are indented, lists of numbers stay on one line, floats have 12 signific
 for every result, few enough to hide the last bits of another BLAS.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

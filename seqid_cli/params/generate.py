@@ -1,7 +1,5 @@
 """JSON Schemas of the documents, made from their types: `python -m seqid_cli.params.generate`."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -12,8 +12,6 @@ first, and the coordinates are then changed so that the gravity parameters are e
 gravity torque alone (Eq. 17-18): the remaining columns of H vanish at rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -123,12 +121,7 @@ def gear_ratios(robot: Robot) -> Array:
 
 
 def standard_regressor(
-    robot: Robot,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    coupling: Coupling,
+    robot: Robot, q: Array, dq: Array, ddq: Array, *, coupling: Coupling
 ) -> Array:
     """Compute the regressor of the standard parameters, rotor inertias last (Eq. 3).
 

@@ -6,8 +6,6 @@ minus gravity, all three in the link's own frame. A link is called by the joint 
 0; the base is -1. Inside, samples are the last axis (contiguous); at the boundary the first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Constant rotations, placements without the rounding of files, and chains of DH parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -125,12 +125,7 @@ def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
 
 
 def rotor_regressor(
-    chain: Chain,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    gear_ratio: Array,
-    coupling: Coupling,
+    chain: Chain, q: Array, dq: Array, ddq: Array, gear_ratio: Array, coupling: Coupling
 ) -> Array:
     """Compute the joint torque per unit motor-side rotor inertia [kg m^2] of each joint.
 

@@ -12,8 +12,6 @@ as zero, and as uncertain by what the other configurations show. Where they show
 error (`inertia_error`) is so large that all torque of the trials may be acceleration's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

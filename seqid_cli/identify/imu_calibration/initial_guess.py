@@ -6,8 +6,6 @@ the clock finds the offset. The same sums, 13 by 13, hold all that a mounting ca
 that many starts cost little.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

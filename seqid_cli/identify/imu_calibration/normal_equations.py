@@ -7,8 +7,6 @@ left per segment is a small dense system in the constants and in what belongs to
 a change of each bias and the offsets of the locked joints.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """From the fit of an IMU's constants to the parameter file: numbers where the logs give them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

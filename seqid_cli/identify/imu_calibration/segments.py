@@ -7,8 +7,6 @@ that lasts counts once however many samples repeat it. A locked joint keeps the 
 up to an unknown constant within the encoder's step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise

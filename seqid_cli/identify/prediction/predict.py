@@ -20,12 +20,7 @@ import numpy as np
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.streaming import (
-    chosen_cutoff,
-    open_if_long,
-    streams,
-    too_short,
-)
+from seqid_cli.identify.regression.streaming import chosen_cutoff, open_if_long, streams, too_short
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Health, Recording, torque_of

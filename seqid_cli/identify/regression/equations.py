@@ -1,7 +1,5 @@
 """Rows of the torque equation (Eq. 4) of one log, filtered and decimated, block by block."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

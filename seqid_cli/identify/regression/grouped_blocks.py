@@ -5,8 +5,6 @@ is known beforehand how many will come, those that end up in one factor are redu
 same factor, with fewer and larger QR decompositions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -16,8 +16,6 @@ of inter-block information when block sizes are unequal", Biometrika 58(3), 1971
 parameters take away is allowed for. Rows divided by V's root are generalised least squares.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass

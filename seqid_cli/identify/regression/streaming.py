@@ -10,8 +10,6 @@ to filter, decimate and reduce its equations block by block. Both give the same,
   nothing of it takes another pass.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which pairs of joints must move together to determine what is still open (Sec. 2.2.4)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 

@@ -5,8 +5,6 @@ asked whether the gyroscopic coupling to the link that carries the rotor is ther
 `rotor_coupling`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import operator
 from collections.abc import Iterable, Mapping

@@ -27,12 +27,7 @@ from seqid_cli.identify.regression.least_squares import (
 )
 from seqid_cli.identify.regression.streaming import pass_over
 from seqid_cli.identify.rigid.parameters import imu_moves
-from seqid_cli.identify.rigid.posterior import (
-    Posterior,
-    by_joint,
-    constant_moves,
-    gravity_prior,
-)
+from seqid_cli.identify.rigid.posterior import Posterior, by_joint, constant_moves, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.friction_samples import sampled_friction

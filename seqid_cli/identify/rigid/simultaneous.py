@@ -7,8 +7,6 @@ written as a friction stage of orders (0, 1) and an inertia stage with all base 
 every later command reads it like any other file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from copy import deepcopy
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Time: units, rate, gaps, stamps, and the reader's warnings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Channels that have no values for a while in which the rest of the log goes on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

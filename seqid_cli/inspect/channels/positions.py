@@ -1,7 +1,5 @@
 """Positions: units, limits, jumps, freezes, encoder resolution."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Torque and current, channel by channel."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator
 
 import numpy as np

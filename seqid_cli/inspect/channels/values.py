@@ -1,7 +1,5 @@
 """Tests of one channel by itself: stuck, clipped, held, quantised."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

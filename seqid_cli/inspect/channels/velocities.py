@@ -1,7 +1,5 @@
 """Logged velocities against the positions, over windows in which the encoder sees motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Causes of a misfit between log and robot, each as the change to the log that undoes it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations

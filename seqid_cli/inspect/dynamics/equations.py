@@ -7,8 +7,6 @@ torque is split into s times its gravity torque, inertia and friction; s is near
 is torque.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -272,8 +270,7 @@ def _weights(
     for j in sample.moving:
         alike = slides == slides[j]  # forces and torques are not to be compared
         least = max(
-            min_load * max(float(rms[alike & moving].max()), HEAVY),
-            min_acting * float(could[j]),
+            min_load * max(float(rms[alike & moving].max()), HEAVY), min_acting * float(could[j])
         )
         if rms[j] < least or could[j] < min_weight * could[alike].max():
             continue  # friction that changes with position would pass for gravity

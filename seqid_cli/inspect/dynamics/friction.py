@@ -10,8 +10,6 @@ is positive: a negative one means that torque and position have opposite signs. 
 joint i is there and the joint's own is not, the torque is that of the other joint.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The motion of a link fitted to the readings of an IMU, for a range of time shifts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ one of the angular velocity (3), at the IMU's own time. Both sides go through th
 linear function is fitted to each channel for a range of time shifts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """IMUs by themselves: stuck, clipped, units, gravity at rest, axes of an array."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations
 

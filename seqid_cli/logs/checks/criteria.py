@@ -1,7 +1,5 @@
 """What counts as lost samples, and as an echo of the command: the numbers that decide."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

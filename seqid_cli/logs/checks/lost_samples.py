@@ -16,8 +16,6 @@ arm over tens of milliseconds) and by straight lines through what else was logge
 A position that is held and then catches up loses no time: there the held samples alone are filled.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

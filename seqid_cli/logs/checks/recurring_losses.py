@@ -13,8 +13,6 @@ Losses that recur at one distance tell where the next one is. At such a place, o
 a step is one too if the motion of the usual lost time explains it better than no loss does.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -6,8 +6,6 @@ What is lost is counted, and the rest is used. The records themselves are read b
 but for messages and their indexes, of which there are too many.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator

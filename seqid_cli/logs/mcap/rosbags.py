@@ -4,8 +4,6 @@ Their messages are the same as those of an MCAP file, so a bag is read in two st
 states and IMU messages in it are copied to a temporary MCAP file, and that is read.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -22,11 +20,7 @@ from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.storage.temporary import room_for_copies, temporary_folder
 from seqid_cli.robot.types import Robot
 
-_KEPT = (
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/Imu",
-    "control_msgs/msg/DynamicJointState",
-)
+_KEPT = ("sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "control_msgs/msg/DynamicJointState")
 _ROSBAG1 = b"#ROSBAG V2.0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message

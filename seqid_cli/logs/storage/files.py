@@ -3,8 +3,6 @@
 Runs before any heavy import, so that a wrong path fails at once: standard library only.
 """
 
-from __future__ import annotations
-
 import difflib
 import glob
 import os
@@ -37,10 +35,7 @@ _FROM_NUMPY = (
     "delimiter=',', comments='', header='time,q1,q2,i1,i2')."
 )
 _OTHER_MAGIC = {
-    b"#ROSBAG": (
-        "a ROS bag of an old version",
-        "Convert it: `rosbag fix OLD.bag NEW.bag`.",
-    ),
+    b"#ROSBAG": ("a ROS bag of an old version", "Convert it: `rosbag fix OLD.bag NEW.bag`."),
     b"PARE": ("an encrypted Parquet file", "Write it without encryption."),
     b"\x89HDF": ("an HDF5 file, or MATLAB's of version 7.3", _FROM_MATLAB),
     b"MATLAB 5.0": ("a MATLAB file", _FROM_MATLAB),

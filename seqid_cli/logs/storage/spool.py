@@ -5,8 +5,6 @@ temporary files do (`TMPDIR`), has no name where the system allows, and goes wit
 Where there is too little room, or the rows become too many, there is none.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

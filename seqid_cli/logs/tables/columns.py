@@ -1,7 +1,5 @@
 """Columns of a table as numbers, and its time column as integer nanoseconds."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """CSV logs: one line per sample, converted by Arrow; only the needed columns are kept."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ Delimiter, decimal mark, comment lines and names of the columns are found by loo
 loggers agree on them.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ begins again (LeRobot's `episode_index`). Their stamps are laid one behind the o
 between them that counts as a gap, so that nothing is interpolated or differentiated across.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -4,8 +4,6 @@ A table made of JointState messages has a `name` column of string lists. A LeRob
 the motors of `observation.state` in `meta/info.json`, two folders or one above its data files.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

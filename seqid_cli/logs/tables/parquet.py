@@ -1,7 +1,5 @@
 """Parquet logs: only the needed columns are read, one row group at a time."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

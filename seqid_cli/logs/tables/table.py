@@ -1,7 +1,5 @@
 """Tables, one row per sample: which column carries what, whatever file they come from."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

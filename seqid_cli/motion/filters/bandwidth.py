@@ -24,8 +24,6 @@ percent of the highest J, for what lies above is noise of the torque and nothing
 is never below that of the encoders, beside which the smoother has nowhere more noise.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -145,13 +143,7 @@ def highest_of(
 
 
 def choose_smoothed_cutoff(
-    encoder: Cutoff,
-    dq: Array,
-    ddq: Array,
-    variance: Array,
-    rate_hz: float,
-    *,
-    moving: Mask,
+    encoder: Cutoff, dq: Array, ddq: Array, variance: Array, rate_hz: float, *, moving: Mask
 ) -> Cutoff:
     """Choose one low-pass cut-off for all joints of a log whose motion comes from the smoother.
 

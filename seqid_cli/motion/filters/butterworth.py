@@ -21,8 +21,6 @@ filter of twice the order: away from the ends of a signal, forward, backward, fo
 is the same as twice forward and twice backward.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -9,8 +9,6 @@ Each IMU weighted by its noise below the cut-off, this is a small least squares 
 and 42 are its cases of one and two moving joints. Only what no IMU sees is left to the encoder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -99,11 +97,7 @@ def _from_imus(
 
 
 def _impossible(
-    source: str,
-    recording: Recording,
-    robot: Robot,
-    stage: ImuStage | None,
-    reasons: Sequence[str],
+    source: str, recording: Recording, robot: Robot, stage: ImuStage | None, reasons: Sequence[str]
 ) -> InputError:
     """The error of a log that has no IMU to go by, with what stands in the way."""
     if not robot.imus:

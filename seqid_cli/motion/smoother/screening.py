@@ -1,7 +1,5 @@
 """Placing IMUs on the encoders' motion, clocks included, and whether to believe them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -10,8 +10,6 @@ towards it by expectation and maximisation; traces come from probing with random
 from the factor's rows behind some of the knots.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Gauss-Newton of the motion smoother, the size of the jerk, and covariances."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass, replace
 from itertools import pairwise

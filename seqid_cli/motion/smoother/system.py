@@ -1,7 +1,5 @@
 """Normal equations of the motion smoother: encoders, jerk and IMUs along one stretch of a log."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -7,8 +7,6 @@ origins, `w`, `dw` angular rates, `a` acceleration minus gravity, all seen from 
 components first and the samples last.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -309,11 +307,7 @@ def _columns(chain: Chain, state: ChainState, dq: Array, link: int, point: Array
         (z, turn, none),
         (none, z, none),
     )  # fmt: skip
-    sliding = (
-        cross(state.dw[:, :m], z) + cross(w_own, cross(w_own, z)),
-        2 * cross(w_own, z),
-        z,
-    )
+    sliding = (cross(state.dw[:, :m], z) + cross(w_own, cross(w_own, z)), 2 * cross(w_own, z), z)
     out = np.zeros((3, 3, 3, m, z.shape[-1]))
     for kind, (by_w, by_dw, by_a) in enumerate(kinds):
         force = by_a + cross(by_dw, r)

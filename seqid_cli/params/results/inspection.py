@@ -1,7 +1,5 @@
 """The inspection document, `seqid/inspection@1`: the content of logs and their faults."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from seqid_cli.params.base import Document, FrozenStruct, Struct

@@ -1,7 +1,5 @@
 """Checks of a robot file beyond its types; every message names the key's full path."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

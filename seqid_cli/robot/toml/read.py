@@ -3,8 +3,6 @@
 Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from dataclasses import dataclass

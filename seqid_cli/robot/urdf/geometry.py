@@ -4,8 +4,6 @@ Meshes count by their convex hulls. Neighbouring links are not checked against e
 links that overlap in most postures: their hulls touch at the joint between them.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ the dynamics and which hand-made files lack, and links with the name of a joint,
 `readable` repairs both.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """URDF to chain and nominal inertials. The only file that touches Pinocchio."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator

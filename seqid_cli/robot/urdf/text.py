@@ -3,8 +3,6 @@
 Meshes, visuals and transmissions play no part in the dynamics and are neither read nor required.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

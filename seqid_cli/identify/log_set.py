@@ -51,24 +51,12 @@ class LogSet:
 
     Iterate over it once, or have it `reduced` or `mapped` once; what was `read`, the `findings`,
     what is `partial` or `left_out` is complete afterwards. Warnings come as the logs are read.
-
-    Parameters
-    ----------
-    logs : sequence of Path or Recording
-        A recording is taken as it is, without checks.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
-    imus : bool
-        Whether the readings of IMUs are used, and hence checked.
-    skip_failed : bool
-        Whether logs that cannot be used are left out.
-    executor : Executor, optional
-        Who reads and reduces the logs; None does it here.
-    left_out : list of str
-        What was left out before.
-    before : callable, optional
-        Says what a user should know before this process begins the long part of a log; nothing
-        where it returns an empty text.
+    `logs`: a recording is taken as it is, without checks. `time_source` {"header", "log"}: which
+    stamps of an MCAP log count. `imus`: whether the readings of IMUs are used, and hence checked.
+    `skip_failed`: whether logs that cannot be used are left out. `executor`: who reads and reduces
+    the logs; None does it here. `left_out`: what was left out before. `before`: says what a user
+    should know before this process begins the long part of a log; nothing where it returns an empty
+    text.
     """
 
     logs: Sequence[Path | Recording]

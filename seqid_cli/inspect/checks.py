@@ -91,19 +91,9 @@ class Checked:
 def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     """Check a log.
 
-    Parameters
-    ----------
-    data : LogData
-    imus : bool
-        Whether its IMUs are checked as well.
-    quality : bool
-        Whether it is also judged how well channels are measured (steps, held values, temperature):
-        warnings at most.
-
-    Returns
-    -------
-    Checked
-        Findings, each code once per joint and channel.
+    `imus`: whether its IMUs are checked as well. `quality`: whether it is also judged how well
+    channels are measured (steps, held values, temperature): warnings at most. Returns: findings,
+    each code once per joint and channel.
     """
     breaks = breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)

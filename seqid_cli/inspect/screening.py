@@ -37,17 +37,8 @@ class Screened:
 def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> Screened:
     """Check a log that is held.
 
-    Parameters
-    ----------
-    recording, raw
-        The log as `read_both` gives it.
-    robot : Robot
-    imus : bool
-        Whether its IMUs are used, and hence checked.
-
-    Returns
-    -------
-    Screened
+    `recording`, `raw`: the log as `read_both` gives it. `imus`: whether its IMUs are used, and
+    hence checked.
     """
     checked = check(log_data(recording, raw, robot, modelled=True), imus=imus, quality=False)
     return Screened(checked.data.recording, located(checked.findings, recording.path))
@@ -64,10 +55,7 @@ def read_screened(
 ) -> Screened:
     """Read and check a log; see `read_recording` and `screened`.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, lacks a channel or is too short.
+    Raises InputError: the file cannot be read, lacks a channel or is too short.
     """
     recording, raw = read_both(path, robot, time_source=time_source)
     return screened(recording, raw, robot, imus=imus)

@@ -200,23 +200,10 @@ def open_long(
 ) -> LongLog | None:
     """Pass over a log once and lay its time base.
 
-    Parameters
-    ----------
-    path, robot, time_source
-        As for `read_recording`.
-    watch : callable, optional
-        Shown what is passed over: the rate [Hz] that the first rows have, and positions (M, n) as
-        logged. They are the samples of the base if the log is `exact`.
-
-    Returns
-    -------
-    LongLog or None
-        None where the log can only be read as a whole.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or lacks a channel.
+    `path`, `robot`, `time_source`: as for `read_recording`. `watch`: shown what is passed over: the
+    rate [Hz] that the first rows have, and positions (M, n) as logged. They are the samples of the
+    base if the log is `exact`. Returns None where the log can only be read as a whole. Raises
+    InputError: the file cannot be read or lacks a channel.
     """
     path = Path(path)
     kind, file = check_log(path), storage_file(path)

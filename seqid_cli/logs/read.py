@@ -97,17 +97,9 @@ def read_both(
 def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stream) -> Recording:
     """Lay a log on its base anew after some values of its joint samples were taken out.
 
-    Parameters
-    ----------
-    recording, raw
-        The log as `read_both` gives it.
-    joints : Stream
-        Its joint samples in the order of time, NaN where a value is not to be used.
-
-    Returns
-    -------
-    Recording
-        Short holes are bridged by a curve, longer ones are not valid, like any missing values.
+    `recording`, `raw`: the log as `read_both` gives it. `joints`: its joint samples in the order of
+    time, NaN where a value is not to be used. Returns: short holes are bridged by a curve, longer
+    ones are not valid, like any missing values.
     """
     cleared, before = replace(raw, joints=joints), recording.health
     where = recording.path

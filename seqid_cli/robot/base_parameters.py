@@ -42,18 +42,11 @@ _SNAP = 1e-9
 class Basis:
     """Base parameters of one robot.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The standard parameter that stands for each base parameter.
-    expression : (b, p) array
-        E: base parameters from standard ones, p = 11 n.
-    representative : (p, b) array
-        P: standard parameters, most of them zero, that give the same torque.
-    gravity : (b,) bool array
-        True for the parameters of the gravity torque; these come first.
-    coupling : {"diagonal", "gyroscopic"}
-        How rotors are coupled to the links that carry them.
+    `names`: the standard parameter that stands for each base parameter. `expression` (b, p): E:
+    base parameters from standard ones, p = 11 n. `representative` (p, b): P: standard parameters,
+    most of them zero, that give the same torque. `gravity` (b,): true for the parameters of the
+    gravity torque; these come first. `coupling` {"diagonal", "gyroscopic"}: how rotors are coupled
+    to the links that carry them.
     """
 
     names: tuple[str, ...]
@@ -125,15 +118,8 @@ def standard_regressor(
 ) -> Array:
     """Compute the regressor of the standard parameters, rotor inertias last (Eq. 3).
 
-    Parameters
-    ----------
-    robot : Robot
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    coupling : {"diagonal", "gyroscopic"}
-
-    Returns
-    -------
-    (N, n, 11 n) array
+    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `coupling` {"diagonal",
+    "gyroscopic"}. Returns (N, n, 11 n).
     """
     Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
     rotors = rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
@@ -153,22 +139,10 @@ def base_regressor(
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
-    Parameters
-    ----------
-    robot : Robot
-    basis : Basis
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    spare : int
-        Columns to be filled by the caller; zeros without `out`.
-    out : (n, b + spare, M) array, optional
-        Written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere.
-    first : int
-        Where in `out` the N samples go.
-
-    Returns
-    -------
-    (N, n, b + spare) array
-        Each column contiguous in memory.
+    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `spare`: columns to be filled
+    by the caller; zeros without `out`. `out` (n, b + spare, M): written to, where `loaded_columns`
+    tells that H can differ from zero; zeros elsewhere. `first`: where in `out` the N samples go.
+    Returns (N, n, b + spare): each column contiguous in memory.
     """
     whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
     H = whole[:, :, first : first + len(q)]
@@ -212,10 +186,8 @@ def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
     """Say where `base_regressor` can differ from zero.
 
-    Returns
-    -------
-    (n, b) bool array
-        False where a joint lies behind all links and rotors that a base parameter belongs to.
+    Returns (n, b) bool: false where a joint lies behind all links and rotors that a base parameter
+    belongs to.
     """
     used = basis.representative != 0.0
     last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))

@@ -63,14 +63,8 @@ class Rows:
 class FilteredColumns:
     """Filtered base regressors of consecutive parts of one log, all in the same memory.
 
-    Parameters
-    ----------
-    longest : int
-        Samples of a part, at most.
-    reach : int
-        Samples on either side that the low-pass remembers.
-    beside : callable, optional
-        One more column (N, n) of a motion, filtered already.
+    `longest`: samples of a part, at most. `reach`: samples on either side that the low-pass
+    remembers. `beside`: one more column (N, n) of a motion, filtered already.
     """
 
     def __init__(

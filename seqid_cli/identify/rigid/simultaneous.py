@@ -281,18 +281,8 @@ def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
     """Entries of a friction surface, forward and backward, per Coulomb, viscous and offset.
 
     Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
-    taken off.
-
-    Parameters
-    ----------
-    fastest : float
-        Upper end of the surface's speed range [rad/s; m/s where prismatic].
-    terms : int
-        How many of the three there are.
-
-    Returns
-    -------
-    tuple of two (2, terms) arrays
+    taken off. `fastest`: upper end of the surface's speed range [rad/s; m/s where prismatic].
+    `terms`: how many of the three there are. Returns: tuple of two (2, terms) arrays.
     """
     ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
     return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

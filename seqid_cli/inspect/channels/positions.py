@@ -37,17 +37,8 @@ class Break:
 def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
     """Find wraps, freezes, spikes and jumps of every joint.
 
-    Parameters
-    ----------
-    robot : Robot
-    t : (M,) array
-        Time of the joint samples [s].
-    position : (M, n) array
-        As logged [rad; m where prismatic], NaN where missing.
-
-    Returns
-    -------
-    list of Break
+    `t` (M,): time of the joint samples [s]. `position` (M, n): as logged [rad; m where prismatic],
+    NaN where missing.
     """
     breaks = []
     for j, joint in enumerate(robot.joints):

@@ -40,9 +40,7 @@ def clipped(
 ) -> tuple[float, float] | None:
     """Find a limit at which a channel (M,) is cut off.
 
-    Returns
-    -------
-    (limit, share of the samples) or None
+    Returns (limit, share of the samples) or None.
     """
     if (
         len(values) < min_levels

@@ -66,19 +66,10 @@ def geometry_findings(
 ) -> list[InspectionFinding]:
     """Compare a log with the robot's equations.
 
-    Parameters
-    ----------
-    data : LogData
-    sample : Sample
-        Its filtered motion and torque.
-    friction : list of InspectionFinding
-        What its friction shows. Another cause that mends the equations explains that as well: a
-        zero that is off leaves gravity in the torque, which may look like friction of any sign.
-
-    Returns
-    -------
-    list of InspectionFinding
-        One cause, or those of `friction`, or what the robot's weight says.
+    `sample`: its filtered motion and torque. `friction`: what its friction shows. Another cause
+    that mends the equations explains that as well: a zero that is off leaves gravity in the torque,
+    which may look like friction of any sign. Returns: one cause, or those of `friction`, or what
+    the robot's weight says.
     """
     if not data.modelled or not sample.moving:
         return friction

@@ -161,13 +161,7 @@ def odd_channel(
 ) -> InspectionFinding | None:
     """Find the one change with which the accelerometers of an array agree on gravity (Eq. 29).
 
-    Parameters
-    ----------
-    imu : Imu
-    rest : (R, K) array
-        Readings [m/s^2] to specific force alone.
-    gravity : float
-        Its size [m/s^2].
+    `rest` (R, K): readings [m/s^2] to specific force alone. `gravity`: its size [m/s^2].
     """
     count = rest.shape[1]
     if count <= 3:

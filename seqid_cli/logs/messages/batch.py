@@ -99,14 +99,9 @@ class Decoded:
 class NameMap:
     """Which entry of a JointState belongs to which joint of the robot.
 
-    Parameters
-    ----------
-    joints : iterable of str
-        Joints of the robot.
-    effort : {"torque", "current"}
-        What effort is: an interface of that name stands in for it.
-    most : int
-        Names of messages that are remembered, for the message that none of them fits.
+    `joints`: joints of the robot. `effort` {"torque", "current"}: what effort is: an interface of
+    that name stands in for it. `most`: names of messages that are remembered, for the message that
+    none of them fits.
     """
 
     def __init__(self, joints: Iterable[str], effort: str = "torque", *, most: int = 200) -> None:

@@ -58,27 +58,12 @@ Note = Callable[[str], None]
 def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = False) -> list[Path]:
     """Turn files, folders and globs into log files.
 
-    Parameters
-    ----------
-    paths : sequence of str
-        Files (taken whatever their suffix), folders (searched at any depth for the suffixes of
-        logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth).
-        CSV files met in a folder that are no logs are left out.
-    note : callable, optional
-        Told what was left out, and why.
-    stored : bool
-        Whether URLs of object storage are welcome as well.
-
-    Returns
-    -------
-    list of Path
-        In the order of the arguments, within each in natural order (`run2` before `run10`);
-        a file that is meant twice comes once.
-
-    Raises
-    ------
-    InputError
-        An argument stands for no file at all.
+    `paths`: files (taken whatever their suffix), folders (searched at any depth for the suffixes of
+    logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth). CSV
+    files met in a folder that are no logs are left out. `note`: told what was left out, and why.
+    `stored`: whether URLs of object storage are welcome as well. Returns: in the order of the
+    arguments, within each in natural order (`run2` before `run10`); a file that is meant twice
+    comes once. Raises InputError: an argument stands for no file at all.
     """
     found: dict[Path, Path] = {}
     for argument in paths:
@@ -132,12 +117,8 @@ def storage_file(path: Path) -> Path:
 def unchanged(path: Path) -> Iterator[None]:
     """Read a log that nobody writes to meanwhile.
 
-    Raises
-    ------
-    InputError
-        It is another file than at first when the block ends.
-    OSError
-        It has vanished.
+    Raises InputError: it is another file than at first when the block ends. Raises OSError: it has
+    vanished.
     """
     before = path.stat()
     yield

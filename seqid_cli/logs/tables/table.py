@@ -88,24 +88,12 @@ class Plan:
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
     """Read the channels that the robot file knows.
 
-    Parameters
-    ----------
-    robot : Robot
-        Its joints, IMUs and `[channels]` say which columns are read.
-    rows : int or None
-        Rows in a block, if the format allows it; None for the whole table as one block.
-
-    Yields
-    ------
-    RawLog
-        The next rows. All streams share their stamps; nulls and NaN stay missing. What was noticed
-        of the file is told by the first block, what was noticed of rows by theirs. A file that
-        holds several episodes is one block: they are put one behind the other as a whole.
-
-    Raises
-    ------
-    InputError
-        A missing column, or one that holds no numbers.
+    `robot`: its joints, IMUs and `[channels]` say which columns are read. `rows`: rows in a block,
+    if the format allows it; None for the whole table as one block. Yields: the next rows. All
+    streams share their stamps; nulls and NaN stay missing. What was noticed of the file is told by
+    the first block, what was noticed of rows by theirs. A file that holds several episodes is one
+    block: they are put one behind the other as a whole. Raises InputError: a missing column, or one
+    that holds no numbers.
     """
     plan = make_plan(file, robot)
     _require_once(file.where, plan.columns, file.names)

@@ -81,12 +81,7 @@ class Welch:
 class Survey:
     """Takes a log's positions (M, n) in order; then tells the noise step and the cut-off.
 
-    Parameters
-    ----------
-    n : int
-        Joints.
-    samples : int
-        How many will come, if that is known.
+    `n`: joints. `samples`: how many will come, if that is known.
     """
 
     def __init__(self, n: int, rate_hz: float, samples: int = MANY) -> None:

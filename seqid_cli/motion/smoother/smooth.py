@@ -67,17 +67,9 @@ def smoothed_motion(
 ) -> Smoothed:
     """Smooth all joints of one log.
 
-    Parameters
-    ----------
-    stage : ImuStage, optional
-        Calibrations; IMUs without one take no part.
-    chunk_s : float
-        Length [s] of what is smoothed at once.
-
-    Returns
-    -------
-    Smoothed
-        At the log's own rate. Joints that no believed IMU sees rest on their encoders.
+    `stage`: calibrations; IMUs without one take no part. `chunk_s`: length [s] of what is smoothed
+    at once. Returns: at the log's own rate. Joints that no believed IMU sees rest on their
+    encoders.
     """
     # Threads of the linear algebra only get into each other's way with matrices this narrow.
     with threadpool_limits(1):

@@ -72,15 +72,8 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def check_content(path: Path, robot: RobotFile) -> tuple[Formula | None, ...]:
     """Check the values of a robot file, apart from checks that need its URDF.
 
-    Returns
-    -------
-    tuple of Formula or None
-        That of each effect; None where an installed package offers the effect.
-
-    Raises
-    ------
-    ConfigError
-        A value makes no sense; the message names `path` and the key.
+    Returns: that of each effect; None where an installed package offers the effect. Raises
+    ConfigError: a value makes no sense; the message names `path` and the key.
     """
     return _Checks(path).document(robot)
 

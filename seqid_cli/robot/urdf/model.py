@@ -28,23 +28,10 @@ class UrdfRobot:
 def chain_from_urdf(urdf: UrdfText, names: tuple[str, ...], source: Path) -> UrdfRobot:
     """Build the chain of the joints `names`, all other joints locked at zero and merged.
 
-    Parameters
-    ----------
-    urdf : UrdfText
-    names : tuple of str
-        Movable joints of the URDF, in the order of the robot file.
-    source : Path
-        The robot file, for messages.
-
-    Returns
-    -------
-    UrdfRobot
-        Quarter turns and zeros that the file rounds are exact (see `placement`).
-
-    Raises
-    ------
-    ConfigError
-        Where the URDF is inconsistent, or `names` is not a serial chain in this order.
+    `names`: movable joints of the URDF, in the order of the robot file. `source`: the robot file,
+    for messages. Returns: quarter turns and zeros that the file rounds are exact (see `placement`).
+    Raises ConfigError: where the URDF is inconsistent, or `names` is not a serial chain in this
+    order.
     """
     model = _reduced(_parsed(urdf), names)
     _check_chain(model, names, urdf, source)

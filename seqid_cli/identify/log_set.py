@@ -91,7 +91,6 @@ class LogSet:
         return logs
 
     def __iter__(self) -> Iterator[Recording]:
-        """Read the logs one after the other."""
         self._next()
         for item in self._items():
             log, findings = _Task(self.robot, self.time_source, None, self.imus).read(item)
@@ -121,7 +120,7 @@ class LogSet:
                 yield log
             else:
                 clock = self.time_source
-                yield read_screened(log, self.robot, time_source=clock, imus=imus).recording
+                yield read_screened(log, self.robot, time_source=clock, imus=imus)[0]
 
     def inputs(self, stage: str = "") -> list[InputLog]:
         """Return the logs read so far, as documents list them."""
@@ -326,7 +325,7 @@ class _Task(Generic[P]):
         if isinstance(self.part, LogOpener):
             opened = self.part.open_log(place, self.robot, self.time_source)
         if opened is not None:
-            found = screened_long(replace(opened, path=name), self.robot)
-            return found.log, found.findings
-        held = read_screened(place, self.robot, time_source=self.time_source, imus=self.imus)
-        return replace(held.recording, path=name), located(held.findings, name)
+            return screened_long(replace(opened, path=name), self.robot)
+        clock = self.time_source
+        held, found = read_screened(place, self.robot, time_source=clock, imus=self.imus)
+        return replace(held, path=name), located(found, name)

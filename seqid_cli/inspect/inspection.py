@@ -165,8 +165,6 @@ def _report(
         non_monotonic=health.non_monotonic,
         duplicates=health.duplicates,
         log_minus_header_s=health.log_minus_header_s,
-        channels=[],
-        missing={},
         joints=joint_summaries(data),
         imus=imu_summaries(data, checked.following),
         moves=moves_of(data, stretches),
@@ -183,28 +181,7 @@ def _unreadable(
     finding = found("unreadable", error.message)
     if error.hint:
         finding = structs.replace(finding, remedy=error.hint)
-    log = InspectedLog(
-        path=str(path),
-        sha256="",
-        format=form,
-        verdict="unreadable",
-        samples=0,
-        seconds=0.0,
-        rate_hz=0.0,
-        jitter=0.0,
-        gaps=[],
-        non_monotonic=0,
-        duplicates=0,
-        log_minus_header_s=None,
-        channels=[],
-        missing={},
-        joints=[],
-        imus=[],
-        moves=[],
-        moving_together=[],
-        serves=[],
-        partial="",
-    )
+    log = InspectedLog(path=str(path), sha256="", format=form, verdict="unreadable")
     return Inspected(log, located((*known, finding), path))
 
 

@@ -110,10 +110,8 @@ def _driven(
     for key, values in drives.items():
         if len(values) not in (1, len(joints)):
             names = ", ".join(joint.name for joint in joints)
-            raise UsageError(
-                f"{len(values)} values of {key} for {len(joints)} joints",
-                hint=f"Give one for all, or one for each of {names}.",
-            )
+            message = f"{len(values)} values of {key} for {len(joints)} joints"
+            raise UsageError(message, hint=f"Give one for all, or one for each of {names}.")
         own = [*values] * (len(joints) if len(values) == 1 else 1)
         joints = tuple(
             replace(joint, **{key: value})  # type: ignore[arg-type]

@@ -8,6 +8,7 @@ that memory does not grow with the log.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +26,14 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
 
+Findings = tuple[InspectionFinding, ...]
 
-@dataclass(frozen=True)
-class Screened:
+
+class Screened(NamedTuple):
     """A log without its damaged samples, and the findings."""
 
     recording: Recording
-    findings: tuple[InspectionFinding, ...]
+    findings: Findings
 
 
 def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> Screened:
@@ -61,15 +63,7 @@ def read_screened(
     return screened(recording, raw, robot, imus=imus)
 
 
-@dataclass(frozen=True)
-class ScreenedLong:
-    """A log to be passed over without its damaged samples, and the findings."""
-
-    log: SurveyedLog
-    findings: tuple[InspectionFinding, ...]
-
-
-def screened_long(log: SurveyedLog, robot: Robot) -> ScreenedLong:
+def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings]:
     """Check a log that is passed over; see `screened`."""
     first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
     look = _Look(log, robot)
@@ -86,7 +80,7 @@ def screened_long(log: SurveyedLog, robot: Robot) -> ScreenedLong:
         findings += check(data, imus=False, quality=False).findings
         warnings = ()  # they are the log's, and said once
     unique = {(f.code, f.joint, f.channel): f for f in reversed(findings)}
-    return ScreenedLong(sound, located([*unique.values()][::-1], log.path))
+    return sound, located([*unique.values()][::-1], log.path)
 
 
 @dataclass

@@ -38,7 +38,6 @@ class Stream:
     channels: dict[str, Array]
 
     def __len__(self) -> int:
-        """Count the samples."""
         return len(self.stamp_ns)
 
     def take(self, rows: Rows | Mask | slice) -> Stream:

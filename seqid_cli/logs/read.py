@@ -268,11 +268,8 @@ def with_torque(
         return joints
     if not present.all():
         lacking = [n for n, there in zip(robot.joint_names, present, strict=True) if not there]
-        raise InputError(
-            f"neither torque nor current of joint {', '.join(lacking)}, but of others",
-            hint="Log it for every joint of the robot file.",
-            where=where,
-        )
+        message = f"neither torque nor current of joint {', '.join(lacking)}, but of others"
+        raise InputError(message, hint="Log it for every joint of the robot file.", where=where)
     zero = [n for n, v in zip(robot.joint_names, tau.T, strict=True) if not np.nan_to_num(v).any()]
     if zero:
         warnings.append(

@@ -163,10 +163,8 @@ def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], 
 
 def _wanted_step(rate_hz: float, span: float) -> float:
     if not np.isfinite(rate_hz) or rate_hz <= 0.0 or rate_hz * span < LEAST_SAMPLES:
-        raise UsageError(
-            f"a rate of {rate_hz:g} Hz cannot be used",
-            hint=f"It must be positive and leave at least {LEAST_SAMPLES} samples.",
-        )
+        hint = f"It must be positive and leave at least {LEAST_SAMPLES} samples."
+        raise UsageError(f"a rate of {rate_hz:g} Hz cannot be used", hint=hint)
     return 1.0 / rate_hz
 
 

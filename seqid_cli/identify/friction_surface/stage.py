@@ -118,11 +118,9 @@ def _fit(
 ) -> Fit:
     gravity = fit_gravity(robot, j, trials)
     if not gravity.groups:
-        raise UnpairedError(
-            "no pair of forward and backward trials at one speed in one configuration",
-            hint="record every speed in both directions over the same range (Eq. 15)",
-            where=f"joint {robot.joints[j].name}",
-        )
+        message = "no pair of forward and backward trials at one speed in one configuration"
+        hint = "record every speed in both directions over the same range (Eq. 15)"
+        raise UnpairedError(message, hint=hint, where=f"joint {robot.joints[j].name}")
     data = friction_data(gravity)
     _check_orders(robot, j, data, options.velocity_order)
     sides = (1, -1) if gravity.directional else (0,)

@@ -62,7 +62,6 @@ class ErrorSums:
         )
 
     def __add__(self, other: ErrorSums) -> ErrorSums:
-        """Return the sums over both."""
         return ErrorSums(
             self.count + other.count,
             self.squared_error + other.squared_error,

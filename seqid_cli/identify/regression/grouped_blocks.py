@@ -21,7 +21,6 @@ class GroupedBlocks:
     """Hands the rows of all joints, block by block, to their accumulators."""
 
     def __init__(self, joints: Sequence[Accumulator]) -> None:
-        """Take accumulators."""
         self._joints = joints
         self._group = 1
         self._held: list[Chunk] = []

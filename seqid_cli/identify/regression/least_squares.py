@@ -142,7 +142,6 @@ class Accumulator:
         self._bound()
 
     def __add__(self, other: Accumulator) -> Accumulator:
-        """The rows of both, those of `other` behind."""
         span = max(self.span, other.span)
         both = Accumulator(
             self.size, self.blocks + other.blocks, self.rows + other.rows, span, span

@@ -188,8 +188,6 @@ def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tup
 
 def too_short(path: Path, cutoff_hz: float) -> InputError:
     """The error of a log without a stretch that is long enough to filter."""
-    return InputError(
-        f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz",
-        hint="record longer, mend the gaps, or give a higher --cutoff",
-        where=str(path),
-    )
+    message = f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz"
+    hint = "record longer, mend the gaps, or give a higher --cutoff"
+    return InputError(message, hint=hint, where=str(path))

@@ -59,7 +59,6 @@ class InertiaRows:
         return cls(joints, np.zeros(n), {}, [], [], np.zeros(2))
 
     def __add__(self, other: InertiaRows) -> InertiaRows:
-        """The equations of both, those of `other` behind."""
         cross = dict(self.cross)
         for j, crossed in other.cross.items():
             cross[j] = cross[j] + crossed if j in cross else crossed

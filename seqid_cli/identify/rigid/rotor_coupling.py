@@ -17,13 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from seqid_cli.identify.regression.least_squares import Accumulator, Solution
-from seqid_cli.identify.rigid.posterior import Posterior
-from seqid_cli.robot.base_parameters import Basis
+from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
 from seqid_cli.typing import Array
 
 
@@ -48,25 +45,6 @@ class Coupling:
         return cls(False, True, 0.0, np.inf, np.zeros((size, 0)))
 
 
-class Equations(Protocol):
-    """Rows of an identification whose last column is the share of the coupling."""
-
-    basis: Basis
-
-    @property
-    def joints(self) -> list[Accumulator]:
-        """The rows of each joint."""
-        ...
-
-    def with_coupling(self, share: float) -> list[Accumulator]:
-        """The rows with the share held at a value."""
-        ...
-
-    def solved(self, joints: list[Accumulator]) -> tuple[Solution, Posterior]:
-        """Solve rows, with the share free or held."""
-        ...
-
-
 @dataclass(frozen=True)
 class _Share:
     """The share of the coupling when it is left free, and its standard error."""
@@ -85,7 +63,7 @@ class _Share:
 
 
 def decide(
-    equations: Sequence[Equations], *, max_sigma: float = 3.0, min_log_odds: float = 5.0
+    equations: Sequence[InertiaEquations], *, max_sigma: float = 3.0, min_log_odds: float = 5.0
 ) -> Coupling:
     """Compare the two hypotheses by the logs.
 
@@ -118,7 +96,7 @@ def decide(
     )
 
 
-def _free(equations: Equations) -> _Share | None:
+def _free(equations: InertiaEquations) -> _Share | None:
     """The share that rows of one cut-off show; None where both models are the same."""
     kappa = equations.basis.size
     free, posterior = equations.solved(equations.joints)

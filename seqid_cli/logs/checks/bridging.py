@@ -22,7 +22,6 @@ class Losses:
     seconds: Array
 
     def __len__(self) -> int:
-        """Count the places."""
         return len(self.rows)
 
 

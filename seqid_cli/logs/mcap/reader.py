@@ -212,20 +212,16 @@ def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
             where=where,
         )
     if faults:
-        return InputError(
-            f"the file is damaged and nothing can be salvaged ({faults})",
-            hint="Copy it again from the source; `mcap doctor FILE` shows the damage.",
-            where=where,
-        )
+        message = f"the file is damaged and nothing can be salvaged ({faults})"
+        hint = "Copy it again from the source; `mcap doctor FILE` shows the damage."
+        return InputError(message, hint=hint, where=where)
     topics = [info.topic for info in _topics(scan)]
     typed = [info.topic for info in _topics(scan) if info.schema.endswith("JointState")]
     near = typed or difflib.get_close_matches(JOINT_STATES, topics, n=1)
     hint = f"Is it {near[0]}? Record or remap it as {JOINT_STATES}." if near else ""
-    return InputError(
-        f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}",
-        hint=hint or f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well.",
-        where=where,
-    )
+    message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
+    hint = hint or f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
+    return InputError(message, hint=hint, where=where)
 
 
 def _no_joints(path: Path, names: NameMap) -> InputError:

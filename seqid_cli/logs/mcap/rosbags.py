@@ -134,11 +134,9 @@ def _wanted(path: Path, topics: tuple[Topic, ...]) -> list[Topic]:
         return wanted
     listed = [f"{topic.name} ({topic.kind}, {topic.messages})" for topic in topics[:_SHOWN]]
     more = [f"and {len(topics) - _SHOWN} more"] if len(topics) > _SHOWN else []
-    raise InputError(
-        f"the bag holds no joint states; in it: {', '.join(listed + more) or 'no topics'}",
-        hint="Record /joint_states (sensor_msgs/msg/JointState) as well.",
-        where=str(path),
-    )
+    message = f"the bag holds no joint states; in it: {', '.join(listed + more) or 'no topics'}"
+    hint = "Record /joint_states (sensor_msgs/msg/JointState) as well."
+    raise InputError(message, hint=hint, where=str(path))
 
 
 @contextmanager
@@ -151,11 +149,9 @@ def _opened(path: Path, open_bag: _Open) -> Iterator[_Bag]:
         raise
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(
-            f"the bag cannot be read ({reason})",
-            hint=_REMEDY["rosbag1" if open_bag is _rosbag1 else "rosbag2"],
-            where=str(path),
-        ) from error
+        message = f"the bag cannot be read ({reason})"
+        hint = _REMEDY["rosbag1" if open_bag is _rosbag1 else "rosbag2"]
+        raise InputError(message, hint=hint, where=str(path)) from error
     try:
         yield opened
     finally:

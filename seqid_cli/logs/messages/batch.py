@@ -38,11 +38,9 @@ class Payloads:
         return cls(buffer, FRONT + np.cumsum(lengths) - lengths, lengths)
 
     def __len__(self) -> int:
-        """Count the payloads."""
         return len(self.starts)
 
     def __iter__(self) -> Iterator[bytes]:
-        """Copy the payloads out, one after the other."""
         view, ends = self.buffer.data, self.starts + self.lengths
         spans = zip(self.starts.tolist(), ends.tolist(), strict=True)
         return (bytes(view[start:end]) for start, end in spans)

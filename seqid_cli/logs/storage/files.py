@@ -106,11 +106,8 @@ def storage_file(path: Path) -> Path:
     if len(files) == 1:
         return files[0]
     what = f"of {len(files)} files" if files else "without *.mcap and *.db3"
-    raise InputError(
-        f"is a ROS 2 bag {what}",
-        hint="Name its files." if files else "Unpack what is compressed: `zstd -d FILE`.",
-        where=str(path),
-    )
+    hint = "Name its files." if files else "Unpack what is compressed: `zstd -d FILE`."
+    raise InputError(f"is a ROS 2 bag {what}", hint=hint, where=str(path))
 
 
 @contextmanager
@@ -186,11 +183,8 @@ def _format(head: bytes, tail: bytes, size: int, where: str) -> str:
             raise InputError(f"is {kind}, not a log that can be read", hint=remedy, where=where)
     if is_text(head) or head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "csv"
-    raise InputError(
-        f"{_OTHER} (it starts with {head[:8]!r})",
-        hint="Logs are told by their content, not by their suffix: convert it to one of these.",
-        where=where,
-    )
+    hint = "Logs are told by their content, not by their suffix: convert it to one of these."
+    raise InputError(f"{_OTHER} (it starts with {head[:8]!r})", hint=hint, where=where)
 
 
 def _matches(argument: str, note: Note) -> list[Path]:

@@ -135,35 +135,26 @@ class CsvTable:
         line = "a line" if number is None else f"line {number}"
         what = f"{line} has {actual} fields, the header {expected}"
         if ragged.count > max(1.0, _RAGGED_SHARE * (rows + ragged.count)):
-            raise InputError(
-                f"{what}; so do {ragged.count} of {rows + ragged.count} lines",
-                hint="Give every line as many fields as there are names.",
-                where=self.where,
-            )
+            message = f"{what}; so do {ragged.count} of {rows + ragged.count} lines"
+            hint = "Give every line as many fields as there are names."
+            raise InputError(message, hint=hint, where=self.where)
         return f"{what}; {ragged.count} of {rows + ragged.count} lines were left out"
 
     def _fault(self, error: BaseException) -> InputError:
         text = " ".join(str(error).split())
         if "straddling" in text:
-            return InputError(
-                f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples",
-                hint="End every sample with a line feed.",
-                where=self.where,
-            )
+            message = f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples"
+            return InputError(message, hint="End every sample with a line feed.", where=self.where)
         found = _FAULT.search(text)
         if not found:
-            return InputError(
-                f"the CSV file is not readable ({text[:200]})",
-                hint="Export it again, numbers only, one line per sample.",
-                where=self.where,
-            )
+            message = f"the CSV file is not readable ({text[:200]})"
+            hint = "Export it again, numbers only, one line per sample."
+            return InputError(message, hint=hint, where=self.where)
         name = self.names[int(found["column"])]
         line = f"line {self._line(int(found['row']))}, " if found["row"] else ""
-        return InputError(
-            f"{line}column {name!r}: {found['value'][:40]!r} is no number",
-            hint="Correct or delete the line; leave the field empty where a value is missing.",
-            where=self.where,
-        )
+        message = f"{line}column {name!r}: {found['value'][:40]!r} is no number"
+        hint = "Correct or delete the line; leave the field empty where a value is missing."
+        return InputError(message, hint=hint, where=self.where)
 
     def _line(self, row: int) -> int:
         """Return the line of a row: Arrow counts all lines but empty ones among the data."""

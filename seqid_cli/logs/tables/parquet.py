@@ -219,8 +219,6 @@ def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
 def damaged(path: Path, error: BaseException) -> InputError:
     """Make the error for what Arrow could not read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
-    return InputError(
-        f"the Parquet file is damaged or not readable ({reason})",
-        hint="Copy it again from the source, or leave this log out.",
-        where=str(path),
-    )
+    message = f"the Parquet file is damaged or not readable ({reason})"
+    hint = "Copy it again from the source, or leave this log out."
+    return InputError(message, hint=hint, where=str(path))

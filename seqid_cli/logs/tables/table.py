@@ -195,11 +195,9 @@ def _time_column(file: TableFile, channels: Channels, match: Match | None) -> Ti
         said = told[candidates[0]]
         return TimeColumn(candidates[0], said or unit, said is not None)
     if candidates:
-        raise InputError(
-            f"the time column is ambiguous: {' or '.join(candidates)}",
-            hint='Say which in the robot file: [channels] time = "..."',
-            where=file.where,
-        )
+        message = f"the time column is ambiguous: {' or '.join(candidates)}"
+        hint = 'Say which in the robot file: [channels] time = "..."'
+        raise InputError(message, hint=hint, where=file.where)
     parts = stamp_parts(names)
     if parts is None:
         raise missing_columns(file.where, ["t"], names, what="[channels] time")
@@ -235,11 +233,8 @@ def _require_once(where: str, columns: Sequence[str], names: Sequence[str]) -> N
     for name in columns:
         count = list(names).count(name)
         if count > 1:
-            raise InputError(
-                f"column {name!r} is there {count} times",
-                hint="Give each column a name of its own.",
-                where=where,
-            )
+            message = f"column {name!r} is there {count} times"
+            raise InputError(message, hint="Give each column a name of its own.", where=where)
 
 
 def _columns(where: str, table: pa.Table, row: Sequence[str | None]) -> Array:

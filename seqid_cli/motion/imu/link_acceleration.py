@@ -106,11 +106,9 @@ def _impossible(
         why = f"{', '.join(imu.name for imu in robot.imus)}: no calibration given"
     else:
         why = "; ".join(reasons) or "no IMU sees a joint that moves"
-    return InputError(
-        f"no calibrated, healthy IMU for --motion {source} in this log: {why}",
-        hint="run seqid imu-calib and give its file with -p, or use --motion encoder",
-        where=str(recording.path),
-    )
+    message = f"no calibrated, healthy IMU for --motion {source} in this log: {why}"
+    hint = "run seqid imu-calib and give its file with -p, or use --motion encoder"
+    return InputError(message, hint=hint, where=str(recording.path))
 
 
 def _readings(

@@ -18,20 +18,10 @@ from seqid_cli.robot.formula import (
     parse_formula,
     symbol_of,
 )
-from seqid_cli.robot.toml.schema import EffectEntry, ImuEntry, JointEntry, RobotFile
+from seqid_cli.robot.toml.schema import Channels, EffectEntry, ImuEntry, JointEntry, RobotFile
 
 PATTERN_FIELDS = frozenset({"name", "index", "index0"})
-JOINT_CHANNELS = (
-    "position",
-    "velocity",
-    "current",
-    "torque",
-    "load",
-    "link_position",
-    "voltage",
-    "pwm",
-    "temperature",
-)
+JOINT_CHANNELS = [n for n in Channels.__struct_fields__ if n not in ("time", "effort", "unit")]
 
 _MEANING = {  # what each number of a joint is, for hints
     "torque_constant": "It is the motor-side constant in N m/A; the sign goes to gear_ratio.",

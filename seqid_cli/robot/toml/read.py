@@ -85,11 +85,8 @@ def read_limited(path: Path, what: str, limit: int) -> bytes:
     except (OSError, ValueError) as problem:
         raise ConfigError(f"the {what} cannot be read: {problem}", where=where) from None
     if len(raw) > limit:
-        raise ConfigError(
-            f"the {what} is larger than {limit} bytes",
-            where=where,
-            hint=f"Is this really a {what}?",
-        )
+        message = f"the {what} is larger than {limit} bytes"
+        raise ConfigError(message, where=where, hint=f"Is this really a {what}?")
     return raw
 
 
@@ -132,11 +129,8 @@ def _check_schema(path: Path, document: dict[str, object]) -> None:
     if match is None:
         raise ConfigError(f"schema is {schema!r}, not {SCHEMA!r}", where=str(path), hint=hint)
     if int(match[1]) > SCHEMA_VERSION:
-        raise ConfigError(
-            f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})",
-            where=str(path),
-            hint="Update seqid.",
-        )
+        message = f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})"
+        raise ConfigError(message, where=str(path), hint="Update seqid.")
 
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)

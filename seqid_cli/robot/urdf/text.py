@@ -53,11 +53,9 @@ def read_urdf_text(path: Path) -> UrdfText:
     except (ElementTree.ParseError, ValueError, LookupError) as problem:
         raise ConfigError(f"not well-formed XML: {problem}", where=where) from None
     if root.tag != "robot":
-        raise ConfigError(
-            f"not a URDF: its outermost element is <{root.tag}>, not <robot>",
-            where=where,
-            hint="SDF and MJCF files have to be converted to URDF.",
-        )
+        message = f"not a URDF: its outermost element is <{root.tag}>, not <robot>"
+        hint = "SDF and MJCF files have to be converted to URDF."
+        raise ConfigError(message, where=where, hint=hint)
     return _collected(path, raw, root)
 
 
@@ -121,11 +119,8 @@ def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:
         key, where = f"joint[{k}].name", str(source)
         known = f"Movable joints of {urdf.path.name}: {', '.join(urdf.movable) or 'none'}."
         if name not in urdf.types:
-            raise ConfigError(
-                f"{key} {name!r} is no joint of {urdf.path.name}",
-                where=where,
-                hint=f"{nearest(name, urdf.movable)}{known}",
-            )
+            message = f"{key} {name!r} is no joint of {urdf.path.name}"
+            raise ConfigError(message, where=where, hint=f"{nearest(name, urdf.movable)}{known}")
         if urdf.types[name] not in MOVABLE:
             raise ConfigError(
                 f"{key} {name!r} is a {urdf.types[name] or 'typeless'} joint in {urdf.path.name}",

@@ -1,7 +1,6 @@
 """From a log file to a `Recording`."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -39,18 +38,6 @@ READERS: dict[str, BlockReader] = {
     "rosbag1": rosbags.read_blocks,
 }
 ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
-
-
-def read_recordings(
-    paths: Sequence[Path],
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    rate_hz: float | None = None,
-) -> Iterator[Recording]:
-    """Read logs one after the other; see `read_recording`."""
-    for path in paths:
-        yield read_recording(path, robot, time_source=time_source, rate_hz=rate_hz)
 
 
 def read_recording(

@@ -128,20 +128,6 @@ def forward(chain: Chain, q: Array) -> Frames:
     return Frames(R=R, p=p, z=np.einsum("niab,ib->nia", R, chain.axis))
 
 
-def rotation_between(chain: Chain, q: Array, i: int, j: int) -> Array:
-    """Return the rotation (N, 3, 3) from frame `j` to frame `i`, paper Eq. 27-28.
-
-    `q` (N, n) [rad; m where prismatic]. `i`, `j`: links, 0-based; -1 is the base. In either order.
-    """
-    if i > j:
-        return rotation_between(chain, q, j, i).transpose(0, 2, 1)
-    R_local, _ = joint_transforms(chain, q.T)
-    Q = np.broadcast_to(np.eye(3), (len(q), 3, 3))
-    for k in range(i + 1, j + 1):
-        Q = Q @ np.moveaxis(R_local[k], -1, 0)
-    return Q
-
-
 def link_angular_motion(chain: Chain, q: Array, dq: Array, ddq: Array, link: int) -> AngularMotion:
     """Compute angular velocity and acceleration of `link` in its own frame (Eq. 39, any joints).
 

@@ -17,7 +17,6 @@ from typing import Protocol
 
 import numpy as np
 
-from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import CHUNK, FilteredColumns, blocks, torque_motion
 from seqid_cli.logs.long import rows_at_least
@@ -34,7 +33,7 @@ from seqid_cli.motion.blocks import (
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.survey import Survey
-from seqid_cli.motion.motion import Motion, as_asked, encoder_resolution
+from seqid_cli.motion.motion import Motion, as_asked, encoder_resolution, too_short
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import Basis
@@ -184,10 +183,3 @@ def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tup
     resolution, survey = encoder_resolution(robot), survey_of(log)
     cutoff = as_asked(survey.cutoff(resolution), log.path, log.rate_hz, options)
     return cutoff, survey.noise_step(resolution)
-
-
-def too_short(path: Path, cutoff_hz: float) -> InputError:
-    """The error of a log without a stretch that is long enough to filter."""
-    message = f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz"
-    hint = "record longer, mend the gaps, or give a higher --cutoff"
-    return InputError(message, hint=hint, where=str(path))

@@ -11,7 +11,7 @@ import pytest
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.logs.read import read_recording, read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.model.friction import FrictionSurface
@@ -100,7 +100,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> FrictionJoint:
 def friction(folder: Path, label: str) -> FrictionJoint:
     """Friction of the one joint, from every eighth sample of its log."""
     ({**EXACT, **FLOAT32})[label](folder / "log", sample(ONE, "friction/joint_1", 8))
-    recordings = read_recordings(expand([str(folder)]), robot(ONE))
+    recordings = [read_recording(path, robot(ONE)) for path in expand([str(folder)])]
     options = FrictionOptions(position_order=2, velocity_order=3)
     (joint,) = identify_friction(recordings, robot(ONE), options=options).joints.values()
     return joint

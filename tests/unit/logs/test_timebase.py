@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.clocks import tidy
 from seqid_cli.logs.raw import Stream
-from seqid_cli.logs.read import read_recording, read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.timebase import make_base, resample
 from tests.unit.logs.samples import JOINTS, curve, grid, make_motion, make_robot
@@ -226,15 +226,6 @@ def test_tidy_merges_rows_that_complement_each_other() -> None:
     np.testing.assert_array_equal(done.stream.channels["position"], [[1.0, 2.0], [3.0, 4.0]])
     assert done.duplicates == 1
     assert done.non_monotonic == 0
-
-
-def test_recordings_come_one_by_one(tmp_path: Path) -> None:
-    motion = make_motion(grid())
-    good = write_parquet(tmp_path / "a.parquet", motion.t, JOINTS, motion.q)
-    found = read_recordings([good, tmp_path / "none.parquet"], make_robot())
-    assert next(found).path == good
-    with pytest.raises(InputError):
-        next(found)
 
 
 def test_unknown_time_source(tmp_path: Path) -> None:

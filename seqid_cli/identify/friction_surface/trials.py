@@ -183,7 +183,10 @@ def _trial(
     path = _path(middles, block.q[own, j].reshape(slices, length).mean(axis=1))
     celsius = np.nan
     if temperature is not None:
-        celsius = _finite_mean(temperature[stretch.start : stretch.stop, j])
+        # Mean of what is finite; NaN where nothing is.
+        values = temperature[stretch.start : stretch.stop, j]
+        finite = values[np.isfinite(values)]
+        celsius = float(finite.mean()) if len(finite) else np.nan
     return Trial(
         joint=j,
         velocity=stretch.velocity,
@@ -201,12 +204,6 @@ def _trial(
         log=number,
         celsius=celsius,
     )
-
-
-def _finite_mean(values: Array) -> float:
-    """Mean of what is finite; NaN where nothing is."""
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else np.nan
 
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:

@@ -130,14 +130,6 @@ def at_samples(segment: Segment, nodes: Array) -> Array:
     return out
 
 
-def _onto_nodes(segment: Segment, values: Array) -> Array:
-    """Transpose of `at_samples`: (N, 3, ...) to (N + 2 REACH, ...)."""
-    out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
-    for where, kind, weight in _taps(segment):
-        out[where] += weight * values[:, kind]
-    return out
-
-
 def joints_of(segment: Segment, local: Local) -> tuple[Array, Array, Array]:
     """Motion (N, n) of all joints: the trajectory, and locked joints with their offsets."""
     q, dq, ddq = segment.q.copy(), segment.dq.copy(), segment.ddq.copy()
@@ -289,7 +281,12 @@ def reduced(linear: Linearised) -> Reduced:
         return Reduced(linear, S, g, np.zeros((0, b)), np.zeros(0))
     J3 = np.moveaxis(J.reshape(*J.shape[:2], -1), 1, 2)  # (N, 3 m, C)
     cross = J3 @ np.concatenate([G, linear.r[:, :, None]], axis=2)
-    right = _onto_nodes(segment, cross.reshape(len(G), 3, m, b + 1)).reshape(-1, b + 1)
+    # Transpose of `at_samples`: (N, 3, ...) to (N + 2 REACH, ...).
+    values = cross.reshape(len(G), 3, m, b + 1)
+    out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
+    for where, kind, weight in _taps(segment):
+        out[where] += weight * values[:, kind]
+    right = out.reshape(-1, b + 1)
     right[:, b] += _own_gradient(linear).ravel()
     factor = cholesky_banded(_band(linear), lower=True, check_finite=False)
     solved = cho_solve_banded((factor, True), right, check_finite=False)

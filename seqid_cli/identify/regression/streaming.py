@@ -111,7 +111,10 @@ def pass_over(
     columns = FilteredColumns(
         equations.robot, equations.basis, min(rows, samples), reach, equations.coupling_column
     )
-    expected = _blocks_of(samples, lowpass.rate_hz)
+    # How many blocks of equations a log will have.
+    whole, rest = divmod(samples, CHUNK)
+    sizes = [(CHUNK, whole), (rest, 1 if rest else 0)]
+    expected = sum(times * sum(1 for _ in blocks(size, lowpass.rate_hz)) for size, times in sizes)
     equations.expect(expected, samples // max(expected, 1))
     moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
     # Right sides need little memory: they are made of longer parts than the regressor.
@@ -142,13 +145,6 @@ def _streamed(log: SurveyedLog, equations: Equations) -> tuple[Iterable[Motion],
     plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
     samples = -(-log.samples // plan.factor)
     return motion_blocks(log.blocks(), plan), plan.kept_lowpass, samples
-
-
-def _blocks_of(samples: int, rate_hz: float) -> int:
-    """How many blocks of equations a log will have."""
-    whole, rest = divmod(samples, CHUNK)
-    sizes = [(CHUNK, whole), (rest, 1 if rest else 0)]
-    return sum(times * sum(1 for _ in blocks(size, rate_hz)) for size, times in sizes)
 
 
 def _add_part(

@@ -21,7 +21,7 @@ def missing_pairs(robot: Robot, basis: Basis, left_open: Array) -> list[list[str
     scale = np.max([np.linalg.norm(H, axis=0) for H in seen.values()], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     seen = {pair: H / scale for pair, H in seen.items()}
-    first = left = _orthonormal(scale[:, None] * left_open)
+    first = left = np.asarray(np.linalg.qr(scale[:, None] * left_open)[0])
     chosen: list[tuple[int, int]] = []
     while left.shape[1]:
         after = {pair: _still_open(H, left) for pair, H in seen.items()}
@@ -56,11 +56,6 @@ def _pair_regressor(
     ddq[:, moving] = 3 * rng.normal(size=(states, 2))
     H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
     return H.reshape(-1, basis.size)
-
-
-def _orthonormal(directions: Array) -> Array:
-    """Columns that span the same."""
-    return np.asarray(np.linalg.qr(directions)[0])
 
 
 def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:

@@ -196,6 +196,11 @@ def _described(
     stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
     missing = stage.not_excited
     pairs = missing_pairs(robot, basis, solution.left_open) if missing else []
+    # Say which parameters the logs leave open, and which moves would determine them.
+    notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
+    if pairs:
+        text = ", ".join(" + ".join(pair) for pair in pairs)
+        notes.append(f"moving these joints together as well would give full rank: {text}")
     return msgspec.structs.replace(
         stage,
         rmse={
@@ -212,7 +217,7 @@ def _described(
         verdicts=_verdicts(equations, solution, joints),
         notes=[
             cutoff_note(equations.rows.cutoffs, equations.options.motion),
-            *_left_open(missing, pairs),
+            *notes,
             *coupling.notes,
         ],
     )
@@ -254,12 +259,3 @@ def _verdicts(
     good = solution.rank == size and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
     return [*verdicts, Verdict(good=good, reason=reason)]
-
-
-def _left_open(missing: list[str], pairs: list[list[str]]) -> list[str]:
-    """Say which parameters the logs leave open, and which moves would determine them."""
-    notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
-    if pairs:
-        text = ", ".join(" + ".join(pair) for pair in pairs)
-        notes.append(f"moving these joints together as well would give full rank: {text}")
-    return notes

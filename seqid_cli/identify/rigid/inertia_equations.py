@@ -175,7 +175,8 @@ class InertiaEquations:
                 for known in (before.friction_sensitivity, before.torque_constant_moves)
             )
         if free and prior is not None:
-            prior = _wider(prior)
+            # The same prior with a column of zeros behind: it knows nothing of the coupling.
+            prior = Prior(np.hstack([prior.A, np.zeros((len(prior.A), 1))]), prior.b)
         share = self.independent_share
         solution = solve(joints, prior=prior, iterations=rounds, independent=share)
         size = len(solution.theta)
@@ -210,8 +211,3 @@ class InertiaEquations:
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
     """Speed (n,) below which the sign of the friction is not certain."""
     return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])
-
-
-def _wider(prior: Prior) -> Prior:
-    """The same prior with a column of zeros behind: it knows nothing of the coupling."""
-    return Prior(np.hstack([prior.A, np.zeros((len(prior.A), 1))]), prior.b)

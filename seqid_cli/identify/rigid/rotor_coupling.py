@@ -86,7 +86,8 @@ def decide(
     value, error = first.value, first.error
     if all(sure) and len(sides) == 1:
         used = sides.pop()
-        return Coupling(used, True, value, error, np.zeros((kappa, 0)), _decided(used))
+        text = "the data show rotors coupled to the links that carry them; used as such"
+        return Coupling(used, True, value, error, np.zeros((kappa, 0)), (text,) if used else ())
     # What does not decide does not count against the other hypothesis either.
     likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -min_log_odds, min_log_odds))))
     without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
@@ -103,11 +104,6 @@ def _free(equations: InertiaEquations) -> _Share | None:
     if not free.determined[kappa]:
         return None
     return _Share(float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa])))
-
-
-def _decided(used: bool) -> tuple[str, ...]:
-    text = "the data show rotors coupled to the links that carry them; used as such"
-    return (text,) if used else ()
 
 
 def _open(share: float, error: float, *, near: bool) -> tuple[str, ...]:

@@ -166,17 +166,13 @@ def _sudden(d: Array, criteria: LossCriteria) -> Rows:
     found = (apart > criteria.sudden * np.minimum(size[:-2], size[2:])) & (size[1:-1] > beside)
     if not found.any():
         return np.zeros(0, np.intp)
+    # Usual size (n,) of what increments differ by.
+    some = apart[:: max(1, len(apart) // criteria.most)]
     found &= apart > np.maximum(
-        criteria.counts * _count(size, criteria), criteria.sudden_noise * _usual(apart, criteria)
+        criteria.counts * _count(size, criteria), criteria.sudden_noise * gaussian_spread(some)
     )
     rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
     return rows
-
-
-def _usual(apart: Array, criteria: LossCriteria) -> Array:
-    """Usual size (n,) of what increments differ by."""
-    some = apart[:: max(1, len(apart) // criteria.most)]
-    return gaussian_spread(some)
 
 
 def _count(size: Array, criteria: LossCriteria) -> Array:

@@ -230,20 +230,16 @@ def _globbed(pattern: str, note: Note) -> list[Path]:
 
 
 def _logs_in(folder: Path, note: Note) -> list[Path]:
+    # Tell whether a file belongs to the description of a LeRobot data set, not to its data.
     candidates = natural_order(
         path
         for path in folder.rglob("*")
         if path.suffix.lower() in SUFFIXES
         and not path.name.startswith(".")
         and path.is_file()
-        and not _describes_data_set(path)
+        and not any(p.name == "meta" and (p / "info.json").is_file() for p in path.parents)
     )
     return [path for path in candidates if _is_meant(path, note)]
-
-
-def _describes_data_set(path: Path) -> bool:
-    """Tell whether a file belongs to the description of a LeRobot data set, not to its data."""
-    return any(p.name == "meta" and (p / "info.json").is_file() for p in path.parents)
 
 
 def _is_meant(path: Path, note: Note) -> bool:

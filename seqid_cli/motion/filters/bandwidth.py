@@ -185,7 +185,11 @@ def smoothed_score(
         power = _power_below(ddq[:, j], rate_hz, np.minimum(cutoffs, rate_hz / 2))
         signal = np.maximum(power - error[:, j], 1e-12)
         values += np.log(signal) - KAPPA * error[:, j] / signal
-        bandwidth = max(bandwidth, _bandwidth(dq[:, j], rate_hz))
+        # As `bandwidth_of`, of a velocity (N,).
+        velocity = dq[:, j]
+        length = min(len(velocity), max(256, int(20 * rate_hz)))
+        frequency, density = welch(velocity, rate_hz, nperseg=length, detrend=False)
+        bandwidth = max(bandwidth, bandwidth_of(frequency, density, rate_hz))
     return Score(values, bandwidth, int(np.sum(moving)))
 
 
@@ -211,13 +215,6 @@ def first_maximum(score: Array, *, clear_fall: float = 0.05) -> int:
     """
     fallen = np.flatnonzero(score < np.maximum.accumulate(score) - clear_fall)
     return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
-
-
-def _bandwidth(velocity: Array, rate_hz: float) -> float:
-    """As `bandwidth_of`, of a velocity (N,)."""
-    length = min(len(velocity), max(256, int(20 * rate_hz)))
-    frequency, density = welch(velocity, rate_hz, nperseg=length, detrend=False)
-    return bandwidth_of(frequency, density, rate_hz)
 
 
 def bandwidth_of(frequency: Array, density: Array, rate_hz: float) -> float:

@@ -42,7 +42,9 @@ def read_urdf_text(path: Path) -> UrdfText:
     """
     raw = read_limited(path, "URDF", SIZE_LIMIT)
     where = str(path)
-    if path.suffix == ".xacro" or re.search(rb"<\s*xacro:", _uncommented(raw)):
+    if path.suffix == ".xacro" or re.search(
+        rb"<\s*xacro:", re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
+    ):
         raise ConfigError("this is a xacro file, not a URDF", where=where, hint=XACRO_HINT)
     if re.search(rb"<!\s*(DOCTYPE|ENTITY)", raw, re.IGNORECASE):
         raise ConfigError(
@@ -57,11 +59,6 @@ def read_urdf_text(path: Path) -> UrdfText:
         hint = "SDF and MJCF files have to be converted to URDF."
         raise ConfigError(message, where=where, hint=hint)
     return _collected(path, raw, root)
-
-
-def _uncommented(raw: bytes) -> bytes:
-    """Leave out comments, in which xacro leaves its source."""
-    return re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
 
 
 def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:

@@ -20,7 +20,7 @@ import numpy as np
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.streaming import chosen_cutoff, open_if_long, streams, too_short
+from seqid_cli.identify.regression.streaming import chosen_cutoff, open_if_long, streams
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Health, Recording, torque_of
@@ -30,7 +30,7 @@ from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, friction_surfaces, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks, overlapping
 from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.motion.motion import Motion, estimate_motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from seqid_cli.errors import SeqidWarning
-from seqid_cli.logs.in_memory import TableLog
 from seqid_cli.logs.storage.files import expand
+from seqid_cli.logs.storage.in_memory import TableLog
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording

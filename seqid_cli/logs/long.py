@@ -163,14 +163,6 @@ _NONE: NDArray[np.intp] = np.zeros(0, np.intp)
 _NO_ROWS = Rows(np.zeros(0, np.int64), np.zeros((0, 0)))
 
 
-def rows_at_least(path: Path, least: int) -> bool:
-    """Whether a log is likely to hold so many rows, without reading it.
-
-    Raises InputError: the file cannot be read.
-    """
-    return likely_rows(path) >= least
-
-
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
     """Rows that a log is likely to hold, without reading it; 0 where the format does not tell.
 

@@ -10,7 +10,7 @@ factors (`rigid.inertia_equations`).
 from pathlib import Path
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.long import rows_at_least
+from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import (
@@ -43,7 +43,7 @@ def open_if_long(
     file cannot be read or lacks a channel.
     """
     least = LONG if least is None else least
-    if not rows_at_least(path, least):
+    if likely_rows(path) < least:
         return None
     log = open_surveyed(path, robot, time_source=time_source)
     return log if log is not None and log.samples >= least else None

@@ -14,7 +14,7 @@ from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS
 from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
-from seqid_cli.logs.tables.table import read_table
+from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _BLOCK = 8 << 20  # bytes; no line can be longer
@@ -41,25 +41,12 @@ class _Ragged:
         return "skip"
 
 
-@dataclass(frozen=True)
-class CsvTable:
-    """An opened CSV file; see `table.TableFile`."""
+@dataclass(frozen=True, kw_only=True)
+class CsvTable(TableFile):
+    """An opened CSV file; `ended` says whether its last line has an end."""
 
-    path: Path
     form: CsvForm
-    entries: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    ended: bool = True  # whether the last line has an end
-
-    @property
-    def where(self) -> str:
-        """The file, for messages."""
-        return str(self.path)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All columns."""
-        return self.form.names
+    ended: bool = True
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns as one table; lines with another number of fields are left out and counted.
@@ -179,7 +166,9 @@ def read_blocks(
     del time_source
     ended = _ends(path)
     notes = () if ended else ("the last line has no end: it may be cut short, and is left out",)
-    return read_table(CsvTable(path, read_form(path), notes=notes, ended=ended), robot, rows)
+    form = read_form(path)
+    file = CsvTable(path, form.names, notes=notes, form=form, ended=ended)
+    return read_table(file, robot, rows)
 
 
 def _ends(path: Path) -> bool:

@@ -1,7 +1,7 @@
 """Parquet logs: only the needed columns are read, one row group at a time."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, opened_table
 from seqid_cli.logs.tables.list_names import list_entries
-from seqid_cli.logs.tables.table import read_table
+from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
@@ -22,23 +22,11 @@ BLOCK_ROWS = 65_536
 _LONGEST = 256  # elements of a list column that can be one number per joint
 
 
-@dataclass(frozen=True)
-class ParquetTable:
-    """An opened Parquet file; see `table.TableFile`.
+@dataclass(frozen=True, kw_only=True)
+class ParquetTable(TableFile):
+    """An opened Parquet file; `lists` are its list columns of numbers and how long these are."""
 
-    `lists` are its list columns of numbers and how long their lists are.
-    """
-
-    path: Path
-    names: tuple[str, ...]
     lists: dict[str, int] = field(default_factory=dict)
-    entries: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def where(self) -> str:
-        """The file, for messages."""
-        return str(self.path)
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged.
@@ -169,7 +157,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
         raise damaged(path, error) from error
     names = [name for name, _ in fields]
     names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
-    return ParquetTable(path, tuple(names), lists, entries, notes)
+    return ParquetTable(path, tuple(names), entries, notes, lists=lists)
 
 
 def list_columns(path: Path) -> list[tuple[str, str, int]]:

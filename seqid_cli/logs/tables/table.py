@@ -1,9 +1,10 @@
 """Tables, one row per sample: which column carries what, whatever file they come from."""
 
 import difflib
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -35,29 +36,25 @@ ROWS = "the rows"
 _SHOWN = 6
 
 
-class TableFile(Protocol):
-    """A file that holds a table.
+@dataclass(frozen=True)
+class TableFile:
+    """An opened file that holds a table.
 
     `names` are its columns, elements of list columns as `column[k]`; `entries` the places of the
-    joints in its lists, empty where the file does not name them.
+    joints in its lists, empty where the file does not name them; `notes` what was noticed.
     """
+
+    path: Path
+    names: tuple[str, ...]
+    entries: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def where(self) -> str:
         """The file, for messages."""
+        return str(self.path)
 
-    @property
-    def names(self) -> Sequence[str]:
-        """All columns."""
-
-    @property
-    def entries(self) -> Mapping[str, int]:
-        """Places of named joints in list columns."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """What was noticed while the file was opened."""
-
+    @abstractmethod
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns, at most `rows` rows at a time if that is given; says what was lost.
 

@@ -149,10 +149,8 @@ def friction_verdicts(
 
 
 def _driving(joint: FrictionJoint, limits: Limits) -> tuple[float, float, float] | None:
-    """Find friction that drives: the worst value, its standard error and the speed; else None.
-
-    The mean of both directions counts: what is the same in both is an offset and takes no energy.
-    """
+    """Find friction that drives: the worst value, its standard error and the speed; else None."""
+    # The mean of both directions counts: what is the same in both is an offset and takes no energy.
     surface = FrictionSurface.from_stage(joint)
     (low, high), (first, last) = joint.speed_range, joint.position_range
     levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]

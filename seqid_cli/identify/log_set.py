@@ -145,10 +145,9 @@ class LogSet:
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
     def _parts(self, part: PartOf[Any, P]) -> Iterator[_Done[P] | None]:
-        """The part of every log in their order, None where it failed and that is no reason to stop.
-
-        Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
-        """
+        """The part of every log in their order, None where it failed and that may be."""
+        # Raises SeqidError: a log cannot be used, the first of them in the order given; or none
+        # can.
         self._next()
         errors: list[Exception] = []
         items = self._items()

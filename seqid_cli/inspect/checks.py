@@ -124,10 +124,8 @@ def _findings(
     imus: bool,
     quality: bool,
 ) -> Iterator[InspectionFinding]:
-    """Run the checks in their order; a check is left out where an earlier finding spoils it.
-
-    `sound` is the log without damaged samples.
-    """
+    """Run the checks in their order; a check is left out where an earlier finding spoils it."""
+    # `sound` is the log without damaged samples.
     own = [*clock_findings(data), *hole_findings(data)]
     if data.recording.partial:
         own.append(found("salvaged", data.recording.partial))

@@ -218,10 +218,8 @@ def _joint(
 def _channels(
     surveyed: Survey, guessed: Guess, log: tuple[str, ...], joints: tuple[str, ...]
 ) -> tuple[dict[str, Columns], tuple[str, ...]]:
-    """Return `[channels]` that the log needs, and names that they cannot express.
-
-    `joints` are the names in the robot file of those that the log calls `log`.
-    """
+    """Return `[channels]` that the log needs, and names that they cannot express."""
+    # `joints` are the names in the robot file of those that the log calls `log`.
     if surveyed.format == "mcap":
         renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
         text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
@@ -250,11 +248,9 @@ def _defaults(joints: tuple[str, ...], names: Sequence[str]) -> dict[str, Column
 
 
 def _mapped(pattern: Columns, log: tuple[str, ...], joints: tuple[str, ...]) -> Columns:
-    """Write the log's names by those of the URDF, where they only have something around them.
-
-    Or by the number of the joint, where it is all that tells the log's names apart, or column by
-    column.
-    """
+    """Write the log's names by those of the URDF, where they only have something around them."""
+    # Or by the number of the joint, where it is all that tells the log's names apart, or column by
+    # column.
     if not isinstance(pattern, str) or "{name}" not in pattern:
         return pattern
     for prefix, suffix in dict.fromkeys(map(_around, log, joints)):

@@ -225,10 +225,8 @@ def _interpolate(
 
 
 def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
-    """Average the straight-line interpolant over `width` around each t, so that nothing aliases.
-
-    The window is symmetric, hence without delay, and shrinks at the ends of the samples.
-    """
+    """Average the straight-line interpolant over `width` around each t, so that nothing aliases."""
+    # The window is symmetric, hence without delay, and shrinks at the ends of the samples.
     half = np.clip(np.minimum(t - x[0], x[-1] - t), 1e-9, width / 2)
     area = np.zeros_like(values)
     trapezoids = 0.5 * np.diff(x)[:, None] * (values[1:] + values[:-1])

@@ -203,11 +203,9 @@ def _trimmed(
     least_share: float = 0.5,
     shortest_s: float = 0.12,
 ) -> list[tuple[int, int]]:
-    """Cut a steady range back until its velocity is one and the same throughout.
-
-    Drift within a window can be too slow to see and still add up, as near the top of a sine; what
-    is left must then be a fair share of the move.
-    """
+    """Cut a steady range back until its velocity is one and the same throughout."""
+    # Drift within a window can be too slow to see and still add up, as near the top of a sine; what
+    # is left must then be a fair share of the move.
     start, stop = start + half // 2, stop - half // 2
     least = max(8 * step, least_share * abs(float(position[-1] - position[0])))
     while stop - start >= max(8, shortest_s * rate_hz):

@@ -270,10 +270,7 @@ def _opened(path: Path) -> tuple[bytes, Json]:
 
 
 def _decoded(data: bytes, form: type[T], kind: str, where: str) -> T:
-    """Decode a result that is of a known kind.
-
-    Raises ConfigError: it does not follow its schema.
-    """
+    """Decode a result that is of a known kind."""
     try:
         return msgspec.json.decode(data, type=form)
     except (msgspec.ValidationError, RecursionError) as error:

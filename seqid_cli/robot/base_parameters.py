@@ -257,11 +257,9 @@ def _reading_order(chain: Chain) -> list[int]:
 
 
 def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
-    """Stack gravity and full regressors (rows, 11 n) over random states.
-
-    Joint limits play no part: the torque is analytic in the state, so columns that depend linearly
-    in one range do so in all, and a wide range shows it with the widest gap.
-    """
+    """Stack gravity and full regressors (rows, 11 n) over random states."""
+    # Joint limits play no part: the torque is analytic in the state, so columns that depend
+    # linearly in one range do so in all, and a wide range shows it with the widest gap.
     rng = np.random.default_rng(0)
     n = robot.n
     q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
@@ -273,10 +271,8 @@ def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
 
 
 def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0) -> list[int]:
-    """Choose columns of W, in `order`, independent of those before; the first `given` are taken.
-
-    Columns whose norm is below `floor` are rounding, not torque.
-    """
+    """Choose columns of W, in `order`, independent of those before; the first `given` are taken."""
+    # Columns whose norm is below `floor` are rounding, not torque.
     size = np.linalg.norm(W, axis=0)
     Q = np.empty((len(W), 0))
     kept: list[int] = []

@@ -253,10 +253,8 @@ class _Walk:
 
 
 def _carriers(C: Array, p: Array) -> tuple[Array, Array]:
-    """Matrices that carry (w, dw, a | H) (18,) and (z, l) (6,) to a frame fixed in the link before.
-
-    The frame is turned by C and placed at p: (9, 18) to w, dw and a there, (6, 6) to z and l.
-    """
+    """Matrices that carry (w, dw, a | H) (18,), (z, l) (6,) to a frame fixed in the link before."""
+    # The frame is turned by C and placed at p: (9, 18) to w, dw and a there, (6, 6) to z and l.
     to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
     to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
     point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`

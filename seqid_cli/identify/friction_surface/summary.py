@@ -233,10 +233,8 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
 def _verdict(
     name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling, *, max_error: float = 0.15
 ) -> Verdict:
-    """Good, or poor and why: the speed at which the surface is worst decides.
-
-    There its error may be `max_error` of the friction.
-    """
+    """Good, or poor and why: the speed at which the surface is worst decides."""
+    # There its error may be `max_error` of the friction.
     if joint.held_out_rmse is None:
         reason = (
             f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"

@@ -207,11 +207,9 @@ def _trial(
 
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
-    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts.
-
-    Its order, two at least, is that of least BIC: gravity and friction that change with the
-    position leave their trace in the speed that a soft controller holds.
-    """
+    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts."""
+    # Its order, two at least, is that of least BIC: gravity and friction that change with the
+    # position leave their trace in the speed that a soft controller holds.
     best, least = None, np.inf
     most = max(2, min(most_order, len(q) // 3))
     for order in range(min(3, most), most + 1):
@@ -234,11 +232,9 @@ def _ramps(
     least_window: int = 8,
     zeros: int = 4,
 ) -> Ramps:
-    """Means of a move (N,) under raised cosines that overlap by half, where it speeds up or slows.
-
-    With a window that ends in zeros the means of its derivatives are derivatives of its means:
-    sums over positions times the window's own differences, without differentiating positions.
-    """
+    """Means of a move (N,) under raised cosines, which overlap by half, where it accelerates."""
+    # With a window that ends in zeros the means of its derivatives are derivatives of its means:
+    # sums over positions times the window's own differences, without differentiating positions.
     length = max(least_window, round(window_s * rate_hz))
     window = np.zeros(length + 2 * zeros)
     window[zeros:-zeros] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)

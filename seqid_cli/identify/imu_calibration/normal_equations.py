@@ -247,13 +247,11 @@ def _jolt(segment: Segment, by_ddq: Array) -> float:
 
 
 def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
-    """Scale rows (N, C, b) to unit noise, the joints' deflection included.
-
-    A link moves otherwise than the encoder before its gear shows where the gear bends or has play,
-    and jolts faster than the log's rate alias. Either is in all channels an acceleration that the
-    encoders do not know of; its covariance A A', A = `scaled` (N, C, n) over the readings' noise,
-    has few directions, and so has its inverse's root.
-    """
+    """Scale rows (N, C, b) to unit noise, the joints' deflection included."""
+    # A link moves otherwise than the encoder before its gear shows where the gear bends or has
+    # play, and jolts faster than the log's rate alias. Either is in all channels an acceleration
+    # that the encoders do not know of; its covariance A A', A = `scaled` (N, C, n) over the
+    # readings' noise, has few directions, and so has its inverse's root.
     value, vector = np.linalg.eigh(scaled.transpose(0, 2, 1) @ scaled)
     value = np.maximum(value, 1e-12)
     directions = scaled @ (vector / np.sqrt(value)[:, None, :])

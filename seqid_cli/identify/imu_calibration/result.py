@@ -91,11 +91,9 @@ def _references(pairs: list[Pair], names: tuple[str, ...]) -> dict[str, AxisRefe
 
 
 def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
-    """Relative standard error of the accelerations that the readings give of the last joint.
-
-    That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the constants,
-    all channels together take it by a'da / a'a too large.
-    """
+    """Relative standard error of the accelerations that the readings give of the last joint."""
+    # That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the
+    # constants, all channels together take it by a'da / a'a too large.
     axis = robot.chain.axis[imu.after_joint]
     x = np.zeros((1, MOTION))
     if robot.chain.prismatic[imu.after_joint]:
@@ -174,10 +172,8 @@ def _open_direction(covariance: Array, *, max_deg: float = 5.0) -> tuple[Array |
 
 
 def _lever_known(sigma: Array, about: Array | None, *, max_error_m: float = 0.02) -> Mask:
-    """Which of the lever's components the logs give.
-
-    Where the angle about an axis is open, so is where the IMU sits around it.
-    """
+    """Which of the lever's components the logs give."""
+    # Where the angle about an axis is open, so is where the IMU sits around it.
     known = sigma < max_error_m
     if about is None:
         return known

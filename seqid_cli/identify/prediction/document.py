@@ -29,11 +29,9 @@ from seqid_cli.typing import Array
 
 
 def _sums(log: LogPrediction, *, sliding: bool) -> Array:
-    """Sums (4, n) over one log: samples, squared errors and torques, and the largest error.
-
-    Over the samples that slide, or over all that count: at rest friction takes any value up to its
-    limit, and the error is the distance to that interval.
-    """
+    """Sums (4, n) over one log: samples, squared errors and torques, and the largest error."""
+    # Over the samples that slide, or over all that count: at rest friction takes any value up to
+    # its limit, and the error is the distance to that interval.
     counts = log.sliding if sliding else np.broadcast_to(log.used[:, None], log.tau.shape)
     error = np.where(counts, log.residual if sliding else log.beyond, 0.0)
     torque = np.where(counts, log.tau, 0.0)
@@ -146,11 +144,9 @@ def _notes(joints: dict[str, JointError]) -> list[str]:
 def _verdict(
     name: str, error: JointError, lacks: Sequence[str], *, max_relative_rmse: float = 0.3
 ) -> Verdict:
-    """A joint is poor where the model lacks something of it, or its error is too large.
-
-    A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
-    the measured torque.
-    """
+    """A joint is poor where the model lacks something of it, or its error is too large."""
+    # A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
+    # the measured torque.
     share, reasons = error.relative_rmse, list(lacks)
     if share is None or share > max_relative_rmse:
         limit, left = percent(max_relative_rmse), "-" if share is None else percent(share)

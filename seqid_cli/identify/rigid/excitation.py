@@ -59,10 +59,8 @@ def _pair_regressor(
 
 
 def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
-    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see.
-
-    Singular values below `min_share` of the largest are rounding.
-    """
+    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
+    # Singular values below `min_share` of the largest are rounding.
     _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
     largest = float(np.linalg.norm(H, 2))
     return np.asarray(left @ Vt[int(np.sum(s > min_share * largest)) :].T)

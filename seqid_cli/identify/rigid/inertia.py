@@ -163,10 +163,8 @@ _both = or_none(operator.add)
 
 
 def _stage(equations: InertiaEquations, near: Mapping[float, InertiaEquations]) -> RigidStage:
-    """Solve, decide on the rotor coupling, and describe the result.
-
-    `near` holds the rows at multiples of the cut-off, to see what depends on it.
-    """
+    """Solve, decide on the rotor coupling, and describe the result."""
+    # `near` holds the rows at multiples of the cut-off, to see what depends on it.
     nothing = Coupling.none(equations.basis.size)
     coupling = decide([equations, *near.values()]) if equations.rotors.any() else nothing
     fixed = equations.with_coupling(float(coupling.used))
@@ -241,11 +239,9 @@ def _verdicts(
     poor_share: float = 0.15,
     poor_condition: float = 1000.0,
 ) -> list[Verdict]:
-    """A verdict for each joint, and one for all parameters.
-
-    A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
-    the condition number of their scaled equations is `poor_condition` or more.
-    """
+    """A verdict for each joint, and one for all parameters."""
+    # A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
+    # the condition number of their scaled equations is `poor_condition` or more.
     verdicts = []
     for j, name in enumerate(equations.robot.joint_names):
         if not joints[j].samples:

@@ -253,10 +253,8 @@ class SimultaneousEquations:
         poor_share: float = 0.25,
         clear_sigma: float = 3.0,
     ) -> list[Verdict]:
-        """A joint is poor where more than `poor_share` of its torque is left.
-
-        So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
-        """
+        """A joint is poor where more than `poor_share` of its torque is left."""
+        # So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
         verdicts = []
         for j, name in enumerate(self.robot.joint_names):
             samples = self.joints[j].samples

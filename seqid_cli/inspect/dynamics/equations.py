@@ -121,11 +121,9 @@ def _mounting(
     max_ratio: float = 0.5,
     max_error: float = 0.35,
 ) -> Mended | None:
-    """Find the axis of the base along which gravity acts, where that mends a fit best; else other.
-
-    Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
-    decide, or both are named. Columns that are new are held to `free` as in `_mending`.
-    """
+    """Find the base's axis along which gravity acts, where that mends a fit best; else other."""
+    # Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
+    # decide, or both are named. Columns that are new are held to `free` as in `_mending`.
     strength = float(np.linalg.norm(robot.gravity))
     tried = []
     for axis in np.vstack([np.eye(3), -np.eye(3)]) if strength else ():
@@ -161,13 +159,11 @@ def _mending(
     max_alike: int = 3,
     few_rows: int = 250,
 ) -> Mended | None:
-    """Find the one change that mends a fit; None where none does, or too many.
-
-    Where several do as well, the inertials of a URDF decide. A cause must leave half of the error.
-    Where it gives the equations columns that they had not before (gravity on a joint that hardly
-    feels it, say), any free function would do better as well: then it must leave half of what such
-    functions leave, `free`.
-    """
+    """Find the one change that mends a fit; None where none does, or too many."""
+    # Where several do as well, the inertials of a URDF decide. A cause must leave half of the
+    # error. Where it gives the equations columns that they had not before (gravity on a joint that
+    # hardly feels it, say), any free function would do better as well: then it must leave half of
+    # what such functions leave, `free`.
     few = _thinned(sample, few_rows)
     tried = [(measure(robot, cause.change(few)).error, cause) for cause in causes]
     tried.sort(key=lambda item: item[0])
@@ -215,10 +211,8 @@ def _thinned(sample: Sample, count: int = 600) -> Sample:
 def _structural_error(
     robot: Robot, sample: Sample, *, own_law: bool = False, min_speed: float = 0.2
 ) -> Left:
-    """RMS that rigid body and friction leave of the torques, each as a share of its own.
-
-    With `own_law`, and a smooth function of each joint's own position.
-    """
+    """RMS that rigid body and friction leave of the torques, each as a share of its own."""
+    # With `own_law`, and a smooth function of each joint's own position.
     assert sample.basis is not None
     Y = base_regressor(robot, sample.basis, sample.q, sample.dq, sample.ddq)
     parts = [Y, joint_columns(robot, sample), *([position_columns(sample)] if own_law else [])]
@@ -245,10 +239,8 @@ def _weights(
     min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
     min_weight: float = 0.05,  # of the largest gravity torque of any joint
 ) -> list[Weight]:
-    """Compare the torque of each moving joint with gravity by the URDF's inertials.
-
-    Only joints that carry a fair share of the weight, by which a URDF can be judged.
-    """
+    """Compare the torque of each moving joint with gravity by the URDF's inertials."""
+    # Only joints that carry a fair share of the weight, by which a URDF can be judged.
     if robot.nominal is None or not robot.gravity.any():
         return []
     gravity, inertia = _nominal(robot, sample)
@@ -301,10 +293,8 @@ def _nominal(robot: Robot, sample: Sample) -> tuple[Array, Array]:
 
 
 def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Left:
-    """RMS that the URDF's inertials and friction leave of the torques, each as a share of its own.
-
-    With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
-    """
+    """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
+    # With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
     gravity, inertia = _nominal(robot, sample)
     columns = joint_columns(robot, sample)
     shares = []

@@ -83,10 +83,8 @@ def motion_findings(
 
 
 def _resolution_s(data: LogData, link: int) -> float:
-    """Time that the fastest joint before a link takes for the error of its encoder, s.
-
-    Joints rest anywhere within a count, on one side going forward and on the other going back.
-    """
+    """Time that the fastest joint before a link takes for the error of its encoder, s."""
+    # Joints rest anywhere within a count, on one side going forward and on the other going back.
     assert data.motion is not None
     motion = data.motion
     speeds = [

@@ -186,10 +186,8 @@ def _count(size: Array, criteria: LossCriteria) -> Array:
 
 
 def _slopes(motion: _Motion, at: Rows, side: int) -> tuple[Array, Array]:
-    """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter.
-
-    Returns (K, n): median and standard deviation [rad/s].
-    """
+    """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter."""
+    # Returns (K, n): median and standard deviation [rad/s].
     t, q = motion.t, motion.q
     offsets = side * np.arange(1, motion.criteria.around + 1)
     rows = np.clip(at[:, None] + offsets, 0, len(t) - 2)
@@ -317,10 +315,8 @@ def _spread(apart: Array, d: Array) -> Array:
 
 
 def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
-    """Time (K,) that the increments around a step gain, with the step itself.
-
-    What is late and catches up has lost none, nor has a spike, whose way back is beside it.
-    """
+    """Time (K,) that the increments around a step gain, with the step itself."""
+    # What is late and catches up has lost none, nor has a spike, whose way back is beside it.
     d, dt, usual, criteria = motion.d, motion.dt, motion.usual, motion.criteria
     net = np.zeros(len(steps))
     for k, i in enumerate(steps):

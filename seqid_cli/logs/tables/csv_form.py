@@ -112,10 +112,8 @@ def _lines(head: bytes, encoding: str, where: str) -> list[str]:
 
 
 def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
-    """Find the line of names: the first that is no comment, or the last comment before numbers.
-
-    The names are empty, and the line is that before the numbers, where there are none.
-    """
+    """Find the line of names: the first that is no comment, or the last comment before numbers."""
+    # The names are empty, and the line is that before the numbers, where there are none.
     comment = ""
     for at, line in enumerate(lines):
         stripped = line.strip()

@@ -188,11 +188,9 @@ class _Kernel:
 
 
 def _scanned(start: Array, added: Array, step: Array, *, back: bool = False) -> Array:
-    """States (c b, m) before each block: x+ = step x + added, from the start (c, m).
-
-    `added` is (c b, m); `back` goes from the last block to the first. Two numbers are one mode, and
-    modes of a second pass are driven by those of the first.
-    """
+    """States (c b, m) before each block: x+ = step x + added, from the start (c, m)."""
+    # `added` is (c b, m); `back` goes from the last block to the first. Two numbers are one mode,
+    # and modes of a second pass are driven by those of the first.
     grown = added.reshape(len(start), -1, start.shape[1])
     grown = (grown[:, ::-1] if back else grown)[:, :-1]
     states = np.concatenate([start[:, None], grown], axis=1)

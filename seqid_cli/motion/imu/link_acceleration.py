@@ -174,10 +174,8 @@ def unbiased(reading: LinkReading, robot: Robot, motion: Motion) -> LinkReading:
 
 
 def _gain(calibration: ImuCalibration) -> float:
-    """Scale of the angular acceleration, where the encoders prove that it is not one.
-
-    Gains of single accelerometers, where they are known, are off the readings already.
-    """
+    """Scale of the angular acceleration, where the encoders prove that it is not one."""
+    # Gains of single accelerometers, where they are known, are off the readings already.
     references = list(calibration.references.values())
     single = [*calibration.accelerometer_scale, *calibration.gyro_scale]
     if not references or any(scale is not None for scale in single):

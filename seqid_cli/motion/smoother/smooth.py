@@ -138,10 +138,9 @@ def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
 
 
 def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution, list[str]]:
-    """Settle the constants; IMUs whose readings no motion explains are left out one by one.
-
-    Coarse knots may not follow what an IMU feels: before it is left out, fine ones have their say.
-    """
+    """Settle the constants; IMUs whose readings no motion explains are left out one by one."""
+    # Coarse knots may not follow what an IMU feels: before it is left out, fine ones have their
+    # say.
     notes = []
     while True:
         shared = settled(coarse, c, jerk)

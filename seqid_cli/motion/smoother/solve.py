@@ -166,10 +166,8 @@ def _noise_factors(
     most_quieter: float = 2.0,
     least_free: float = 0.1,
 ) -> list[Array]:
-    """Noise of each IMU's channels over what they were weighted with, most likely.
-
-    The motion has followed the noise in as many directions as the readings determine.
-    """
+    """Noise of each IMU's channels over what they were weighted with, most likely."""
+    # The motion has followed the noise in as many directions as the readings determine.
     chunk = solution.chunk
     found = jerk_of(solution.c, chunk.spacing) / jerk.relative
     determined = np.sum((found @ jerk.precision) * found)
@@ -254,12 +252,10 @@ def _renewed_jerk(
     most_dark: float = 4.0,
     relative_limits: tuple[float, float] = (0.1, 30.0),
 ) -> Jerk:
-    """One step towards the most likely jerk of each joint, and towards its changes over time.
-
-    `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the data
-    leave to its prior. The rest tells its size: all intervals together, those nearby how it
-    compares there. Where they tell nothing it is taken to be as large as on the average.
-    """
+    """One step towards the most likely jerk of each joint, and towards its changes over time."""
+    # `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the
+    # data leave to its prior. The rest tells its size: all intervals together, those nearby how it
+    # compares there. Where they tell nothing it is taken to be as large as on the average.
     m = chunk.intervals
     known = np.maximum(m - left_open.sum(axis=0), least_known * m)
     found = jerk_of(c, chunk.spacing)
@@ -348,11 +344,9 @@ def _at_knots(solution: Solution, knots: Index, *, fewer: int = 4) -> Array:
 
 
 def _forward(solution: Solution, knots: Index, which: slice) -> Array:
-    """Covariance (G, n, d, d) of some derivatives at knots.
-
-    The factor's rows of a knot hold all that comes before it. What comes after the next knot is
-    left away: it hardly tells more.
-    """
+    """Covariance (G, n, d, d) of some derivatives at knots."""
+    # The factor's rows of a knot hold all that comes before it. What comes after the next knot is
+    # left away: it hardly tells more.
     n, W = solution.chunk.joints, solution.chunk.knots[0][which]
     d = len(W)
     found = np.empty((len(knots), n, d, d))

@@ -93,11 +93,9 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
 
 
 def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
-    """Time derivatives (3, n, C) of q, dq, ddq in every cell.
-
-    Those of the spline where a cell is one interval; of a longer cell the change from the interval
-    before to the one behind, which the noise of a first motion disturbs less.
-    """
+    """Time derivatives (3, n, C) of q, dq, ddq in every cell."""
+    # Those of the spline where a cell is one interval; of a longer cell the change from the
+    # interval before to the one behind, which the noise of a first motion disturbs less.
     m, starts = chunk.intervals, chunk.cells
     if chunk.cell == 1:
         jerk = jerk_of(c, chunk.spacing).T[None]
@@ -121,10 +119,8 @@ def _share(chunk: Chunk, x: Mounted) -> Array:
 
 
 def _columns(chunk: Chunk, x: Mounted, cells: Cells) -> Array:
-    """Information of one interval with readings in each cell.
-
-    (4, C, n, 4n): of the columns of a lower band that belong to the interval's four coefficients.
-    """
+    """Information of one interval with readings in each cell."""
+    # (4, C, n, 4n): of the columns of a lower band that belong to the interval's four coefficients.
     n, m, count = chunk.joints, x.joints, len(chunk.cells)
     by_joint = np.zeros((count, len(x.noise), 4, n))
     by_joint[..., :m] = cells.by_coefficients(chunk, x)
@@ -149,11 +145,9 @@ def _coupled(chunk: Chunk, cells: tuple[Cells, ...]) -> Array:
 
 
 def _lay_out(chunk: Chunk, parts: list[tuple[Array, Mask]], out: Array) -> None:
-    """Fill `out` (..., K, V) with what intervals with readings add to their four coefficients.
-
-    `parts` are pairs of (4, ..., C, V), the same throughout a cell, and whether (M,) there are
-    readings. Where a cell has them in all intervals, but three of its coefficients get the same.
-    """
+    """Fill `out` (..., K, V) with what intervals with readings add to their four coefficients."""
+    # `parts` are pairs of (4, ..., C, V), the same throughout a cell, and whether (M,) there are
+    # readings. Where a cell has them in all intervals, but three of its coefficients get the same.
     m, size, starts = chunk.intervals, chunk.cell, chunk.cells
     alike = np.zeros((4, *out.shape[:-2], len(starts), out.shape[-1]))
     for part, there in parts:

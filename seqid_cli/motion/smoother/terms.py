@@ -270,10 +270,8 @@ def _reading_matrix(x: Mounting, w: Array) -> Array:
 
 
 def _columns(chain: Chain, state: ChainState, dq: Array, link: int, point: Array) -> Array:
-    """Derivatives of f, dw, w at a point of a link in q, dq, ddq: (3, 3, 3 * (link + 1), N).
-
-    A joint's angle turns what its own link inherits backwards; everything beyond rides on it.
-    """
+    """Derivatives of f, dw, w at a point of a link in q, dq, ddq: (3, 3, 3 * (link + 1), N)."""
+    # A joint's angle turns what its own link inherits backwards; everything beyond rides on it.
     m = link + 1
     z, w_before, w_own = state.z[:, :m], state.w_before[:, :m], state.w[:, :m]
     slides = chain.prismatic[:m, None]

@@ -182,7 +182,7 @@ def assemble(
         ),
         dq=dq,
         tau=tau,
-        temperature=_temperature(clock.stream, base),
+        temperature=_whole(clock.stream, "temperature", base),
         load=load,
         link_position=link,
         accelerometers=imus.accelerometers,
@@ -265,23 +265,19 @@ def with_torque(
     return replace(joints, channels={**joints.channels, "tau": tau})
 
 
-def _whole(stream: Stream, quantity: str, base: Base, warnings: list[str]) -> Array | None:
-    """Resample an optional channel; None unless every joint has it."""
+def _whole(
+    stream: Stream, quantity: str, base: Base, warnings: list[str] | None = None
+) -> Array | None:
+    """Resample an optional channel; None unless every joint has it (any, if none is warned of)."""
     if quantity not in stream.channels:
         return None
     values = resample(stream, quantity, base).values
-    if np.isfinite(values).all():
+    there = np.isfinite(values)
+    if there.all() or (warnings is None and there.any()):
         return values
-    if np.isfinite(values).any():
+    if warnings is not None and there.any():
         warnings.append(f"{quantity} is logged for some joints only; it is left out")
     return None
-
-
-def _temperature(stream: Stream, base: Base) -> Array | None:
-    if "temperature" not in stream.channels:
-        return None
-    values = resample(stream, "temperature", base).values
-    return values if np.isfinite(values).any() else None
 
 
 def _read_imus(raw: RawLog, robot: Robot, base: Base, repair: Mended) -> _Imus:

@@ -149,7 +149,7 @@ def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int,
     turns, extreme, direction = [0], 0, 0
     # Indices at which the position has changed by a count or more: all that a turn can need.
     counts = np.round(position / step).astype(np.int64)
-    for i in np.flatnonzero(np.diff(counts)) + 1:
+    for i in (np.flatnonzero(np.diff(counts)) + 1).tolist():
         change = position[i] - position[extreme]
         if direction == 0 and abs(change) > 3 * step:
             direction = int(np.sign(change))

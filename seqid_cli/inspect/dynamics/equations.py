@@ -118,8 +118,6 @@ def _mounting(
     other: Mended | None,
     *,
     free: float = np.inf,
-    max_ratio: float = 0.5,
-    max_error: float = 0.35,
 ) -> Mended | None:
     """Find the base's axis along which gravity acts, where that mends a fit best; else other."""
     # Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
@@ -131,18 +129,24 @@ def _mounting(
         own = replace(sample, basis=base_parameters(turned, rotor=[]))
         nominal = _nominal_error(turned, own).error if robot.nominal is not None else 0.0
         after = measure(turned, own)
-        most = min(before.error, free) if after.columns > before.columns else before.error
-        error = after.error if after.error <= max_ratio * most else np.inf
+        error = after.error if after.error <= _limit(before, after, free) else np.inf
         tried.append((error, nominal, turned.gravity))
     best = min((error for error, *_ in tried), default=np.inf)
-    rival = np.inf if other is None else BETTER * other.error
-    if best > min(max_error, rival):
+    if not np.isfinite(best) or (other is not None and best > BETTER * other.error):
         return other
     alike = sorted((row for row in tried if row[0] < best / BETTER), key=lambda row: row[1])
     told = alike[: 1 if robot.nominal is not None else 2]
     text = " or ".join(str([float(f"{x:.4g}") + 0.0 for x in row[2]]) for row in told)
     fall = f"falls from {percent(before.error)} to {percent(best)}"
     return Mended(found("gravity_direction", MOUNTED.format(text, fall)), best)
+
+
+def _limit(
+    before: Left, after: Left, free: float, *, max_ratio: float = 0.5, max_error: float = 0.35
+) -> float:
+    """Largest error that a fit may leave to be mended."""
+    fewer = before.error if after.columns <= before.columns else min(before.error, free)
+    return min(max_ratio * fewer, max_error)
 
 
 def _mending(
@@ -153,8 +157,6 @@ def _mending(
     causes: Sequence[Cause],
     *,
     free: float = np.inf,
-    max_ratio: float = 0.5,
-    max_error: float = 0.35,
     max_rivals: int = 8,
     max_alike: int = 3,
     few_rows: int = 250,
@@ -176,8 +178,7 @@ def _mending(
         alike.sort(key=lambda cause: _nominal_error(robot, cause.change(sample)).error)
     cause = alike[0]
     after = next(after for after, other in best if other is cause)
-    most = min(before.error, free) if after.columns > before.columns else before.error
-    if after.error > min(max_ratio * most, max_error):
+    if after.error > _limit(before, after, free):
         return None
     names = ", ".join(robot.joint_names[j] for j in cause.joints)
     fall = f"falls from {percent(before.error)} to {percent(after.error)}"

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from msgspec import structs
 
-from seqid_cli.inspect.channels.values import clipped, equal_runs, missing_share
+from seqid_cli.inspect.channels.values import clipped, equal_runs, missing
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.checks.health import STANDARD_GRAVITY
@@ -94,13 +94,10 @@ def _channel(
     others: bool,
     stuck_s: float = 0.5,
     stuck_samples: int = 50,
-    max_missing: float = 0.01,
 ) -> InspectionFinding | None:
     present = values[np.isfinite(values)]
-    share = missing_share(values)
-    if share > max_missing:
-        text = f"{percent(share)} of the values are missing"
-        return found("values_missing", text, joint=imu.name, channel=name)
+    if lost := next(missing(values, imu.name, name), None):
+        return lost
     least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
     # A channel that repeats itself all the time is slow or coarse, not stuck.
     lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3

@@ -21,7 +21,6 @@ from seqid_cli.inspect.findings import found
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     DiagnosisFile,
@@ -42,6 +41,7 @@ from tests.unit.params.documents import (
     gravity_file,
     inertia_file,
 )
+from tests.unit.params.generate import json_schema
 
 BASE = ["diagnose", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 

@@ -28,21 +28,18 @@ from seqid_cli.typing import Array
 class Coupling:
     """The decision: whether the coupling is `used`, and how it came about.
 
-    `share` and `std_error` are those of the fit that leaves it free; `errors` (p, d) are directions
-    along which the other hypothesis would move the parameters, in standard deviations.
+    `errors` (p, d) are directions along which the other hypothesis would move the parameters, in
+    standard deviations.
     """
 
     used: bool
-    decided: bool
-    share: float
-    std_error: float
     errors: Array
     notes: tuple[str, ...] = ()
 
     @classmethod
     def none(cls, size: int) -> Coupling:
         """Nothing to decide for `size` parameters: no known rotor, or both models are the same."""
-        return cls(False, True, 0.0, np.inf, np.zeros((size, 0)))
+        return cls(False, np.zeros((size, 0)))
 
 
 @dataclass(frozen=True)
@@ -83,18 +80,15 @@ def decide(
         for share in found
     ]
     sides = {share.odds > 0 for share in found if share is not None}
-    value, error = first.value, first.error
     if all(sure) and len(sides) == 1:
         used = sides.pop()
         text = "the data show rotors coupled to the links that carry them; used as such"
-        return Coupling(used, True, value, error, np.zeros((kappa, 0)), (text,) if used else ())
+        return Coupling(used, np.zeros((kappa, 0)), (text,) if used else ())
     # What does not decide does not count against the other hypothesis either.
     likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -min_log_odds, min_log_odds))))
     without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
     errors = np.sqrt(likely) * (coupled - without)[:, None]
-    return Coupling(
-        False, False, value, error, errors, _open(value, error, near=first.near(max_sigma))
-    )
+    return Coupling(False, errors, _open(first, near=first.near(max_sigma)))
 
 
 def _free(equations: InertiaEquations) -> _Share | None:
@@ -106,8 +100,8 @@ def _free(equations: InertiaEquations) -> _Share | None:
     return _Share(float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa])))
 
 
-def _open(share: float, error: float, *, near: bool) -> tuple[str, ...]:
-    free = f"{share:.2f} +- {error:.2f} of it when left free"
+def _open(share: _Share, *, near: bool) -> tuple[str, ...]:
+    free = f"{share.value:.2f} +- {share.error:.2f} of it when left free"
     if not near:
         return (
             f"coupling of rotors to the links that carry them: {free}, neither 0 nor 1; something "

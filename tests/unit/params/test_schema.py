@@ -9,7 +9,6 @@ import pytest
 
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
-from seqid_cli.params.generate import DOCUMENTS, json_schema, schema_path
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.results.prediction import (
     PREDICTION_SCHEMA,
@@ -27,8 +26,9 @@ from tests.unit.params.documents import (
     log,
     robot,
 )
+from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
 
-REMEDY = "run python -m seqid_cli.params.generate"
+REMEDY = "run python -m tests.unit.params.generate"
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
@@ -117,7 +117,7 @@ def test_closed_loops_follow_the_contract() -> None:
 
 def test_params_need_no_numpy() -> None:
     program = (
-        "import sys, seqid_cli.params.io, seqid_cli.params.generate\n"
+        "import sys, seqid_cli.params.io, tests.unit.params.generate\n"
         "heavy = {'numpy', 'scipy', 'pinocchio', 'pyarrow'} & sys.modules.keys()\n"
         "sys.exit(f'imported: {heavy}' if heavy else 0)\n"
     )

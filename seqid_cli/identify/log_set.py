@@ -104,14 +104,14 @@ class LogSet:
         """Merge the parts of all logs; see `reduced`."""
         tree: Tree[P | None] = Tree(or_none(merge))
         for found in self._parts(part):
-            tree.push(None if found is None else found.part)
+            tree.push(None if found is None else found[1])
         return tree.root()
 
     def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
         """Yield the parts of all logs in their order."""
         for found in self._parts(part):
             if found is not None:
-                yield found.part
+                yield found[1]
 
     def again(self, *, imus: bool) -> Iterator[Recording]:
         """Read the logs once more, without account."""
@@ -144,7 +144,7 @@ class LogSet:
             count = len(self.read) + len(self.left_out)
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
-    def _parts(self, part: PartOf[Any, P]) -> Iterator[_Done[P] | None]:
+    def _parts(self, part: PartOf[Any, P]) -> Iterator[tuple[LogNote, P] | None]:
         """The part of every log in their order, None where it failed and that may be."""
         # Raises SeqidError: a log cannot be used, the first of them in the order given; or none
         # can.
@@ -155,7 +155,7 @@ class LogSet:
             error = reply.error
             if error is None:
                 found = reply.get()
-                self._done(found.note)
+                self._done(found[0])
                 yield found
                 continue
             if isinstance(error, UsageError | ConfigError) or not self.skip_failed:
@@ -168,12 +168,14 @@ class LogSet:
             hint = first.hint if isinstance(first, SeqidError) else ""
             raise InputError(f"none of the {len(items)} logs can be used: {first}", hint=hint)
 
-    def _replies(self, part: PartOf[Any, P], items: Sequence[_Item]) -> Iterator[Reply[_Done[P]]]:
+    def _replies(
+        self, part: PartOf[Any, P], items: Sequence[_Item]
+    ) -> Iterator[Reply[tuple[LogNote, P]]]:
         task = _Task(self.robot, self.time_source, part, self.imus, Path.cwd())
         if self.executor is not None:
             return ordered(self.executor, task, items)
 
-        def here(item: _Item) -> _Done[P]:
+        def here(item: _Item) -> tuple[LogNote, P]:
             return task.work(item, self._about_to_work)
 
         return (answer(here, i) if self.skip_failed else Reply(here(i)) for i in items)
@@ -271,14 +273,6 @@ class _Item:
 
 
 @dataclass(frozen=True)
-class _Done(Generic[P]):
-    """The part of one log, and its summary."""
-
-    note: LogNote
-    part: P
-
-
-@dataclass(frozen=True)
 class _Task(Generic[P]):
     """Reads a log and takes its part; relative paths start from `folder`."""
 
@@ -288,7 +282,7 @@ class _Task(Generic[P]):
     imus: bool
     folder: Path | None = None
 
-    def __call__(self, item: _Item) -> _Done[P]:
+    def __call__(self, item: _Item) -> tuple[LogNote, P]:
         """Work on one log.
 
         Raises SeqidError: the log cannot be read or is of no use.
@@ -297,7 +291,7 @@ class _Task(Generic[P]):
 
     def work(
         self, item: _Item, before: Callable[[Recording | SurveyedLog], None] | None
-    ) -> _Done[P]:
+    ) -> tuple[LogNote, P]:
         """Work on one log, of which someone in this process hears before the long part."""
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with contextlib.ExitStack() as stack:
@@ -308,7 +302,7 @@ class _Task(Generic[P]):
             if before is not None:
                 before(log)
             assert self.part is not None
-            return _Done(replace(note_of(log), findings=findings), self.part(log, item.number))
+            return replace(note_of(log), findings=findings), self.part(log, item.number)
 
     def read(
         self, item: _Item, file: Path | None = None

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev
@@ -257,15 +257,7 @@ def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:
     return sorted((t for t in trials if t.joint == joint), key=lambda trial: trial.speed)
 
 
-class HasSpeed(Protocol):
-    """Anything measured at one speed, rad/s."""
-
-    @property
-    def speed(self) -> float:
-        """Magnitude of the velocity, rad/s."""
-
-
-S = TypeVar("S", bound=HasSpeed)
+S = TypeVar("S", bound=Any)  # what was measured at a `speed`, rad/s
 
 
 def speed_levels(trials: list[S], *, same_speed: float = 0.12) -> list[list[S]]:

@@ -14,16 +14,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from seqid_cli.identify.imu_calibration import sensor_model
 from seqid_cli.identify.imu_calibration.segments import REACH, EncoderRows, Segment
-from seqid_cli.identify.imu_calibration.sensor_model import (
-    Constants,
-    channels_of,
-    design,
-    link_state,
-    link_state_slopes,
-    mounted,
-    predicted,
-)
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import FIRST, SECOND
 from seqid_cli.robot.types import Imu, Robot
@@ -141,12 +133,12 @@ def joints_of(segment: Segment, local: Local) -> tuple[Array, Array, Array]:
 
 
 def residual(
-    segment: Segment, robot: Robot, imu: Imu, constants: Constants, local: Local
+    segment: Segment, robot: Robot, imu: Imu, constants: sensor_model.Constants, local: Local
 ) -> tuple[Array, Mask, Array]:
     """Readings minus prediction (N, C), which of them count, and the link's motion (N, 15)."""
-    x = link_state(robot, imu.after_joint, *joints_of(segment, local))
+    x = sensor_model.link_state(robot, imu.after_joint, *joints_of(segment, local))
     y, good = segment.readings.at(segment.t + constants.delay)
-    r = y - predicted(mounted(imu, constants), x) - local.bias
+    r = y - sensor_model.predicted(sensor_model.mounted(imu, constants), x) - local.bias
     return r, good, x
 
 
@@ -154,7 +146,7 @@ def linearise(
     segment: Segment,
     robot: Robot,
     imu: Imu,
-    constants: Constants,
+    constants: sensor_model.Constants,
     local: Local,
     sigma: Array,
     sizes: Sizes | None = None,
@@ -166,16 +158,18 @@ def linearise(
     of raw readings, and joints are moved by jolts alone.
     """
     r, good, x = residual(segment, robot, imu, constants, local)
-    motion, channels = joints_of(segment, local), mounted(imu, constants)
+    motion, channels = joints_of(segment, local), sensor_model.mounted(imu, constants)
     A, c = channels.matrix, r.shape[1]
 
     def slopes(joints: tuple[int, ...], kind: int) -> Array:
-        return A @ link_state_slopes(robot, imu.after_joint, motion, joints, kind)
+        return A @ sensor_model.link_state_slopes(robot, imu.after_joint, motion, joints, kind)
 
     J = np.stack([slopes(segment.moving, kind) for kind in range(3)], axis=2)
-    dy = np.gradient(predicted(channels, x), segment.spacing, axis=0)
+    dy = np.gradient(sensor_model.predicted(channels, x), segment.spacing, axis=0)
     own = np.broadcast_to(np.eye(c), (len(r), c, c))
-    G = np.concatenate([design(channels, x, dy), own, slopes(segment.locked, 0)], axis=2)
+    G = np.concatenate(
+        [sensor_model.design(channels, x, dy), own, slopes(segment.locked, 0)], axis=2
+    )
     u = r / (ROBUST * sigma)
     outliers = good & (np.abs(u) >= 1.0)
     if weights is None:
@@ -216,7 +210,7 @@ def linearise(
 
 def kinds_of(imu: Imu) -> Index:
     """Kind (C,) of every channel's sensor: 0 for accelerometers, 1 for the gyro."""
-    axes, _, accelerometers = channels_of(imu)
+    axes, _, accelerometers = sensor_model.channels_of(imu)
     return np.asarray(np.arange(len(axes)) >= accelerometers, dtype=np.intp)
 
 

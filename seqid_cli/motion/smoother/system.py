@@ -5,18 +5,8 @@ from typing import Literal
 
 import numpy as np
 
+from seqid_cli.motion.smoother import terms
 from seqid_cli.motion.smoother.chunk import Chunk, Mounted, jerk_of, mean_motion, sampled
-from seqid_cli.motion.smoother.terms import (
-    JERK,
-    Band,
-    Jerk,
-    chain_state,
-    couple_jerks,
-    felt_by,
-    imu_rows,
-    readings,
-    spline_weights,
-)
 from seqid_cli.typing import Array, Index, Mask
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
@@ -46,11 +36,11 @@ class Normal:
     corner_gradient: Array
 
 
-def _encoder_terms(chunk: Chunk, c: Array, band: Band) -> None:
+def _encoder_terms(chunk: Chunk, c: Array, band: terms.Band) -> None:
     """Add what the encoders' samples and edges say of the coefficients `c`."""
     m, every, n = chunk.intervals, chunk.every, chunk.joints
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
-    at_edges = spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
+    at_edges = terms.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
     both = np.zeros((2, m * every, n)), np.zeros((2, m * every, n))
     for j, view in enumerate(chunk.views):
         own = slice(chunk.samples)
@@ -63,16 +53,16 @@ def _encoder_terms(chunk: Chunk, c: Array, band: Band) -> None:
         band.add(B, w, w * (y - sampled(c, B)))
 
 
-def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> Band:
+def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> terms.Band:
     """What encoders and the size of the jerk say about the coefficients `c` (K, n).
 
     `jerk` is (n,) or (M, n) rad/s^3.
     """
-    band = Band(chunk.intervals, chunk.joints)
+    band = terms.Band(chunk.intervals, chunk.joints)
     _encoder_terms(chunk, c, band)
     weight = 1.0 / np.atleast_2d(jerk) ** 2
     pull = -jerk_of(c, chunk.spacing) * weight
-    band.add(JERK[None] / chunk.spacing**3, weight[None], pull[None])
+    band.add(terms.JERK[None] / chunk.spacing**3, weight[None], pull[None])
     return band
 
 
@@ -87,8 +77,8 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     q, dq, ddq = mean_motion(chunk, c[:, :head], x.fraction, amid)
     rate = _rate(chunk, c[:, :head], x.fraction)
     chain = chunk.robot.chain
-    state = chain_state(chain, chunk.robot.gravity, q, dq, ddq)
-    rows = imu_rows(chain, state, dq, x.place)
+    state = terms.chain_state(chain, chunk.robot.gravity, q, dq, ddq)
+    rows = terms.imu_rows(chain, state, dq, x.place)
     return Cells(rows.by_motion, rows.by_constants(np.moveaxis(rate, 2, 0), gains=gains))
 
 
@@ -196,7 +186,7 @@ def _constants(
 def normal_equations(
     chunk: Chunk,
     c: Array,
-    jerk: Jerk,
+    jerk: terms.Jerk,
     linear: tuple[Cells, ...] = (),
     *,
     constants: Constants = "none",
@@ -214,9 +204,9 @@ def normal_equations(
     band = encoder_information(chunk, c, jerk.relative / np.sqrt(own))
     pull = (jerk_of(c, spacing) / jerk.relative) @ between / jerk.relative
     for a in range(4):
-        band.gradient[a : a + m] -= JERK[a] * pull
+        band.gradient[a : a + m] -= terms.JERK[a] * pull
     lower = band.added_to(_coupled(chunk, linear))
-    couple_jerks(lower, between / spacing**3, jerk.relative)
+    terms.couple_jerks(lower, between / spacing**3, jerk.relative)
     border, corner = np.zeros((c.size, 0)), np.zeros((0, 0))
     right = []
     if linear:
@@ -242,7 +232,7 @@ def chosen(x: Mounted, constants: Constants) -> Index:
 
 
 def _imu_gradient(
-    chunk: Chunk, x: Mounted, cells: Cells, constants: Constants, told: Array, band: Band
+    chunk: Chunk, x: Mounted, cells: Cells, constants: Constants, told: Array, band: terms.Band
 ) -> Array:
     """Add an IMU's gradient to the coefficients'; return that of its constants."""
     m, size = chunk.intervals, chunk.cell
@@ -268,5 +258,5 @@ def misfit(x: Mounted, told: Array) -> Array:
 def predicted(chunk: Chunk, c: Array, x: Mounted) -> Array:
     """An IMU's readings (M, K), its bias included."""
     motion = mean_motion(chunk, c[:, : x.joints], x.fraction)
-    own = felt_by(chunk.robot.chain, chunk.robot.gravity, motion, x.place)
-    return readings(x.place, own) + x.bias
+    own = terms.felt_by(chunk.robot.chain, chunk.robot.gravity, motion, x.place)
+    return terms.readings(x.place, own) + x.bias

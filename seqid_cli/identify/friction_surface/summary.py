@@ -1,11 +1,8 @@
 """One joint of the friction stage: the file's entry, a verdict and notes.
 
-How well a friction surface predicts speeds that were left out (Eq. 11).
-
-Errors are of averages over `group_size` neighbouring slices that belong to their trial
-(`surface_weights`): of inner speeds by a surface that was
-fitted to the others, of the slowest and the fastest, beyond which nothing was seen, by the surface
-itself.
+Errors (Eq. 11) are of averages over `group_size` neighbouring slices that belong to their trial: of
+inner speeds by a surface that was fitted to the others, of the slowest and the fastest, beyond
+which nothing was seen, by the surface itself.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Constant-velocity trials reduced to a few averages each.
 
 A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
-slice replace a low-pass.
-
-Stretches of constant velocity of a log, which may be too long to be held.
+slice replace a low-pass. The log may be too long to be held.
 """
 
 from __future__ import annotations

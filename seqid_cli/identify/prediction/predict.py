@@ -3,8 +3,6 @@
 A log that is held is one block. A long one is passed over at its own rate; every part of it is
 worked on with so many samples more on either side that the filters have forgotten what lies beyond,
 so that the parts together are what the log as a whole gives.
-
-Measured and predicted torque of a log or of a part of it, and notes on it.
 """
 
 from __future__ import annotations

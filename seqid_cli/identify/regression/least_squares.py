@@ -12,9 +12,7 @@ rows of a log and on how they are cut into blocks, not on where the log was redu
 and blocks merge in their order. The factors of blocks (about a second of motion each) are kept as
 well, merged pairwise when they become many: the moves of the estimate without one block give
 standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
-small.
-
-Triangular factors of rows [H y] by Householder reflections (LAPACK's `dtpqrt`).
+small. The factors are made by Householder reflections (LAPACK's `dtpqrt`).
 """
 
 from __future__ import annotations

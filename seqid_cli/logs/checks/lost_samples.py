@@ -9,9 +9,8 @@ fits the increments better), the time L that is lost at a step is the least-squa
     d_j - v_j dt = v_j L,    for all joints j, each weighted by its noise.
 
 It counts where it is certain, longer than one and a half intervals, and the same for all joints
-that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by
-L; the hole is filled by the cubic through positions and velocities of both sides (which follows an
-arm over tens of milliseconds) and by straight lines through what else was logged around it.
+that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by L
+and the hole is filled (`bridging`).
 
 A position that is held and then catches up loses no time: there the held samples alone are filled.
 """

@@ -10,8 +10,6 @@ Where the motion comes from the smoother its own score counts, and the lowest cu
 nearly as well as the best, from that of the encoders on.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -147,11 +145,7 @@ def identification_options(
 
 
 def _score_of_given(
-    log: Path | Recording,
-    robot: Robot,
-    imu: ImuStage | None,
-    source: str,
-    time_source: TimeSource,
+    log: Path | Recording, robot: Robot, imu: ImuStage | None, source: str, time_source: TimeSource
 ) -> LogScore | None:
     if isinstance(log, Recording):
         return score_of(log, robot, imu=imu, source=source)

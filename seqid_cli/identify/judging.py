@@ -6,8 +6,6 @@ is the same wherever it shows, and its size is of the order of the URDF's. The l
 (`seqid inspect`) join in, and a stage is good as a whole only if all of it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -151,10 +149,8 @@ def friction_verdicts(
 
 
 def _driving(joint: FrictionJoint, limits: Limits) -> tuple[float, float, float] | None:
-    """Find friction that drives: the worst value, its standard error and the speed; else None.
-
-    The mean of both directions counts: what is the same in both is an offset and takes no energy.
-    """
+    """Find friction that drives: the worst value, its standard error and the speed; else None."""
+    # The mean of both directions counts: what is the same in both is an offset and takes no energy.
     surface = FrictionSurface.from_stage(joint)
     (low, high), (first, last) = joint.speed_range, joint.position_range
     levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]

@@ -18,7 +18,7 @@ from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_verdicts import as_note, notes_of_logs, verdicts_of_logs
 from seqid_cli.identify.tree import Tree, or_none
-from seqid_cli.inspect.findings.finding import located
+from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
@@ -51,24 +51,12 @@ class LogSet:
 
     Iterate over it once, or have it `reduced` or `mapped` once; what was `read`, the `findings`,
     what is `partial` or `left_out` is complete afterwards. Warnings come as the logs are read.
-
-    Parameters
-    ----------
-    logs : sequence of Path or Recording
-        A recording is taken as it is, without checks.
-    time_source : {"header", "log"}
-        Which stamps of an MCAP log count.
-    imus : bool
-        Whether the readings of IMUs are used, and hence checked.
-    skip_failed : bool
-        Whether logs that cannot be used are left out.
-    executor : Executor, optional
-        Who reads and reduces the logs; None does it here.
-    left_out : list of str
-        What was left out before.
-    before : callable, optional
-        Says what a user should know before this process begins the long part of a log; nothing
-        where it returns an empty text.
+    `logs`: a recording is taken as it is, without checks. `time_source` {"header", "log"}: which
+    stamps of an MCAP log count. `imus`: whether the readings of IMUs are used, and hence checked.
+    `skip_failed`: whether logs that cannot be used are left out. `executor`: who reads and reduces
+    the logs; None does it here. `left_out`: what was left out before. `before`: says what a user
+    should know before this process begins the long part of a log; nothing where it returns an empty
+    text.
     """
 
     logs: Sequence[Path | Recording]
@@ -103,7 +91,6 @@ class LogSet:
         return logs
 
     def __iter__(self) -> Iterator[Recording]:
-        """Read the logs one after the other."""
         self._next()
         for item in self._items():
             log, findings = _Task(self.robot, self.time_source, None, self.imus).read(item)
@@ -117,14 +104,14 @@ class LogSet:
         """Merge the parts of all logs; see `reduced`."""
         tree: Tree[P | None] = Tree(or_none(merge))
         for found in self._parts(part):
-            tree.push(None if found is None else found.part)
+            tree.push(None if found is None else found[1])
         return tree.root()
 
     def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
         """Yield the parts of all logs in their order."""
         for found in self._parts(part):
             if found is not None:
-                yield found.part
+                yield found[1]
 
     def again(self, *, imus: bool) -> Iterator[Recording]:
         """Read the logs once more, without account."""
@@ -133,7 +120,7 @@ class LogSet:
                 yield log
             else:
                 clock = self.time_source
-                yield read_screened(log, self.robot, time_source=clock, imus=imus).recording
+                yield read_screened(log, self.robot, time_source=clock, imus=imus)[0]
 
     def inputs(self, stage: str = "") -> list[InputLog]:
         """Return the logs read so far, as documents list them."""
@@ -157,11 +144,10 @@ class LogSet:
             count = len(self.read) + len(self.left_out)
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
-    def _parts(self, part: PartOf[Any, P]) -> Iterator[_Done[P] | None]:
-        """The part of every log in their order, None where it failed and that is no reason to stop.
-
-        Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
-        """
+    def _parts(self, part: PartOf[Any, P]) -> Iterator[tuple[LogNote, P] | None]:
+        """The part of every log in their order, None where it failed and that may be."""
+        # Raises SeqidError: a log cannot be used, the first of them in the order given; or none
+        # can.
         self._next()
         errors: list[Exception] = []
         items = self._items()
@@ -169,7 +155,7 @@ class LogSet:
             error = reply.error
             if error is None:
                 found = reply.get()
-                self._done(found.note)
+                self._done(found[0])
                 yield found
                 continue
             if isinstance(error, UsageError | ConfigError) or not self.skip_failed:
@@ -182,12 +168,14 @@ class LogSet:
             hint = first.hint if isinstance(first, SeqidError) else ""
             raise InputError(f"none of the {len(items)} logs can be used: {first}", hint=hint)
 
-    def _replies(self, part: PartOf[Any, P], items: Sequence[_Item]) -> Iterator[Reply[_Done[P]]]:
+    def _replies(
+        self, part: PartOf[Any, P], items: Sequence[_Item]
+    ) -> Iterator[Reply[tuple[LogNote, P]]]:
         task = _Task(self.robot, self.time_source, part, self.imus, Path.cwd())
         if self.executor is not None:
             return ordered(self.executor, task, items)
 
-        def here(item: _Item) -> _Done[P]:
+        def here(item: _Item) -> tuple[LogNote, P]:
             return task.work(item, self._about_to_work)
 
         return (answer(here, i) if self.skip_failed else Reply(here(i)) for i in items)
@@ -285,14 +273,6 @@ class _Item:
 
 
 @dataclass(frozen=True)
-class _Done(Generic[P]):
-    """The part of one log, and its summary."""
-
-    note: LogNote
-    part: P
-
-
-@dataclass(frozen=True)
 class _Task(Generic[P]):
     """Reads a log and takes its part; relative paths start from `folder`."""
 
@@ -302,7 +282,7 @@ class _Task(Generic[P]):
     imus: bool
     folder: Path | None = None
 
-    def __call__(self, item: _Item) -> _Done[P]:
+    def __call__(self, item: _Item) -> tuple[LogNote, P]:
         """Work on one log.
 
         Raises SeqidError: the log cannot be read or is of no use.
@@ -311,7 +291,7 @@ class _Task(Generic[P]):
 
     def work(
         self, item: _Item, before: Callable[[Recording | SurveyedLog], None] | None
-    ) -> _Done[P]:
+    ) -> tuple[LogNote, P]:
         """Work on one log, of which someone in this process hears before the long part."""
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with contextlib.ExitStack() as stack:
@@ -322,7 +302,7 @@ class _Task(Generic[P]):
             if before is not None:
                 before(log)
             assert self.part is not None
-            return _Done(replace(note_of(log), findings=findings), self.part(log, item.number))
+            return replace(note_of(log), findings=findings), self.part(log, item.number)
 
     def read(
         self, item: _Item, file: Path | None = None
@@ -338,7 +318,7 @@ class _Task(Generic[P]):
         if isinstance(self.part, LogOpener):
             opened = self.part.open_log(place, self.robot, self.time_source)
         if opened is not None:
-            found = screened_long(replace(opened, path=name), self.robot)
-            return found.log, found.findings
-        held = read_screened(place, self.robot, time_source=self.time_source, imus=self.imus)
-        return replace(held.recording, path=name), located(held.findings, name)
+            return screened_long(replace(opened, path=name), self.robot)
+        clock = self.time_source
+        held, found = read_screened(place, self.robot, time_source=clock, imus=self.imus)
+        return replace(held, path=name), located(found, name)

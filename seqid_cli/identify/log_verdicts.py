@@ -1,7 +1,5 @@
 """From what is wrong with the logs to the verdicts of whatever was made of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from seqid_cli.params.results.inspection import InspectionFinding

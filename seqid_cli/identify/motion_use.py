@@ -1,7 +1,5 @@
 """Source of the motion of each log and its errors, as the files have it."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable
 from pathlib import Path

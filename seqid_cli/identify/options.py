@@ -1,7 +1,5 @@
 """What a user may set per stage; kept free of heavy imports for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

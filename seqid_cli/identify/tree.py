@@ -5,8 +5,6 @@ then their results pairwise, and so on; a part without a partner goes up as it i
 from the number of parts alone, so one process, many processes and a cluster get the same bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar

@@ -4,8 +4,6 @@ Samples that are known to be damaged (spikes, freezes) are taken out, and the ch
 compare channels with each other go on without them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -30,7 +28,7 @@ from seqid_cli.inspect.channels.torques import (
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.imu.link_fit import FOLLOWS
 from seqid_cli.inspect.imu.motion import Following, follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
@@ -93,19 +91,9 @@ class Checked:
 def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     """Check a log.
 
-    Parameters
-    ----------
-    data : LogData
-    imus : bool
-        Whether its IMUs are checked as well.
-    quality : bool
-        Whether it is also judged how well channels are measured (steps, held values, temperature):
-        warnings at most.
-
-    Returns
-    -------
-    Checked
-        Findings, each code once per joint and channel.
+    `imus`: whether its IMUs are checked as well. `quality`: whether it is also judged how well
+    channels are measured (steps, held values, temperature): warnings at most. Returns: findings,
+    each code once per joint and channel.
     """
     breaks = breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
@@ -136,10 +124,8 @@ def _findings(
     imus: bool,
     quality: bool,
 ) -> Iterator[InspectionFinding]:
-    """Run the checks in their order; a check is left out where an earlier finding spoils it.
-
-    `sound` is the log without damaged samples.
-    """
+    """Run the checks in their order; a check is left out where an earlier finding spoils it."""
+    # `sound` is the log without damaged samples.
     own = [*clock_findings(data), *hole_findings(data)]
     if data.recording.partial:
         own.append(found("salvaged", data.recording.partial))

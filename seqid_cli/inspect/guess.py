@@ -1,7 +1,5 @@
 """A robot guessed from the names in a log alone: joints, channels, IMUs, but no geometry."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -72,13 +70,8 @@ def guess(survey: Survey) -> Guess:
 def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
     """Guess `[channels]` patterns and joint names from column names.
 
-    Returns
-    -------
-    patterns : dict
-        By quantity, with {index}, {index0} or {name}, or the column of each joint; empty where
-        nothing is found.
-    joints : tuple of str
-        Names found in the columns, else joint_1, joint_2, ...
+    Returns: patterns by quantity, with {index}, {index0} or {name}, or the column of each joint,
+    empty where nothing is found; names found in the columns, else joint_1, joint_2, ...
     """
     names = list(names)
     numbered, named = _numbered(names), _named(names)
@@ -221,10 +214,7 @@ def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
 def stand_in(guessed: Guess, *, source: Path) -> Robot:
     """Make a robot that can read the log; its geometry means nothing.
 
-    Raises
-    ------
-    InputError
-        The log has more joints than an arm.
+    Raises InputError: the log has more joints than an arm.
     """
     count = len(guessed.joints)
     if count > MOST_JOINTS:

@@ -1,7 +1,5 @@
 """Inspection of logs, one after the other, and of the set."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +8,7 @@ from msgspec import structs
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.checks import check
-from seqid_cli.inspect.findings.finding import found, located, verdict_of
+from seqid_cli.inspect.findings import found, located, verdict_of
 from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData, read_log
@@ -167,8 +165,6 @@ def _report(
         non_monotonic=health.non_monotonic,
         duplicates=health.duplicates,
         log_minus_header_s=health.log_minus_header_s,
-        channels=[],
-        missing={},
         joints=joint_summaries(data),
         imus=imu_summaries(data, checked.following),
         moves=moves_of(data, stretches),
@@ -185,28 +181,7 @@ def _unreadable(
     finding = found("unreadable", error.message)
     if error.hint:
         finding = structs.replace(finding, remedy=error.hint)
-    log = InspectedLog(
-        path=str(path),
-        sha256="",
-        format=form,
-        verdict="unreadable",
-        samples=0,
-        seconds=0.0,
-        rate_hz=0.0,
-        jitter=0.0,
-        gaps=[],
-        non_monotonic=0,
-        duplicates=0,
-        log_minus_header_s=None,
-        channels=[],
-        missing={},
-        joints=[],
-        imus=[],
-        moves=[],
-        moving_together=[],
-        serves=[],
-        partial="",
-    )
+    log = InspectedLog(path=str(path), sha256="", format=form, verdict="unreadable")
     return Inspected(log, located((*known, finding), path))
 
 

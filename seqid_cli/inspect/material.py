@@ -1,7 +1,5 @@
 """One log as the checks see it: samples as they were logged, and on one time base."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -93,10 +91,7 @@ class LogData:
 def read_log(path: Path, robot: Robot, *, modelled: bool, time_source: TimeSource) -> LogData:
     """Read a log for inspection.
 
-    Raises
-    ------
-    InputError
-        It cannot be read, or lacks what the robot file promises.
+    Raises InputError: it cannot be read, or lacks what the robot file promises.
     """
     recording, raw = read_both(path, robot, time_source=time_source)
     return log_data(recording, raw, robot, modelled=modelled)
@@ -139,17 +134,9 @@ def _motion(
 def averaged(recording: Recording, rate_hz: float) -> Recording:
     """Average a log over groups of samples, so that no more than needed are filtered.
 
-    Parameters
-    ----------
-    recording : Recording
-    rate_hz : float
-        What is left is at least that fast [Hz].
-
-    Returns
-    -------
-    Recording
-        Position and torque alone, both averaged alike; a group is valid if all of it is. The same
-        recording where its rate is not twice as high, or where its IMUs are wanted.
+    `rate_hz`: what is left is at least that fast [Hz]. Returns: position and torque alone, both
+    averaged alike; a group is valid if all of it is. The same recording where its rate is not twice
+    as high, or where its IMUs are wanted.
     """
     size = int(recording.rate_hz / rate_hz)
     if size < 2 or recording.accelerometers or recording.gyros:

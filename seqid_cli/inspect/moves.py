@@ -1,7 +1,5 @@
 """Which joints move how, and which stage a log serves."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,10 +1,8 @@
 """Channels of the robot file against those of a log."""
 
-from __future__ import annotations
-
 import difflib
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.logs.contents import Survey
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot

@@ -1,7 +1,5 @@
 """Progress of a function over its logs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

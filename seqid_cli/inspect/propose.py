@@ -1,7 +1,5 @@
 """A robot file proposed from logs and a URDF."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re
@@ -112,10 +110,8 @@ def _driven(
     for key, values in drives.items():
         if len(values) not in (1, len(joints)):
             names = ", ".join(joint.name for joint in joints)
-            raise UsageError(
-                f"{len(values)} values of {key} for {len(joints)} joints",
-                hint=f"Give one for all, or one for each of {names}.",
-            )
+            message = f"{len(values)} values of {key} for {len(joints)} joints"
+            raise UsageError(message, hint=f"Give one for all, or one for each of {names}.")
         own = [*values] * (len(joints) if len(values) == 1 else 1)
         joints = tuple(
             replace(joint, **{key: value})  # type: ignore[arg-type]
@@ -164,9 +160,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -
     pairs = {name: name for name in log if name in urdf}
     left = [name for name in log if name not in pairs]
     free = [name for name in urdf if name not in pairs.values()]
-    scored = sorted(
-        ((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free),
-    )
+    scored = sorted((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free)
     for score, i, j in scored:
         if -score >= near and log[i] not in pairs and urdf[j] not in pairs.values():
             pairs[log[i]] = urdf[j]
@@ -217,23 +211,15 @@ def _joint(
         limits = (joint.lower, joint.upper)
     remark = "" if joint.name == log_name else f"{log_name} in the log"
     return JointTemplate(
-        joint.name,
-        limits,
-        joint.velocity,
-        joint.effort,
-        seen.encoder_step,
-        seen.moves,
-        remark,
+        joint.name, limits, joint.velocity, joint.effort, seen.encoder_step, seen.moves, remark
     )
 
 
 def _channels(
     surveyed: Survey, guessed: Guess, log: tuple[str, ...], joints: tuple[str, ...]
 ) -> tuple[dict[str, Columns], tuple[str, ...]]:
-    """Return `[channels]` that the log needs, and names that they cannot express.
-
-    `joints` are the names in the robot file of those that the log calls `log`.
-    """
+    """Return `[channels]` that the log needs, and names that they cannot express."""
+    # `joints` are the names in the robot file of those that the log calls `log`.
     if surveyed.format == "mcap":
         renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
         text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
@@ -262,11 +248,9 @@ def _defaults(joints: tuple[str, ...], names: Sequence[str]) -> dict[str, Column
 
 
 def _mapped(pattern: Columns, log: tuple[str, ...], joints: tuple[str, ...]) -> Columns:
-    """Write the log's names by those of the URDF, where they only have something around them.
-
-    Or by the number of the joint, where it is all that tells the log's names apart, or column by
-    column.
-    """
+    """Write the log's names by those of the URDF, where they only have something around them."""
+    # Or by the number of the joint, where it is all that tells the log's names apart, or column by
+    # column.
     if not isinstance(pattern, str) or "{name}" not in pattern:
         return pattern
     for prefix, suffix in dict.fromkeys(map(_around, log, joints)):

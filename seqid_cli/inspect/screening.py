@@ -5,18 +5,17 @@ positions block by block; torque and motion are compared with each other in some
 that memory does not grow with the log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
-from seqid_cli.inspect.findings.finding import located
+from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.material import log_data
 from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.long import READERS, Block, Bridge
@@ -27,29 +26,21 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
 
+Findings = tuple[InspectionFinding, ...]
 
-@dataclass(frozen=True)
-class Screened:
+
+class Screened(NamedTuple):
     """A log without its damaged samples, and the findings."""
 
     recording: Recording
-    findings: tuple[InspectionFinding, ...]
+    findings: Findings
 
 
 def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> Screened:
     """Check a log that is held.
 
-    Parameters
-    ----------
-    recording, raw
-        The log as `read_both` gives it.
-    robot : Robot
-    imus : bool
-        Whether its IMUs are used, and hence checked.
-
-    Returns
-    -------
-    Screened
+    `recording`, `raw`: the log as `read_both` gives it. `imus`: whether its IMUs are used, and
+    hence checked.
     """
     checked = check(log_data(recording, raw, robot, modelled=True), imus=imus, quality=False)
     return Screened(checked.data.recording, located(checked.findings, recording.path))
@@ -66,24 +57,13 @@ def read_screened(
 ) -> Screened:
     """Read and check a log; see `read_recording` and `screened`.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, lacks a channel or is too short.
+    Raises InputError: the file cannot be read, lacks a channel or is too short.
     """
     recording, raw = read_both(path, robot, time_source=time_source)
     return screened(recording, raw, robot, imus=imus)
 
 
-@dataclass(frozen=True)
-class ScreenedLong:
-    """A log to be passed over without its damaged samples, and the findings."""
-
-    log: SurveyedLog
-    findings: tuple[InspectionFinding, ...]
-
-
-def screened_long(log: SurveyedLog, robot: Robot) -> ScreenedLong:
+def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings]:
     """Check a log that is passed over; see `screened`."""
     first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
     look = _Look(log, robot)
@@ -100,7 +80,7 @@ def screened_long(log: SurveyedLog, robot: Robot) -> ScreenedLong:
         findings += check(data, imus=False, quality=False).findings
         warnings = ()  # they are the log's, and said once
     unique = {(f.code, f.joint, f.channel): f for f in reversed(findings)}
-    return ScreenedLong(sound, located([*unique.values()][::-1], log.path))
+    return sound, located([*unique.values()][::-1], log.path)
 
 
 @dataclass

@@ -3,8 +3,6 @@
 Stamps are integer nanoseconds, so sums and differences are exact.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What a log holds, told without a robot file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

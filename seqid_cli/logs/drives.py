@@ -5,8 +5,6 @@ w = gear_ratio dq and k_e = torque_constant in SI units; a duty cycle times the 
 voltage.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.logs.raw import Array, Stamps

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from seqid_cli.errors import SeqidWarning
-from seqid_cli.logs.in_memory import TableLog
 from seqid_cli.logs.storage.files import expand
+from seqid_cli.logs.storage.in_memory import TableLog
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
@@ -48,16 +48,8 @@ def warn(message: str) -> None:
 def expanded(given: Sequence[Log], *, stored: bool = False) -> list[Path | Recording]:
     """Turn files, folders, globs and tables into logs; warns of files that are left out.
 
-    Parameters
-    ----------
-    given : sequence of paths, tables and recordings
-    stored : bool
-        Whether URLs of object storage are welcome as well.
-
-    Raises
-    ------
-    InputError
-        An argument stands for no log.
+    `stored`: whether URLs of object storage are welcome as well. Raises InputError: an argument
+    stands for no log.
     """
     found: list[Path | Recording] = []
     for is_path, group in groupby(given, key=is_place):

@@ -163,14 +163,6 @@ _NONE: NDArray[np.intp] = np.zeros(0, np.intp)
 _NO_ROWS = Rows(np.zeros(0, np.int64), np.zeros((0, 0)))
 
 
-def rows_at_least(path: Path, least: int) -> bool:
-    """Whether a log is likely to hold so many rows, without reading it.
-
-    Raises InputError: the file cannot be read.
-    """
-    return likely_rows(path) >= least
-
-
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
     """Rows that a log is likely to hold, without reading it; 0 where the format does not tell.
 
@@ -200,23 +192,10 @@ def open_long(
 ) -> LongLog | None:
     """Pass over a log once and lay its time base.
 
-    Parameters
-    ----------
-    path, robot, time_source
-        As for `read_recording`.
-    watch : callable, optional
-        Shown what is passed over: the rate [Hz] that the first rows have, and positions (M, n) as
-        logged. They are the samples of the base if the log is `exact`.
-
-    Returns
-    -------
-    LongLog or None
-        None where the log can only be read as a whole.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or lacks a channel.
+    `path`, `robot`, `time_source`: as for `read_recording`. `watch`: shown what is passed over: the
+    rate [Hz] that the first rows have, and positions (M, n) as logged. They are the samples of the
+    base if the log is `exact`. Returns None where the log can only be read as a whole. Raises
+    InputError: the file cannot be read or lacks a channel.
     """
     path = Path(path)
     kind, file = check_log(path), storage_file(path)
@@ -250,11 +229,7 @@ def open_long(
 
 
 def _rows(
-    path: Path,
-    kind: str,
-    robot: Robot,
-    time_source: TimeSource,
-    health: LongHealth | None = None,
+    path: Path, kind: str, robot: Robot, time_source: TimeSource, health: LongHealth | None = None
 ) -> Iterator[Rows]:
     last, first_sources = None, None
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):

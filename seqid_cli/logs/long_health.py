@@ -1,7 +1,5 @@
 """What a pass over a long log tells of its health, as `read_recording` does of a whole one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

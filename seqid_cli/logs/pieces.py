@@ -101,28 +101,11 @@ def read_pieces(
 ) -> list[Recording]:
     """Read pieces of a log without holding the rest of it.
 
-    Parameters
-    ----------
-    path, robot, time_source
-        As for `read_recording`.
-    whole : Whole
-        The log.
-    ranges : sequence of (float, float)
-        First and last moment of each piece, s since the first sample; they may overlap.
-    kind : str
-        The format of a log that can be passed over; a log of any other is read as a whole and cut.
-    sound : callable, optional
-        Takes damaged samples out of a recording, given as `read_both` does.
-
-    Returns
-    -------
-    list of Recording
-        In the order of `ranges`.
-
-    Raises
-    ------
-    InputError
-        The file can no longer be read, or holds too little of a piece.
+    `path`, `robot`, `time_source`: as for `read_recording`. `whole`: the log. `ranges`: first and
+    last moment of each piece, s since the first sample; they may overlap. `kind`: the format of a
+    log that can be passed over; a log of any other is read as a whole and cut. `sound`: takes
+    damaged samples out of a recording, given as `read_both` does. Returns: in the order of
+    `ranges`. Raises InputError: the file can no longer be read, or holds too little of a piece.
     """
     if kind not in READERS:
         recording, all_rows = read_both(path, robot, time_source=time_source)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-
-from seqid_cli.robot.types import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,7 +35,6 @@ class Stream:
     channels: dict[str, Array]
 
     def __len__(self) -> int:
-        """Count the samples."""
         return len(self.stamp_ns)
 
     def take(self, rows: Rows | Mask | slice) -> Stream:
@@ -63,17 +59,7 @@ class RawLog:
     prefer_current: bool = False
 
 
-class BlockReader(Protocol):
-    """Reads one file format."""
-
-    def __call__(
-        self, path: Path, robot: Robot, time_source: TimeSource, *, rows: int | None = ...
-    ) -> Iterator[RawLog]:
-        """Read the channels that the robot file knows, block by block.
-
-        `robot`: its joints, IMUs and `[channels]`. `time_source` {"header", "log"}: stamps in the
-        messages, or the times of logging; without meaning for tables. `rows`: rows in a block,
-        where the format allows it; None for the whole log as one block. Raises InputError: the file
-        is damaged beyond use or lacks a channel.
-        """
-        ...
+# Reads the channels that the robot file knows, block by block: (path, robot, time source, rows in a
+# block, where the format allows it; None for the whole log as one). Raises InputError: the file is
+# damaged beyond use or lacks a channel.
+BlockReader = Callable[..., Iterator[RawLog]]

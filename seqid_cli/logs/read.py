@@ -1,9 +1,6 @@
 """From a log file to a `Recording`."""
 
-from __future__ import annotations
-
 import hashlib
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -43,24 +40,8 @@ READERS: dict[str, BlockReader] = {
 ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
-def read_recordings(
-    paths: Sequence[Path],
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    rate_hz: float | None = None,
-) -> Iterator[Recording]:
-    """Read logs one after the other; see `read_recording`."""
-    for path in paths:
-        yield read_recording(path, robot, time_source=time_source, rate_hz=rate_hz)
-
-
 def read_recording(
-    path: Path,
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    rate_hz: float | None = None,
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", rate_hz: float | None = None
 ) -> Recording:
     """Read one log on a uniform time base.
 
@@ -92,11 +73,7 @@ def read_recording(
 
 
 def read_both(
-    path: Path,
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    rate_hz: float | None = None,
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", rate_hz: float | None = None
 ) -> tuple[Recording, RawLog]:
     """Read one log as a recording and as it was logged; see `read_recording`."""
     with local_copy(path) as file:
@@ -107,17 +84,9 @@ def read_both(
 def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stream) -> Recording:
     """Lay a log on its base anew after some values of its joint samples were taken out.
 
-    Parameters
-    ----------
-    recording, raw
-        The log as `read_both` gives it.
-    joints : Stream
-        Its joint samples in the order of time, NaN where a value is not to be used.
-
-    Returns
-    -------
-    Recording
-        Short holes are bridged by a curve, longer ones are not valid, like any missing values.
+    `recording`, `raw`: the log as `read_both` gives it. `joints`: its joint samples in the order of
+    time, NaN where a value is not to be used. Returns: short holes are bridged by a curve, longer
+    ones are not valid, like any missing values.
     """
     cleared, before = replace(raw, joints=joints), recording.health
     where = recording.path
@@ -213,7 +182,7 @@ def assemble(
         ),
         dq=dq,
         tau=tau,
-        temperature=_temperature(clock.stream, base),
+        temperature=_whole(clock.stream, "temperature", base),
         load=load,
         link_position=link,
         accelerometers=imus.accelerometers,
@@ -286,11 +255,8 @@ def with_torque(
         return joints
     if not present.all():
         lacking = [n for n, there in zip(robot.joint_names, present, strict=True) if not there]
-        raise InputError(
-            f"neither torque nor current of joint {', '.join(lacking)}, but of others",
-            hint="Log it for every joint of the robot file.",
-            where=where,
-        )
+        message = f"neither torque nor current of joint {', '.join(lacking)}, but of others"
+        raise InputError(message, hint="Log it for every joint of the robot file.", where=where)
     zero = [n for n, v in zip(robot.joint_names, tau.T, strict=True) if not np.nan_to_num(v).any()]
     if zero:
         warnings.append(
@@ -299,23 +265,19 @@ def with_torque(
     return replace(joints, channels={**joints.channels, "tau": tau})
 
 
-def _whole(stream: Stream, quantity: str, base: Base, warnings: list[str]) -> Array | None:
-    """Resample an optional channel; None unless every joint has it."""
+def _whole(
+    stream: Stream, quantity: str, base: Base, warnings: list[str] | None = None
+) -> Array | None:
+    """Resample an optional channel; None unless every joint has it (any, if none is warned of)."""
     if quantity not in stream.channels:
         return None
     values = resample(stream, quantity, base).values
-    if np.isfinite(values).all():
+    there = np.isfinite(values)
+    if there.all() or (warnings is None and there.any()):
         return values
-    if np.isfinite(values).any():
+    if warnings is not None and there.any():
         warnings.append(f"{quantity} is logged for some joints only; it is left out")
     return None
-
-
-def _temperature(stream: Stream, base: Base) -> Array | None:
-    if "temperature" not in stream.channels:
-        return None
-    values = resample(stream, "temperature", base).values
-    return values if np.isfinite(values).any() else None
 
 
 def _read_imus(raw: RawLog, robot: Robot, base: Base, repair: Mended) -> _Imus:

@@ -1,7 +1,5 @@
 """What a log holds once it is read: uniform in time, SI units, joints in the robot's order."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

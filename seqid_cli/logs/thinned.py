@@ -1,7 +1,5 @@
 """A bounded, evenly spread sample of a stream of rows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.logs.raw import Array

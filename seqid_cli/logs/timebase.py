@@ -7,8 +7,6 @@ where the base is coarser than the samples, they are averaged over one interval 
 come in bursts a spline would swing, and straight lines are used throughout.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -165,10 +163,8 @@ def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], 
 
 def _wanted_step(rate_hz: float, span: float) -> float:
     if not np.isfinite(rate_hz) or rate_hz <= 0.0 or rate_hz * span < LEAST_SAMPLES:
-        raise UsageError(
-            f"a rate of {rate_hz:g} Hz cannot be used",
-            hint=f"It must be positive and leave at least {LEAST_SAMPLES} samples.",
-        )
+        hint = f"It must be positive and leave at least {LEAST_SAMPLES} samples."
+        raise UsageError(f"a rate of {rate_hz:g} Hz cannot be used", hint=hint)
     return 1.0 / rate_hz
 
 
@@ -229,10 +225,8 @@ def _interpolate(
 
 
 def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
-    """Average the straight-line interpolant over `width` around each t, so that nothing aliases.
-
-    The window is symmetric, hence without delay, and shrinks at the ends of the samples.
-    """
+    """Average the straight-line interpolant over `width` around each t, so that nothing aliases."""
+    # The window is symmetric, hence without delay, and shrinks at the ends of the samples.
     half = np.clip(np.minimum(t - x[0], x[-1] - t), 1e-9, width / 2)
     area = np.zeros_like(values)
     trapezoids = 0.5 * np.diff(x)[:, None] * (values[1:] + values[:-1])

@@ -5,8 +5,6 @@ with so many samples more on either side that the zero-phase filters have forgot
 the signal) what lies beyond; gaps and the ends of the log are runs' ends like in the whole log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -166,20 +164,8 @@ def open_surveyed(
 ) -> SurveyedLog | None:
     """Open a log that is to be passed over; in one pass, if its stamps are as even as usual.
 
-    Parameters
-    ----------
-    path, robot, time_source
-        As for `open_long`.
-
-    Returns
-    -------
-    SurveyedLog or None
-        None where the log can only be read as a whole.
-
-    Raises
-    ------
-    InputError
-        As for `open_long`.
+    `path`, `robot`, `time_source`: as for `open_long`. Returns None where the log can only be read
+    as a whole. Raises InputError: as for `open_long`.
     """
     found: list[Survey] = []
 

@@ -128,14 +128,17 @@ def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | Non
     if recording.bridged is not None:
         usable &= ~recording.bridged
     if not usable.any():
-        raise InputError(
-            f"no stretch without a gap is long enough for a low-pass of {lowpass.cutoff_hz:.3g} Hz",
-            hint="record longer, mend the gaps, or give a higher --cutoff",
-            where=str(recording.path),
-        )
+        raise too_short(recording.path, lowpass.cutoff_hz)
     if recording.tau is None:
         return None, usable
     return lowpass(lowpass(recording.tau, recording.valid), recording.valid), usable
+
+
+def too_short(path: Path, cutoff_hz: float) -> InputError:
+    """The error of a log without a stretch that is long enough to filter."""
+    message = f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz"
+    hint = "record longer, mend the gaps, or give a higher --cutoff"
+    return InputError(message, hint=hint, where=str(path))
 
 
 def as_asked(chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions) -> Cutoff:

@@ -1,7 +1,5 @@
 """What a user may set about motion; kept free of heavy imports for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 # "auto": fused where it can be had; "needed": only where the encoders are much the worse as well.
@@ -13,9 +11,9 @@ class MotionOptions:
     """How logs are filtered.
 
     `cutoff_hz` is the low-pass cut-off of all logs, and `origin` says where it came from; None has
-    each log choose its own. After the
-    low-pass `samples_per_cutoff` samples at least stay per period of the cut-off; infinite keeps
-    all. `encoder_hz` is the cut-off that would suit the encoders alone.
+    each log choose its own. After the low-pass `samples_per_cutoff` samples at least stay per
+    period of the cut-off; infinite keeps all. `encoder_hz` is the cut-off that would suit the
+    encoders alone.
     """
 
     cutoff_hz: float | None = None

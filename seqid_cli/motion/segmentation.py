@@ -7,8 +7,6 @@ by more than the encoder's own uncertainty plus a few percent; the ramps at its 
 the window.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -149,7 +147,9 @@ def _stretch(
 def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int, int]]:
     """Index ranges between reversals; a reversal is a turn back by more than three counts."""
     turns, extreme, direction = [0], 0, 0
-    for i in _steps(position, step):
+    # Indices at which the position has changed by a count or more: all that a turn can need.
+    counts = np.round(position / step).astype(np.int64)
+    for i in (np.flatnonzero(np.diff(counts)) + 1).tolist():
         change = position[i] - position[extreme]
         if direction == 0 and abs(change) > 3 * step:
             direction = int(np.sign(change))
@@ -163,12 +163,6 @@ def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int,
     return [(a, b) for a, b in pairwise(turns) if b - a > 8]
 
 
-def _steps(position: Array, step: float) -> Index:
-    """Indices at which the position has changed by a count or more: all that a turn can need."""
-    counts = np.round(position / step).astype(np.int64)
-    return np.flatnonzero(np.diff(counts)) + 1
-
-
 def _plateaus(
     position: Array, rate_hz: float, step: float, *, velocity_tolerance: float = 0.1
 ) -> list[tuple[int, int]]:
@@ -176,7 +170,11 @@ def _plateaus(
     travel = abs(position[-1] - position[0])
     if travel < 8 * step:
         return []
-    half = _half_window(position, rate_hz, step)
+    # Half a window that holds about sixty counts, between 20 ms and a twelfth of the move.
+    speed = np.quantile(np.abs(np.diff(position[:: max(1, len(position) // 50)])), 0.7)
+    speed *= rate_hz / max(1, len(position) // 50)
+    wanted = 30 * step * rate_hz / max(float(speed), 1e-9)
+    half = int(np.clip(wanted, max(2, 0.02 * rate_hz), max(2, len(position) / 12)))
     if 4 * half + 3 > len(position):
         return []
     velocity = windowed_velocity(position, rate_hz, half)
@@ -194,14 +192,6 @@ def _plateaus(
     return result
 
 
-def _half_window(position: Array, rate_hz: float, step: float) -> int:
-    """Half a window that holds about sixty counts, between 20 ms and a twelfth of the move."""
-    speed = np.quantile(np.abs(np.diff(position[:: max(1, len(position) // 50)])), 0.7)
-    speed *= rate_hz / max(1, len(position) // 50)
-    wanted = 30 * step * rate_hz / max(float(speed), 1e-9)
-    return int(np.clip(wanted, max(2, 0.02 * rate_hz), max(2, len(position) / 12)))
-
-
 def _trimmed(
     position: Array,
     start: int,
@@ -213,11 +203,9 @@ def _trimmed(
     least_share: float = 0.5,
     shortest_s: float = 0.12,
 ) -> list[tuple[int, int]]:
-    """Cut a steady range back until its velocity is one and the same throughout.
-
-    Drift within a window can be too slow to see and still add up, as near the top of a sine; what
-    is left must then be a fair share of the move.
-    """
+    """Cut a steady range back until its velocity is one and the same throughout."""
+    # Drift within a window can be too slow to see and still add up, as near the top of a sine; what
+    # is left must then be a fair share of the move.
     start, stop = start + half // 2, stop - half // 2
     least = max(8 * step, least_share * abs(float(position[-1] - position[0])))
     while stop - start >= max(8, shortest_s * rate_hz):

@@ -4,8 +4,6 @@ Whatever a document holds is laid out by its own shape: structures that lie in a
 a dictionary as the rows of one table, other values by their names. Long lists are counted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from html import escape
 

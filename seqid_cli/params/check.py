@@ -1,40 +1,26 @@
 """Checks of a parameter file beyond its types: shapes, ranges, names that refer to each other."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.params import schema
 from seqid_cli.params.evidence_schema import EvidenceEntry
-from seqid_cli.params.schema import (
-    ClosedLoop,
-    EffectOfJoint,
-    FrictionJoint,
-    ImuCalibration,
-    Matrix,
-    Parameter,
-    ParameterFile,
-    RigidStage,
-)
 
 SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
 _Problem = tuple[str, str]  # key, fault
 
 
-def check_consistency(file: ParameterFile, where: str) -> None:
+def check_consistency(file: schema.ParameterFile, where: str) -> None:
     """Check a decoded parameter file.
 
-    Raises
-    ------
-    ConfigError
-        Two parts of the file contradict each other; the message names the key.
+    Raises ConfigError: two parts of the file contradict each other; the message names the key.
     """
     for key, what in _problems(file):
         hint = "The file was edited or damaged: run the stage again that wrote it."
         raise ConfigError(f"{key}: {what}", where=where, hint=hint)
 
 
-def _problems(file: ParameterFile) -> Iterable[_Problem]:
+def _problems(file: schema.ParameterFile) -> Iterable[_Problem]:
     joints, stages = file.robot.joints, file.stages
     if not joints or len(set(joints)) != len(joints):
         yield "$.robot.joints", "must name each joint of the robot once"
@@ -55,7 +41,7 @@ def _problems(file: ParameterFile) -> Iterable[_Problem]:
         yield from _closed_loop("$.closed_loop", file.closed_loop, joints)
 
 
-def _friction(key: str, joint: FrictionJoint) -> Iterable[_Problem]:
+def _friction(key: str, joint: schema.FrictionJoint) -> Iterable[_Problem]:
     bases = {"chebyshev": joint.position_order + 1, "fourier": 2 * joint.position_order + 1}
     if joint.position_basis not in bases:
         yield f"{key}.position_basis", f"is {joint.position_basis!r}, none of {', '.join(bases)}"
@@ -79,7 +65,7 @@ def _friction(key: str, joint: FrictionJoint) -> Iterable[_Problem]:
         yield f"{key}.torque_constant_error", "must be at least 0 and below 1"
 
 
-def _rigid(key: str, stage: RigidStage, joints: Sequence[str]) -> Iterable[_Problem]:
+def _rigid(key: str, stage: schema.RigidStage, joints: Sequence[str]) -> Iterable[_Problem]:
     count = len(stage.parameters)
     yield from _parameters(key, stage.parameters)
     for parameter in stage.parameters:
@@ -92,7 +78,7 @@ def _rigid(key: str, stage: RigidStage, joints: Sequence[str]) -> Iterable[_Prob
             yield f"{key}.torque_constant_moves.{joint}", f"must be {count} numbers"
 
 
-def _imu(key: str, imu: ImuCalibration) -> Iterable[_Problem]:
+def _imu(key: str, imu: schema.ImuCalibration) -> Iterable[_Problem]:
     if not _has_shape(imu.rotation, 3, 3):
         yield f"{key}.rotation", "must have 3 rows of 3 numbers"
         return
@@ -103,7 +89,7 @@ def _imu(key: str, imu: ImuCalibration) -> Iterable[_Problem]:
             yield f"{key}.rotation", f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}"
 
 
-def _effect(key: str, effect: EffectOfJoint, joints: Sequence[str]) -> Iterable[_Problem]:
+def _effect(key: str, effect: schema.EffectOfJoint, joints: Sequence[str]) -> Iterable[_Problem]:
     yield from _known(f"{key}.joint", effect.joint or "", joints)
     yield from _parameters(key, effect.parameters)
     count = len(effect.coefficients)
@@ -116,7 +102,7 @@ def _effect(key: str, effect: EffectOfJoint, joints: Sequence[str]) -> Iterable[
         yield f"{key}.session.origin", "must be there if the starts are, and only then"
 
 
-def _closed_loop(key: str, loop: ClosedLoop, joints: Sequence[str]) -> Iterable[_Problem]:
+def _closed_loop(key: str, loop: schema.ClosedLoop, joints: Sequence[str]) -> Iterable[_Problem]:
     for name, rounds in (("rounds", loop.rounds), ("refused", loop.refused)):
         for index, tried in enumerate(rounds):
             yield from _known(f"{key}.{name}[{index}].joint", tried.joint or "", joints)
@@ -147,7 +133,7 @@ def _interval(key: str, interval: Sequence[float]) -> Iterable[_Problem]:
         yield key, "must be two numbers, the smaller one first"
 
 
-def _parameters(key: str, parameters: Sequence[Parameter]) -> Iterable[_Problem]:
+def _parameters(key: str, parameters: Sequence[schema.Parameter]) -> Iterable[_Problem]:
     for index, parameter in enumerate(parameters):
         if parameter.std_error < 0.0:
             yield f"{key}.parameters[{index}].std_error", "must not be negative"
@@ -158,5 +144,5 @@ def _known(key: str, name: str, joints: Sequence[str]) -> Iterable[_Problem]:
         yield key, f"joint {name!r} is none of the robot's: {', '.join(joints)}"
 
 
-def _has_shape(matrix: Matrix, rows: int, columns: int) -> bool:
+def _has_shape(matrix: schema.Matrix, rows: int, columns: int) -> bool:
     return len(matrix) == rows and all(len(row) == columns for row in matrix)

@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING
 
 from seqid_cli import __version__
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.schema import (
-    SCHEMA,
-    ClosedLoop,
-    EffectOfJoint,
-    FrictionStage,
-    ImuStage,
-    InputLog,
-    ParameterFile,
-    RigidStage,
-    RobotId,
-    Stages,
-    Tool,
-)
+from seqid_cli.params import schema
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
@@ -40,23 +28,23 @@ def now() -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
-def tool() -> Tool:
+def tool() -> schema.Tool:
     """Return the identity of this program in the form of documents."""
-    return Tool(version=__version__)
+    return schema.Tool(version=__version__)
 
 
-def robot_id(robot: Robot) -> RobotId:
+def robot_id(robot: Robot) -> schema.RobotId:
     """Return the identity of a robot in the form of documents."""
-    return RobotId(name=robot.name, joints=list(robot.joint_names), sha256=robot.sha256)
+    return schema.RobotId(name=robot.name, joints=list(robot.joint_names), sha256=robot.sha256)
 
 
-def present(stages: Stages) -> dict[str, object]:
+def present(stages: schema.Stages) -> dict[str, object]:
     """Return the stages that are there, by name, in their order."""
     found = {name: getattr(stages, name) for name in STAGE_NAMES}
     return {name: stage for name, stage in found.items() if stage is not None}
 
 
-def stale_stages(previous: ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:
+def stale_stages(previous: schema.ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:
     """Return the earlier results that are void when the stages `names` are identified again."""
     if previous is None:
         return ()
@@ -66,31 +54,31 @@ def stale_stages(previous: ParameterFile | None, names: Sequence[str]) -> tuple[
 
 
 def with_stage(
-    previous: ParameterFile | None,
-    robot: RobotId,
-    inputs: Sequence[InputLog],
+    previous: schema.ParameterFile | None,
+    robot: schema.RobotId,
+    inputs: Sequence[schema.InputLog],
     *,
-    friction: FrictionStage | None = None,
-    gravity: RigidStage | None = None,
-    imu: ImuStage | None = None,
-    inertia: RigidStage | None = None,
-    effects: list[EffectOfJoint] | None = None,
+    friction: schema.FrictionStage | None = None,
+    gravity: schema.RigidStage | None = None,
+    imu: schema.ImuStage | None = None,
+    inertia: schema.RigidStage | None = None,
+    effects: list[schema.EffectOfJoint] | None = None,
     created: str | None = None,
-) -> ParameterFile:
+) -> schema.ParameterFile:
     """Return a new document: `previous` and the given stages.
 
     Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
     what had been identified from the old one (`stale_stages`) is dropped.
     """
     new = present(
-        Stages(friction=friction, gravity=gravity, imu=imu, inertia=inertia, effects=effects)
+        schema.Stages(friction=friction, gravity=gravity, imu=imu, inertia=inertia, effects=effects)
     )
     gone = {*new, *stale_stages(previous, tuple(new))}
     old = present(previous.stages) if previous else {}
     kept = {name: stage for name, stage in old.items() if name not in gone}
     earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
-    return ParameterFile(
-        schema=SCHEMA,
+    return schema.ParameterFile(
+        schema=schema.SCHEMA,
         created=created or now(),
         tool=tool(),
         robot=robot,
@@ -100,12 +88,12 @@ def with_stage(
 
 
 def refined(
-    previous: ParameterFile,
-    robot: RobotId,
-    inputs: Sequence[InputLog],
-    stages: Stages,
-    closed_loop: ClosedLoop,
-) -> ParameterFile:
+    previous: schema.ParameterFile,
+    robot: schema.RobotId,
+    inputs: Sequence[schema.InputLog],
+    stages: schema.Stages,
+    closed_loop: schema.ClosedLoop,
+) -> schema.ParameterFile:
     """Return a new document: `previous` after refinement.
 
     `stages` replace those of `previous`. All its inputs stay, because what was identified from
@@ -113,8 +101,8 @@ def refined(
     """
     content = {**present(previous.stages), **present(stages)}
     content.setdefault("effects", [])  # there even where nothing was added
-    return ParameterFile(
-        schema=SCHEMA,
+    return schema.ParameterFile(
+        schema=schema.SCHEMA,
         created=now(),
         tool=tool(),
         robot=robot,
@@ -124,13 +112,11 @@ def refined(
     )
 
 
-def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
+def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterFile:
     """Join parameter files of one robot, given with the names to use in messages.
 
-    Raises
-    ------
-    ConfigError
-        There are none, they are about different robots, or they disagree on a stage.
+    Raises ConfigError: there are none, they are about different robots, or they disagree on a
+    stage.
     """
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")
@@ -146,7 +132,7 @@ def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
                 raise ConfigError(message, where=name, hint=hint)
             stages.setdefault(stage, content)
             source.setdefault(stage, name)
-    return ParameterFile(
+    return schema.ParameterFile(
         schema=first.schema,
         created=max(file.created for _, file in files),
         tool=first.tool,
@@ -157,7 +143,9 @@ def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
     )
 
 
-def _same_robot(first_name: str, first: ParameterFile, name: str, file: ParameterFile) -> None:
+def _same_robot(
+    first_name: str, first: schema.ParameterFile, name: str, file: schema.ParameterFile
+) -> None:
     mine, theirs = file.robot, first.robot
     if (mine.name, mine.joints) != (theirs.name, theirs.joints):
         message = (
@@ -167,12 +155,12 @@ def _same_robot(first_name: str, first: ParameterFile, name: str, file: Paramete
         raise ConfigError(message, where=name, hint="Join files of one robot only.")
 
 
-def _unique(logs: Sequence[InputLog]) -> list[InputLog]:
+def _unique(logs: Sequence[schema.InputLog]) -> list[schema.InputLog]:
     return list({(log.stage, log.sha256, log.path): log for log in logs}.values())
 
 
-def _stages(content: Mapping[str, object]) -> Stages:
-    stages = Stages()
+def _stages(content: Mapping[str, object]) -> schema.Stages:
+    stages = schema.Stages()
     for name, stage in content.items():
         setattr(stages, name, stage)
     return stages

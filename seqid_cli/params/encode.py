@@ -4,8 +4,6 @@ Objects are indented, lists of numbers stay on one line, floats have 12 signific
 for every result, few enough to hide the last bits of another BLAS.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -20,12 +18,8 @@ _SCALARS = (str, int, float, bool, type(None))
 def encode(document: object) -> str:
     """Render a structure as JSON text, ending in a newline.
 
-    Raises
-    ------
-    ValueError
-        A number is NaN or infinite, which is a bug of its source. The message names the key.
-    TypeError
-        A value has no JSON form; the message names the key.
+    Raises ValueError: a number is NaN or infinite, which is a bug of its source. The message names
+    the key. Raises TypeError: a value has no JSON form; the message names the key.
     """
     return _render(plain(document), "") + "\n"
 

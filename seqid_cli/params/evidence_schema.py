@@ -1,7 +1,5 @@
 """Evidence of findings, in diagnoses and refined parameter files."""
 
-from __future__ import annotations
-
 from seqid_cli.params.base import Struct
 
 

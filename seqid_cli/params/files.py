@@ -1,7 +1,5 @@
 """Replace a file in one step: a reader sees the old content or the new, never a part."""
 
-from __future__ import annotations
-
 import contextlib
 import glob
 import os
@@ -17,10 +15,8 @@ By = Literal["name", "folder"]  # what tells robots apart
 def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Find out before any work whether `path` can be written.
 
-    Raises
-    ------
-    UsageError
-        The folder is missing or not writable, `path` is a folder, or it is one of `inputs`.
+    Raises UsageError: the folder is missing or not writable, `path` is a folder, or it is one of
+    `inputs`.
     """
     folder = path.parent
     if str(path) == "-":
@@ -46,10 +42,7 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
 def writing(path: Path) -> Iterator[None]:
     """Turn an error of the file system while writing `path` into a message.
 
-    Raises
-    ------
-    UsageError
-        The block met a full or read-only disk, or missing rights.
+    Raises UsageError: the block met a full or read-only disk, or missing rights.
     """
     try:
         yield
@@ -65,12 +58,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
     When the block raises, or the process dies in it, `path` stays as it was. A device such as
     /dev/null is written directly. Only the replacement itself is turned into a message here; the
-    block wraps its own writing in `writing`.
-
-    Raises
-    ------
-    UsageError
-        The file system refused the replacement.
+    block wraps its own writing in `writing`. Raises UsageError: the file system refused the
+    replacement.
     """
     if _is_special(path):
         yield path

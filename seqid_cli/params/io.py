@@ -87,10 +87,7 @@ def _parameters(
 def check_robot(file: ParameterFile, robot: Robot, *, where: str = "") -> tuple[str, ...]:
     """Compare the robot of a parameter file with the robot file in use; returns warnings.
 
-    Raises
-    ------
-    ConfigError
-        The joints differ: these are parameters of another robot.
+    Raises ConfigError: the joints differ: these are parameters of another robot.
     """
     mine, theirs = list(robot.joint_names), file.robot.joints
     if mine != theirs:
@@ -107,12 +104,8 @@ def check_robot(file: ParameterFile, robot: Robot, *, where: str = "") -> tuple[
 def write_json_atomic(path: Path, document: object, *, inputs: Iterable[Path] = ()) -> None:
     """Write a document as JSON in one step, with 12 significant digits.
 
-    Raises
-    ------
-    UsageError
-        `path` cannot be written or is one of `inputs`.
-    ValueError
-        A number is not finite (a bug); nothing is written.
+    Raises UsageError: `path` cannot be written or is one of `inputs`. Raises ValueError: a number
+    is not finite (a bug); nothing is written.
     """
     write_text_atomic(path, encode(document), inputs=inputs)
 
@@ -125,10 +118,8 @@ def file_sha256(path: Path) -> str:
 def read_bytes(path: Path) -> bytes:
     """Read a JSON file whole.
 
-    Raises
-    ------
-    ConfigError
-        It is missing, no regular file, unreadable, or far too large to be one of ours.
+    Raises ConfigError: it is missing, no regular file, unreadable, or far too large to be one of
+    ours.
     """
     where = str(path)
     try:
@@ -149,10 +140,7 @@ def read_bytes(path: Path) -> bytes:
 def parse_document(data: bytes, where: str) -> Json:
     """Read the content of the file `where` as one JSON object.
 
-    Raises
-    ------
-    ConfigError
-        It is not a JSON object; the message gives line and column.
+    Raises ConfigError: it is not a JSON object; the message gives line and column.
     """
     hint = "-p takes a JSON file that seqid wrote."
     try:
@@ -241,11 +229,8 @@ class Source:
 def read_any(paths: Sequence[Path]) -> list[Source]:
     """Read parameter files and results about one robot, in the order given.
 
-    Raises
-    ------
-    ConfigError
-        One is missing, is no JSON, is no document of these kinds, is newer than this version
-        knows, or does not follow its schema. The message names the file and the key.
+    Raises ConfigError: one is missing, is no JSON, is no document of these kinds, is newer than
+    this version knows, or does not follow its schema. The message names the file and the key.
     """
     return [_read(path) for path in paths]
 
@@ -253,10 +238,7 @@ def read_any(paths: Sequence[Path]) -> list[Source]:
 def read_trend(path: Path) -> TrendFile | None:
     """Read a trend; None where the document is another one.
 
-    Raises
-    ------
-    ConfigError
-        It is missing, is no JSON, does not follow its schema, or a series is torn.
+    Raises ConfigError: it is missing, is no JSON, does not follow its schema, or a series is torn.
     """
     data, document = _opened(path)
     if document.get("schema") != TREND_SCHEMA:
@@ -288,13 +270,7 @@ def _opened(path: Path) -> tuple[bytes, Json]:
 
 
 def _decoded(data: bytes, form: type[T], kind: str, where: str) -> T:
-    """Decode a result that is of a known kind.
-
-    Raises
-    ------
-    ConfigError
-        It does not follow its schema.
-    """
+    """Decode a result that is of a known kind."""
     try:
         return msgspec.json.decode(data, type=form)
     except (msgspec.ValidationError, RecursionError) as error:

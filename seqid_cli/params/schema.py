@@ -4,8 +4,6 @@ Keys of the contract keep their names; what stands beside them is what the next 
 Every number is finite: what the logs do not determine is listed by name, never written as a value.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 from seqid_cli.params.base import Document, Struct

@@ -12,8 +12,6 @@ first, and the coordinates are then changed so that the gravity parameters are e
 gravity torque alone (Eq. 17-18): the remaining columns of H vanish at rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -44,18 +42,11 @@ _SNAP = 1e-9
 class Basis:
     """Base parameters of one robot.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The standard parameter that stands for each base parameter.
-    expression : (b, p) array
-        E: base parameters from standard ones, p = 11 n.
-    representative : (p, b) array
-        P: standard parameters, most of them zero, that give the same torque.
-    gravity : (b,) bool array
-        True for the parameters of the gravity torque; these come first.
-    coupling : {"diagonal", "gyroscopic"}
-        How rotors are coupled to the links that carry them.
+    `names`: the standard parameter that stands for each base parameter. `expression` (b, p): E:
+    base parameters from standard ones, p = 11 n. `representative` (p, b): P: standard parameters,
+    most of them zero, that give the same torque. `gravity` (b,): true for the parameters of the
+    gravity torque; these come first. `coupling` {"diagonal", "gyroscopic"}: how rotors are coupled
+    to the links that carry them.
     """
 
     names: tuple[str, ...]
@@ -123,24 +114,12 @@ def gear_ratios(robot: Robot) -> Array:
 
 
 def standard_regressor(
-    robot: Robot,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    coupling: Coupling,
+    robot: Robot, q: Array, dq: Array, ddq: Array, *, coupling: Coupling
 ) -> Array:
     """Compute the regressor of the standard parameters, rotor inertias last (Eq. 3).
 
-    Parameters
-    ----------
-    robot : Robot
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    coupling : {"diagonal", "gyroscopic"}
-
-    Returns
-    -------
-    (N, n, 11 n) array
+    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `coupling` {"diagonal",
+    "gyroscopic"}. Returns (N, n, 11 n).
     """
     Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
     rotors = rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
@@ -160,22 +139,10 @@ def base_regressor(
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
-    Parameters
-    ----------
-    robot : Robot
-    basis : Basis
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    spare : int
-        Columns to be filled by the caller; zeros without `out`.
-    out : (n, b + spare, M) array, optional
-        Written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere.
-    first : int
-        Where in `out` the N samples go.
-
-    Returns
-    -------
-    (N, n, b + spare) array
-        Each column contiguous in memory.
+    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `spare`: columns to be filled
+    by the caller; zeros without `out`. `out` (n, b + spare, M): written to, where `loaded_columns`
+    tells that H can differ from zero; zeros elsewhere. `first`: where in `out` the N samples go.
+    Returns (N, n, b + spare): each column contiguous in memory.
     """
     whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
     H = whole[:, :, first : first + len(q)]
@@ -219,10 +186,8 @@ def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
     """Say where `base_regressor` can differ from zero.
 
-    Returns
-    -------
-    (n, b) bool array
-        False where a joint lies behind all links and rotors that a base parameter belongs to.
+    Returns (n, b) bool: false where a joint lies behind all links and rotors that a base parameter
+    belongs to.
     """
     used = basis.representative != 0.0
     last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))
@@ -292,11 +257,9 @@ def _reading_order(chain: Chain) -> list[int]:
 
 
 def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
-    """Stack gravity and full regressors (rows, 11 n) over random states.
-
-    Joint limits play no part: the torque is analytic in the state, so columns that depend linearly
-    in one range do so in all, and a wide range shows it with the widest gap.
-    """
+    """Stack gravity and full regressors (rows, 11 n) over random states."""
+    # Joint limits play no part: the torque is analytic in the state, so columns that depend
+    # linearly in one range do so in all, and a wide range shows it with the widest gap.
     rng = np.random.default_rng(0)
     n = robot.n
     q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
@@ -308,10 +271,8 @@ def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
 
 
 def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0) -> list[int]:
-    """Choose columns of W, in `order`, independent of those before; the first `given` are taken.
-
-    Columns whose norm is below `floor` are rounding, not torque.
-    """
+    """Choose columns of W, in `order`, independent of those before; the first `given` are taken."""
+    # Columns whose norm is below `floor` are rounding, not torque.
     size = np.linalg.norm(W, axis=0)
     Q = np.empty((len(W), 0))
     kept: list[int] = []

@@ -101,16 +101,16 @@ def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> tuple[Chain, Array 
     from seqid_cli.robot.urdf.model import chain_from_urdf
 
     names = tuple(joint.name for joint in read.content.joint)
-    found = chain_from_urdf(urdf, names, read.path)
+    chain, nominal = chain_from_urdf(urdf, names, read.path)
     for k, joint in enumerate(read.content.joint):
-        if joint.prismatic and not found.chain.prismatic[k]:
+        if joint.prismatic and not chain.prismatic[k]:
             raise ConfigError(
                 f"joint[{k}].prismatic (joint {joint.name!r}) is true, but {urdf.path.name} has a "
                 f"{urdf.types[joint.name]} joint",
                 where=str(read.path),
                 hint="Leave prismatic out: with a URDF it is the URDF that says so.",
             )
-    return found.chain, found.nominal
+    return chain, nominal
 
 
 def _imu(entry: ImuEntry, joints: list[str]) -> Imu:

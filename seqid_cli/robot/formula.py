@@ -7,8 +7,6 @@ may also hold numbers, `+ - * / **`, the functions and symbols below, and its ow
 are searched. A symbol is of the effect's own joint; `dq_2` is that of the second joint.
 """
 
-from __future__ import annotations
-
 import ast
 import difflib
 import math

@@ -6,8 +6,6 @@ minus gravity, all three in the link's own frame. A link is called by the joint 
 0; the base is -1. Inside, samples are the last axis (contiguous); at the boundary the first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,10 +58,7 @@ def cross(u: Array, v: Array) -> Array:
 def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Place each joint's frame in its parent's: R (n, 3, 3, N) and p (n, 3, N) [m], Eq. 27.
 
-    Parameters
-    ----------
-    chain : Chain
-    q : (n, N) array [rad; m where prismatic]
+    `q` (n, N) [rad; m where prismatic].
     """
     turning = np.where(chain.prismatic, 0.0, 1.0)[:, None, None]
     along = chain.axis[:, :, None] * chain.axis[:, None, :]
@@ -82,11 +77,8 @@ def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
 def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> LinkMotion:
     """Propagate velocities and accelerations to all links, base at rest.
 
-    Parameters
-    ----------
-    chain : Chain
-    gravity : (3,) array [m/s^2], base frame
-    q, dq, ddq : (n, N) arrays [rad, rad/s, rad/s^2; m where prismatic]
+    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (n, N) [rad, rad/s, rad/s^2; m where
+    prismatic].
     """
     R, p = joint_transforms(chain, q)
     w, dw, a = (np.empty_like(p) for _ in range(3))
@@ -124,15 +116,8 @@ def fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
 def forward(chain: Chain, q: Array) -> Frames:
     """Compute the frames of all links seen from the base.
 
-    Parameters
-    ----------
-    chain : Chain
-    q : (N, n) array [rad; m where prismatic]
-
-    Returns
-    -------
-    Frames
-        `R` (N, n, 3, 3) base from link, `p` (N, n, 3) origins [m], `z` (N, n, 3) unit joint axes.
+    `q` (N, n) [rad; m where prismatic]. Returns: `R` (N, n, 3, 3) base from link, `p` (N, n, 3)
+    origins [m], `z` (N, n, 3) unit joint axes.
     """
     R_local, p_local = (np.moveaxis(x, -1, 0) for x in joint_transforms(chain, q.T))
     R, p = np.empty(R_local.shape), np.empty(p_local.shape)
@@ -143,34 +128,11 @@ def forward(chain: Chain, q: Array) -> Frames:
     return Frames(R=R, p=p, z=np.einsum("niab,ib->nia", R, chain.axis))
 
 
-def rotation_between(chain: Chain, q: Array, i: int, j: int) -> Array:
-    """Return the rotation (N, 3, 3) from frame `j` to frame `i`, paper Eq. 27-28.
-
-    Parameters
-    ----------
-    chain : Chain
-    q : (N, n) array [rad; m where prismatic]
-    i, j : int
-        Links, 0-based; -1 is the base. In either order.
-    """
-    if i > j:
-        return rotation_between(chain, q, j, i).transpose(0, 2, 1)
-    R_local, _ = joint_transforms(chain, q.T)
-    Q = np.broadcast_to(np.eye(3), (len(q), 3, 3))
-    for k in range(i + 1, j + 1):
-        Q = Q @ np.moveaxis(R_local[k], -1, 0)
-    return Q
-
-
 def link_angular_motion(chain: Chain, q: Array, dq: Array, ddq: Array, link: int) -> AngularMotion:
     """Compute angular velocity and acceleration of `link` in its own frame (Eq. 39, any joints).
 
-    Parameters
-    ----------
-    chain : Chain
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    link : int
-        The joint that moves the link, 0-based.
+    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `link`: the joint that moves
+    the link, 0-based.
     """
     motion = link_motion(chain, np.zeros(3), q.T, dq.T, ddq.T)
     return AngularMotion(w=motion.w[link].T.copy(), dw=motion.dw[link].T.copy())

@@ -1,7 +1,5 @@
 """Constant rotations, placements without the rounding of files, and chains of DH parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,12 +11,7 @@ ANGLE_NOISE = 1e-5  # rad; "1.5708" in a file means a quarter turn (it is 3.7e-6
 
 
 def skew(v: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product: ``skew(v) @ x == cross(v, x)``.
-
-    Parameters
-    ----------
-    v : (3,) array
-    """
+    """Return the matrix (3, 3) of the cross product: ``skew(v) @ x == cross(v, x)``."""
     x, y, z = v
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 

@@ -79,20 +79,10 @@ def link_blocks(
 ) -> Iterator[tuple[int, slice, Array]]:
     """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
-    Parameters
-    ----------
-    chain : Chain
-    gravity : (3,) array [m/s^2], base frame
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    kept : sequence of arrays
-        Per link the numbers of its columns to compute, ascending (see `columns_by_link`).
-    out : (n, p, N) array, optional
-        Where all columns go, link after link; without it each array is filled anew for the next.
-
-    Yields
-    ------
-    tuple of int, slice, (i + 1, len(kept[i]), M) array
-        Link i, the samples, and the torques of joints 0..i.
+    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
+    prismatic]. `kept`: per link the numbers of its columns to compute, ascending (see
+    `columns_by_link`). `out` (n, p, N): where all columns go, link after link; without it each
+    array is filled anew for the next. Yields: link i, the samples, and the torques of joints 0..i.
     """
     largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
     room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
@@ -114,43 +104,24 @@ def link_blocks(
 def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
     """Compute the regressor (N, n, 10 n) of gravity alone (Eq. 18); inertia columns are zero.
 
-    Parameters
-    ----------
-    chain : Chain
-    gravity : (3,) array [m/s^2], base frame
-    q : (N, n) array [rad; m where prismatic]
+    `gravity` (3,) [m/s^2], base frame. `q` (N, n) [rad; m where prismatic].
     """
     still = np.zeros_like(q)
     return torque_regressor(chain, gravity, q, still, still)
 
 
 def rotor_regressor(
-    chain: Chain,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    gear_ratio: Array,
-    coupling: Coupling,
+    chain: Chain, q: Array, dq: Array, ddq: Array, gear_ratio: Array, coupling: Coupling
 ) -> Array:
     """Compute the joint torque per unit motor-side rotor inertia [kg m^2] of each joint.
 
     "diagonal": rotor i loads its own joint only, by N_i^2 ddq_i (Eq. 2). "gyroscopic": rotor i
     rides on link i-1 and turns about axis i at N_i dq_i relative to it, so that link feels the
     moment N_i (ddq_i z_i + dq_i w x z_i), and joint i also N_i z_i . dw. Its inertia as a dead mass
-    belongs to the link. Rotors of prismatic joints have the diagonal term only.
-
-    Parameters
-    ----------
-    chain : Chain
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    gear_ratio : (n,) array
-        Motor turns per joint turn, signed [rad/m where prismatic].
-    coupling : {"diagonal", "gyroscopic"}
-
-    Returns
-    -------
-    (N, n, n) array
-        Torque of joint j per rotor inertia i at [:, j, i].
+    belongs to the link. Rotors of prismatic joints have the diagonal term only. `q`, `dq`, `ddq`
+    (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `gear_ratio` (n,): motor turns per joint turn,
+    signed [rad/m where prismatic]. `coupling` {"diagonal", "gyroscopic"}. Returns (N, n, n): torque
+    of joint j per rotor inertia i at [:, j, i].
     """
     n = chain.n
     Y = np.zeros((n, n, len(q)))
@@ -282,10 +253,8 @@ class _Walk:
 
 
 def _carriers(C: Array, p: Array) -> tuple[Array, Array]:
-    """Matrices that carry (w, dw, a | H) (18,) and (z, l) (6,) to a frame fixed in the link before.
-
-    The frame is turned by C and placed at p: (9, 18) to w, dw and a there, (6, 6) to z and l.
-    """
+    """Matrices that carry (w, dw, a | H) (18,), (z, l) (6,) to a frame fixed in the link before."""
+    # The frame is turned by C and placed at p: (9, 18) to w, dw and a there, (6, 6) to z and l.
     to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
     to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
     point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`

@@ -1,7 +1,5 @@
 """The robot as every other layer sees it: frozen data, no file formats, no Pinocchio."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

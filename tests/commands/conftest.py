@@ -13,7 +13,7 @@ import pytest
 
 from seqid_cli.__main__ import main
 from seqid_cli.discover.excerpts.excerpts import Excerpts
-from seqid_cli.inspect.findings.finding import located
+from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.io import write_json_atomic

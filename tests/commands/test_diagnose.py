@@ -14,11 +14,10 @@ from msgspec import structs
 
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     DiagnosisFile,
@@ -38,6 +37,7 @@ from tests.unit.params.documents import (
     gravity_file,
     inertia_file,
 )
+from tests.unit.params.generate import json_schema
 
 BASE = ["diagnose", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 

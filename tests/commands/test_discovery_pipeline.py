@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA
 from tests import ROOT
+from tests.unit.params.generate import json_schema
 
 RIG = ROOT / "sample_logs" / "one_joint"
 ROBOT = ["-r", str(RIG / "robot.toml")]

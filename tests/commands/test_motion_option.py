@@ -17,7 +17,6 @@ from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.params.schema import SCHEMA, ImuStage
@@ -32,6 +31,7 @@ from tests.unit.params.documents import (
     gravity_file,
     rigid_stage,
 )
+from tests.unit.params.generate import json_schema
 
 Replace = Callable[[str, str, object], list[object]]
 LOGS = ["a.parquet", "-r", "robot.toml"]

@@ -9,10 +9,10 @@ import jsonschema
 import numpy as np
 import pytest
 
-from seqid_cli.params.generate import schema_path
 from seqid_cli.params.results.plan import PLAN_SCHEMA
 from tests import ROOT
 from tests.commands.conftest import Rig
+from tests.unit.params.generate import schema_path
 
 SAMPLES = ROOT / "sample_logs"
 TWO = str(SAMPLES / "two_joint" / "robot.toml")

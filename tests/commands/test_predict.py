@@ -12,11 +12,11 @@ import pytest
 
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLES, Reader, Rig
 from tests.unit.params.documents import friction_file, full_file
+from tests.unit.params.generate import json_schema
 
 BASE = ["predict", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 BOTH = [*BASE, "-o", "out.json", "--torques", "t.parquet"]

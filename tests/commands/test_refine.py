@@ -21,7 +21,6 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import (
     SCHEMA,
@@ -37,6 +36,7 @@ from seqid_cli.params.schema import (
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
 from tests.unit.params.documents import friction_file, inertia_file
+from tests.unit.params.generate import json_schema
 
 BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 

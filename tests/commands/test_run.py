@@ -12,12 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.params.schema import SCHEMA
 from tests.commands.conftest import ONE_JOINT, run
+from tests.unit.params.generate import json_schema
 
 NAMES = ("friction", "gravity", "imu", "inertia", "prediction", "diagnosis")
 

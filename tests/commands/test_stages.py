@@ -9,9 +9,8 @@ import jsonschema
 import pytest
 
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.generate import json_schema
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA, RigidStage
 from seqid_cli.robot.types import Robot
@@ -24,6 +23,7 @@ from tests.unit.params.documents import (
     imu_stage,
     rigid_stage,
 )
+from tests.unit.params.generate import json_schema
 
 Replace = Callable[[str, str, object], list[object]]
 COMMON = ["a.parquet", "b.parquet", "-r", "robot.toml", "-o", "out.json"]

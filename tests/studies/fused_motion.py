@@ -22,7 +22,7 @@ from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.motion.smoother.solve import probed_covariance, solved
 from seqid_cli.motion.smoother.system import linearised, normal_equations
 from seqid_cli.motion.smoother.terms import Jerk
-from seqid_cli.robot.kinematics import rotation_between
+from seqid_cli.robot.kinematics import forward
 from tests import ROOT
 from tests.studies.fused_cases import GYRO_NOISE, Case, Fault, Rig, case
 from tests.studies.tables import number, table
@@ -120,7 +120,8 @@ def _paper(c: Case, hz: float) -> tuple[Array, Array]:
         about = R.T @ chain.axis[0]
         speed = joint_speed(reading.products, about, 1.0) * np.sign(rough[:, 0])
         return speed[:, None], first[:, None]
-    R_lm = rotation_between(chain, recording.q, 1, 0)
+    R_before = forward(chain, recording.q).R
+    R_lm = R_before[:, 1].transpose(0, 2, 1) @ R_before[:, 0]
     velocity = second_joint_velocity(R_lm, w[0], w[1], chain.axis[1])
     second = second_joint_acceleration(R_lm, w[0], dw[0], dw[1], velocity, chain.axis[1])
     return np.column_stack([w[0][:, 2], velocity]), np.column_stack([first, second])

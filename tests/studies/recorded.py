@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
@@ -56,9 +56,9 @@ def predicted(case: Case, folder: Path, cutoff_hz: float | None = None) -> HeldO
     """Fit the training logs, predict the held-out ones; the cut-off is chosen if not given."""
     motion = MotionOptions(cutoff_hz=cutoff_hz)
     robot = load_robot(folder / "robot.toml")
-    train = list(read_recordings([folder / name for name in case.train], robot))
+    train = [read_recording(folder / name, robot) for name in case.train]
     stages = simultaneous(train, robot, motion=motion)
-    rest = list(read_recordings([folder / name for name in case.held_out], robot))
+    rest = [read_recording(folder / name, robot) for name in case.held_out]
     return held_out(rest, robot, stages, InertiaOptions(motion=motion))
 
 

@@ -11,7 +11,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.rounds import refine
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
-from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
@@ -114,13 +114,11 @@ def _single(data: Path) -> list[Answer]:
             robot = load_robot(folder / "robot.toml")
             there = k + 1 in LINE_AT
             name = f"UR10e, trial of joint {k + 1}"
-            answers.append(
-                ripple(name, list(read_recordings([trial], robot)), robot, k, 2.0, there=there)
-            )
+            answers.append(ripple(name, [read_recording(trial, robot)], robot, k, 2.0, there=there))
     trial = data / "laas_cogging" / "stopped_data.parquet"
     if trial.is_file():
         robot = load_robot(trial.parent / "robot.toml")
-        logs = list(read_recordings([trial], robot))
+        logs = [read_recording(trial, robot)]
         answers.append(ripple("LAAS motor, holding", logs, robot, 0, 72.0, there=True))
     folder = data / "dfki_simple_pendulum"
     logs_of_it = sorted(folder.glob("*.parquet"))
@@ -133,15 +131,15 @@ def _single(data: Path) -> list[Answer]:
 
 
 def _one(path: Path, robot: Robot) -> Recording:
-    (recording,) = read_recordings([path], robot)
+    recording = read_recording(path, robot)
     return recording
 
 
 def closed(case: Case, folder: Path, most: int = MOST) -> Closed:
     """Fit the training logs, refine with them, look at the held-out ones."""
     robot = load_robot(folder / "robot.toml")
-    train = list(read_recordings([folder / name for name in case.train], robot))
-    rest = list(read_recordings([folder / name for name in case.held_out], robot))
+    train = [read_recording(folder / name, robot) for name in case.train]
+    rest = [read_recording(folder / name, robot) for name in case.held_out]
     file = fitted(train, robot)
     start = time.process_time()
     named = diagnosed(train, robot, most)

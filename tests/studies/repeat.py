@@ -1,9 +1,9 @@
 """Does a result repeat, bit by bit or within `seqid compare`'s tolerance?
 
 `python -m tests.studies.repeat [--other NAME=PYTHON]...` takes a sample robot from its logs to
-prediction and diagnosis: once as it is, and once more with threads of BLAS, with processes, with the
-logs in reverse order, and by each other installation whose interpreter is named. With --write the
-table goes into docs/trust.md.
+prediction and diagnosis: once as it is, and once more with threads of BLAS, with processes, with
+the logs in reverse order, and by each other installation whose interpreter is named. With --write
+the table goes into docs/trust.md.
 """
 
 from __future__ import annotations

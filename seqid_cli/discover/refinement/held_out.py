@@ -210,7 +210,7 @@ class WholeLogs:
         if least < LONG:
             return read_screened(file, self.robot, time_source=clock).recording if least else None
         log = open_if_long(file, self.robot, time_source=clock, least=1)
-        return screened_long(log, self.robot).log if log is not None else None
+        return screened_long(log, self.robot)[0] if log is not None else None
 
 
 def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:

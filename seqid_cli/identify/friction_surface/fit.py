@@ -137,8 +137,7 @@ def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int 
     levels = min(len(own.levels) for own in sets)
     most = min(MAX_VELOCITY_ORDER, max(levels - 1, 0))
     return Orders(
-        MAX_POSITION_ORDER if position is None else position,
-        most if velocity is None else velocity,
+        MAX_POSITION_ORDER if position is None else position, most if velocity is None else velocity
     )
 
 

@@ -12,8 +12,6 @@ as zero, and as uncertain by what the other configurations show. Where they show
 error (`inertia_error`) is so large that all torque of the trials may be acceleration's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -73,11 +71,9 @@ def _as_friction(group: Sequence[Trial]) -> float:
 def _steady(
     trial: Trial, inertia: float, surface: FrictionSurface, *, max_ratio: float = 2.0
 ) -> Trial:
-    """The trial at its mean velocity, without the slices of more than noise and usual push.
-
-    At the ends a controller settles faster than the path follows: what is taken off is as wrong
-    there as it is large.
-    """
+    """The trial at its mean velocity, without the slices of more than noise and usual push."""
+    # At the ends a controller settles faster than the path follows: what is taken off is as wrong
+    # there as it is large.
     mean, pushed = np.full(len(trial.q), trial.velocity), inertia * trial.ddq
     off = pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
     tau = trial.tau - off

@@ -1,7 +1,5 @@
 """Friction stage (Sec. 2.2.1-2.2.2, Eq. 7-16): one surface per joint from steady motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -30,20 +28,12 @@ from seqid_cli.identify.friction_surface.summary import (
     left_out_errors,
     summarise,
 )
-from seqid_cli.identify.friction_surface.trials import (
-    Trial,
-    by_joint,
-    collect_trials,
-    speed_levels,
-)
+from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials, speed_levels
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
-from seqid_cli.params.schema import (
-    FrictionStage,
-    Verdict,
-)
+from seqid_cli.params.schema import FrictionStage, Verdict
 from seqid_cli.robot.types import Robot
 
 
@@ -128,11 +118,9 @@ def _fit(
 ) -> Fit:
     gravity = fit_gravity(robot, j, trials)
     if not gravity.groups:
-        raise UnpairedError(
-            "no pair of forward and backward trials at one speed in one configuration",
-            hint="record every speed in both directions over the same range (Eq. 15)",
-            where=f"joint {robot.joints[j].name}",
-        )
+        message = "no pair of forward and backward trials at one speed in one configuration"
+        hint = "record every speed in both directions over the same range (Eq. 15)"
+        raise UnpairedError(message, hint=hint, where=f"joint {robot.joints[j].name}")
     data = friction_data(gravity)
     _check_orders(robot, j, data, options.velocity_order)
     sides = (1, -1) if gravity.directional else (0,)

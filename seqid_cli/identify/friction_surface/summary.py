@@ -1,11 +1,8 @@
 """One joint of the friction stage: the file's entry, a verdict and notes.
 
-How well a friction surface predicts speeds that were left out (Eq. 11).
-
-Errors are of averages over `group_size` neighbouring slices that belong to their trial
-(`surface_weights`): of inner speeds by a surface that was
-fitted to the others, of the slowest and the fastest, beyond which nothing was seen, by the surface
-itself.
+Errors (Eq. 11) are of averages over `group_size` neighbouring slices that belong to their trial: of
+inner speeds by a surface that was fitted to the others, of the slowest and the fastest, beyond
+which nothing was seen, by the surface itself.
 """
 
 from __future__ import annotations
@@ -211,13 +208,18 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
     for speed, u in zip(speeds, scaled, strict=True):
         own = [item for item in data if item.speed == speed]
         inner = len(speeds) >= FEWEST_SPEEDS and speeds[0] < speed < speeds[-1]
+        # RMS standard error of the surface over the slices of one speed, N m.
+        errors = [
+            fit.surface.std_error(item.q, np.full(len(item.q), item.direction * item.speed))
+            for item in own
+        ]
         result.append(
             SpeedLevel(
                 speed=speed,
                 forward=sum(item.direction > 0 for item in own),
                 backward=sum(item.direction < 0 for item in own),
                 friction=float(np.sqrt(np.mean(fitted.at(u).friction ** 2))),
-                std_error=_std_error(fit.surface, own),
+                std_error=float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
                 rmse=fitted.at(u).rms,
                 left_out=unseen.at(u).rms if inner else None,
             )
@@ -225,21 +227,11 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
     return result
 
 
-def _std_error(surface: FrictionSurface, own: list[SpeedData]) -> float:
-    """RMS standard error of the surface over the slices of one speed, N m."""
-    errors = [
-        surface.std_error(item.q, np.full(len(item.q), item.direction * item.speed)) for item in own
-    ]
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-
-
 def _verdict(
     name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling, *, max_error: float = 0.15
 ) -> Verdict:
-    """Good, or poor and why: the speed at which the surface is worst decides.
-
-    There its error may be `max_error` of the friction.
-    """
+    """Good, or poor and why: the speed at which the surface is worst decides."""
+    # There its error may be `max_error` of the friction.
     if joint.held_out_rmse is None:
         reason = (
             f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"
@@ -248,7 +240,7 @@ def _verdict(
     usual = float(np.sqrt(np.mean([level.friction**2 for level in joint.speeds])))
     u = scaling.u(np.array([level.speed for level in joint.speeds]))
     errors = [
-        float(np.hypot(_rms(unseen.at(at).missed), level.std_error))
+        float(np.hypot(np.sqrt(np.mean(unseen.at(at).missed ** 2)), level.std_error))
         / max(level.friction, NEAR_ZERO * usual, 1e-12)
         for at, level in zip(u, joint.speeds, strict=True)
     ]
@@ -264,10 +256,6 @@ def _verdict(
     overall = percent(joint.held_out_rmse / max(usual, 1e-12))
     reason = f"speeds left out are predicted to {overall} of the friction; known to {at} or better"
     return Verdict(joint=name, good=True, reason=reason)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> list[str]:

@@ -1,9 +1,7 @@
 """Constant-velocity trials reduced to a few averages each.
 
 A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
-slice replace a low-pass.
-
-Stretches of constant velocity of a log, which may be too long to be held.
+slice replace a low-pass. The log may be too long to be held.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ import operator
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev
@@ -183,7 +181,10 @@ def _trial(
     path = _path(middles, block.q[own, j].reshape(slices, length).mean(axis=1))
     celsius = np.nan
     if temperature is not None:
-        celsius = _finite_mean(temperature[stretch.start : stretch.stop, j])
+        # Mean of what is finite; NaN where nothing is.
+        values = temperature[stretch.start : stretch.stop, j]
+        finite = values[np.isfinite(values)]
+        celsius = float(finite.mean()) if len(finite) else np.nan
     return Trial(
         joint=j,
         velocity=stretch.velocity,
@@ -203,18 +204,10 @@ def _trial(
     )
 
 
-def _finite_mean(values: Array) -> float:
-    """Mean of what is finite; NaN where nothing is."""
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else np.nan
-
-
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
-    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts.
-
-    Its order, two at least, is that of least BIC: gravity and friction that change with the
-    position leave their trace in the speed that a soft controller holds.
-    """
+    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts."""
+    # Its order, two at least, is that of least BIC: gravity and friction that change with the
+    # position leave their trace in the speed that a soft controller holds.
     best, least = None, np.inf
     most = max(2, min(most_order, len(q) // 3))
     for order in range(min(3, most), most + 1):
@@ -237,11 +230,9 @@ def _ramps(
     least_window: int = 8,
     zeros: int = 4,
 ) -> Ramps:
-    """Means of a move (N,) under raised cosines that overlap by half, where it speeds up or slows.
-
-    With a window that ends in zeros the means of its derivatives are derivatives of its means:
-    sums over positions times the window's own differences, without differentiating positions.
-    """
+    """Means of a move (N,) under raised cosines, which overlap by half, where it accelerates."""
+    # With a window that ends in zeros the means of its derivatives are derivatives of its means:
+    # sums over positions times the window's own differences, without differentiating positions.
     length = max(least_window, round(window_s * rate_hz))
     window = np.zeros(length + 2 * zeros)
     window[zeros:-zeros] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
@@ -264,15 +255,7 @@ def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:
     return sorted((t for t in trials if t.joint == joint), key=lambda trial: trial.speed)
 
 
-class HasSpeed(Protocol):
-    """Anything measured at one speed, rad/s."""
-
-    @property
-    def speed(self) -> float:
-        """Magnitude of the velocity, rad/s."""
-
-
-S = TypeVar("S", bound=HasSpeed)
+S = TypeVar("S", bound=Any)  # what was measured at a `speed`, rad/s
 
 
 def speed_levels(trials: list[S], *, same_speed: float = 0.12) -> list[list[S]]:

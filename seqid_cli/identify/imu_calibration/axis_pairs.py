@@ -8,8 +8,6 @@ the axes span space, and unlike Eq. 38 this also works where they span only a pl
 rotates joint 1; every joint before the IMU serves as well.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -46,7 +46,6 @@ class Gathered:
     densities: list[float] = field(default_factory=list)
 
     def __add__(self, other: Gathered) -> Gathered:
-        """What both hold, that of `other` behind."""
         names = ("segments", "pairs", "densities")
         return Gathered(*(getattr(self, name) + getattr(other, name) for name in names))
 
@@ -85,10 +84,9 @@ def calibrate_imus(
     found, cutoffs = reduced(recordings, partial(_gathered, robot, options), _both) or ({}, [])
     moved = [name for name, own in found.items() if any(s.moving for s in own.segments)]
     if not moved:
-        raise QualityError(
-            "no log moves a joint before an IMU with its readings recorded",
-            hint="rotate the first joint back and forth with the others locked in several postures",
-        )
+        message = "no log moves a joint before an IMU with its readings recorded"
+        hint = "rotate the first joint back and forth with the others locked in several postures"
+        raise QualityError(message, hint=hint)
     imus, verdicts, notes = {}, [], []
     for imu in robot.imus:
         if imu.name not in moved:

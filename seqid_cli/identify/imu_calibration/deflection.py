@@ -16,8 +16,6 @@ Links also jolt faster than the log's rate; that aliases, and no encoder shows i
 same likelihood of the raw readings' roughness, near the Nyquist rate, gives the jolts' size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -55,11 +53,7 @@ def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
 
 
 def likeliest(
-    rows: Rows,
-    start: Sizes,
-    least: Array | float = 0.0,
-    *,
-    min_size: float = 1e-3,
+    rows: Rows, start: Sizes, least: Array | float = 0.0, *, min_size: float = 1e-3
 ) -> Sizes:
     """Sizes of the largest likelihood among those of at least `least` rad/s^2 of a node.
 

@@ -6,8 +6,6 @@ the clock finds the offset. The same sums, 13 by 13, hold all that a mounting ca
 that many starts cost little.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -59,10 +57,8 @@ def _delay(
     coarse_s: float = 0.016,
     better: float = 0.7,
 ) -> float:
-    """Clock offset [s] with the least misfit: coarsely over all, then finely about the best.
-
-    No shift is believed that leaves more than the share `better` of the misfit without one.
-    """
+    """Clock offset [s] with the least misfit: coarsely over all, then finely about the best."""
+    # No shift is believed that leaves more than the share `better` of the misfit without one.
     fine = max(segment.spacing for segment in segments)
     longest = min(segment.samples * segment.spacing for segment in segments)
     coarse = fine * max(1, round(coarse_s / fine))
@@ -132,10 +128,8 @@ def _turns() -> list[Array]:
 def _mounting(
     imu: Imu, sums: Sums, R: Array, evaluations: int, *, hold: float = 1e-3
 ) -> tuple[float, Constants]:
-    """Least squares for turn and lever on the sums, from one start; biases follow.
-
-    `hold` of the readings' noise over m holds the lever.
-    """
+    """Least squares for turn and lever on the sums, from one start; biases follow."""
+    # `hold` of the readings' noise over m holds the lever.
     axes, places, _ = channels_of(imu)
     xx, xy, yy = sums
     samples = max(float(xx[-1, -1]), 1.0)

@@ -7,8 +7,6 @@ left per segment is a small dense system in the constants and in what belongs to
 a change of each bias and the offsets of the locked joints.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,16 +14,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from seqid_cli.identify.imu_calibration import sensor_model
 from seqid_cli.identify.imu_calibration.segments import REACH, EncoderRows, Segment
-from seqid_cli.identify.imu_calibration.sensor_model import (
-    Constants,
-    channels_of,
-    design,
-    link_state,
-    link_state_slopes,
-    mounted,
-    predicted,
-)
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import FIRST, SECOND
 from seqid_cli.robot.types import Imu, Robot
@@ -132,14 +122,6 @@ def at_samples(segment: Segment, nodes: Array) -> Array:
     return out
 
 
-def _onto_nodes(segment: Segment, values: Array) -> Array:
-    """Transpose of `at_samples`: (N, 3, ...) to (N + 2 REACH, ...)."""
-    out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
-    for where, kind, weight in _taps(segment):
-        out[where] += weight * values[:, kind]
-    return out
-
-
 def joints_of(segment: Segment, local: Local) -> tuple[Array, Array, Array]:
     """Motion (N, n) of all joints: the trajectory, and locked joints with their offsets."""
     q, dq, ddq = segment.q.copy(), segment.dq.copy(), segment.ddq.copy()
@@ -151,12 +133,12 @@ def joints_of(segment: Segment, local: Local) -> tuple[Array, Array, Array]:
 
 
 def residual(
-    segment: Segment, robot: Robot, imu: Imu, constants: Constants, local: Local
+    segment: Segment, robot: Robot, imu: Imu, constants: sensor_model.Constants, local: Local
 ) -> tuple[Array, Mask, Array]:
     """Readings minus prediction (N, C), which of them count, and the link's motion (N, 15)."""
-    x = link_state(robot, imu.after_joint, *joints_of(segment, local))
+    x = sensor_model.link_state(robot, imu.after_joint, *joints_of(segment, local))
     y, good = segment.readings.at(segment.t + constants.delay)
-    r = y - predicted(mounted(imu, constants), x) - local.bias
+    r = y - sensor_model.predicted(sensor_model.mounted(imu, constants), x) - local.bias
     return r, good, x
 
 
@@ -164,7 +146,7 @@ def linearise(
     segment: Segment,
     robot: Robot,
     imu: Imu,
-    constants: Constants,
+    constants: sensor_model.Constants,
     local: Local,
     sigma: Array,
     sizes: Sizes | None = None,
@@ -176,16 +158,18 @@ def linearise(
     of raw readings, and joints are moved by jolts alone.
     """
     r, good, x = residual(segment, robot, imu, constants, local)
-    motion, channels = joints_of(segment, local), mounted(imu, constants)
+    motion, channels = joints_of(segment, local), sensor_model.mounted(imu, constants)
     A, c = channels.matrix, r.shape[1]
 
     def slopes(joints: tuple[int, ...], kind: int) -> Array:
-        return A @ link_state_slopes(robot, imu.after_joint, motion, joints, kind)
+        return A @ sensor_model.link_state_slopes(robot, imu.after_joint, motion, joints, kind)
 
     J = np.stack([slopes(segment.moving, kind) for kind in range(3)], axis=2)
-    dy = np.gradient(predicted(channels, x), segment.spacing, axis=0)
+    dy = np.gradient(sensor_model.predicted(channels, x), segment.spacing, axis=0)
     own = np.broadcast_to(np.eye(c), (len(r), c, c))
-    G = np.concatenate([design(channels, x, dy), own, slopes(segment.locked, 0)], axis=2)
+    G = np.concatenate(
+        [sensor_model.design(channels, x, dy), own, slopes(segment.locked, 0)], axis=2
+    )
     u = r / (ROBUST * sigma)
     outliers = good & (np.abs(u) >= 1.0)
     if weights is None:
@@ -226,7 +210,7 @@ def linearise(
 
 def kinds_of(imu: Imu) -> Index:
     """Kind (C,) of every channel's sensor: 0 for accelerometers, 1 for the gyro."""
-    axes, _, accelerometers = channels_of(imu)
+    axes, _, accelerometers = sensor_model.channels_of(imu)
     return np.asarray(np.arange(len(axes)) >= accelerometers, dtype=np.intp)
 
 
@@ -257,13 +241,11 @@ def _jolt(segment: Segment, by_ddq: Array) -> float:
 
 
 def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
-    """Scale rows (N, C, b) to unit noise, the joints' deflection included.
-
-    A link moves otherwise than the encoder before its gear shows where the gear bends or has play,
-    and jolts faster than the log's rate alias. Either is in all channels an acceleration that the
-    encoders do not know of; its covariance A A', A = `scaled` (N, C, n) over the readings' noise,
-    has few directions, and so has its inverse's root.
-    """
+    """Scale rows (N, C, b) to unit noise, the joints' deflection included."""
+    # A link moves otherwise than the encoder before its gear shows where the gear bends or has
+    # play, and jolts faster than the log's rate alias. Either is in all channels an acceleration
+    # that the encoders do not know of; its covariance A A', A = `scaled` (N, C, n) over the
+    # readings' noise, has few directions, and so has its inverse's root.
     value, vector = np.linalg.eigh(scaled.transpose(0, 2, 1) @ scaled)
     value = np.maximum(value, 1e-12)
     directions = scaled @ (vector / np.sqrt(value)[:, None, :])
@@ -291,7 +273,12 @@ def reduced(linear: Linearised) -> Reduced:
         return Reduced(linear, S, g, np.zeros((0, b)), np.zeros(0))
     J3 = np.moveaxis(J.reshape(*J.shape[:2], -1), 1, 2)  # (N, 3 m, C)
     cross = J3 @ np.concatenate([G, linear.r[:, :, None]], axis=2)
-    right = _onto_nodes(segment, cross.reshape(len(G), 3, m, b + 1)).reshape(-1, b + 1)
+    # Transpose of `at_samples`: (N, 3, ...) to (N + 2 REACH, ...).
+    values = cross.reshape(len(G), 3, m, b + 1)
+    out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
+    for where, kind, weight in _taps(segment):
+        out[where] += weight * values[:, kind]
+    right = out.reshape(-1, b + 1)
     right[:, b] += _own_gradient(linear).ravel()
     factor = cholesky_banded(_band(linear), lower=True, check_finite=False)
     solved = cho_solve_banded((factor, True), right, check_finite=False)

@@ -1,7 +1,5 @@
 """Readings of an IMU for its calibration: cleaned of spikes and saturation, then low-passed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

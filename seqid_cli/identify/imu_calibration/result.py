@@ -1,22 +1,13 @@
 """From the fit of an IMU's constants to the parameter file: numbers where the logs give them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
+from seqid_cli.identify.imu_calibration import sensor_model
 from seqid_cli.identify.imu_calibration.axis_pairs import Pair
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
 from seqid_cli.identify.imu_calibration.segments import Segment
-from seqid_cli.identify.imu_calibration.sensor_model import (
-    FEW,
-    MOTION,
-    channels_of,
-    design,
-    mounted,
-    tilted,
-)
 from seqid_cli.identify.imu_calibration.solve import Fit
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
@@ -93,21 +84,19 @@ def _references(pairs: list[Pair], names: tuple[str, ...]) -> dict[str, AxisRefe
 
 
 def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
-    """Relative standard error of the accelerations that the readings give of the last joint.
-
-    That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the constants,
-    all channels together take it by a'da / a'a too large.
-    """
+    """Relative standard error of the accelerations that the readings give of the last joint."""
+    # That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the
+    # constants, all channels together take it by a'da / a'a too large.
     axis = robot.chain.axis[imu.after_joint]
-    x = np.zeros((1, MOTION))
+    x = np.zeros((1, sensor_model.MOTION))
     if robot.chain.prismatic[imu.after_joint]:
         x[0, :3] = axis
     else:
         x[0, 3:12] = np.cross(np.eye(3), axis).ravel()  # rows of the matrix dw x
-    channels = mounted(imu, fit.constants)
+    channels = sensor_model.mounted(imu, fit.constants)
     k = channels.accelerometers
     a = (channels.matrix @ x[0])[:k]
-    slope = a @ design(channels, x, np.zeros((1, len(channels.axes))))[0, :k]
+    slope = a @ sensor_model.design(channels, x, np.zeros((1, len(channels.axes))))[0, :k]
     slope[7 : 7 + len(channels.axes)] = 0.0  # a bias is no acceleration
     slope /= max(float(a @ a), 1e-300)
     return float(np.sqrt(slope @ fit.covariance @ slope))
@@ -132,7 +121,7 @@ def _known(
     max_tilt_deg: float = 0.25,
 ) -> _Known:
     """Which constants are known: standard errors up to so many m/s^2, rad/s, 1 and degrees."""
-    axes, _, k = channels_of(imu)
+    axes, _, k = sensor_model.channels_of(imu)
     c, sigma = len(axes), np.sqrt(np.diag(fit.covariance))
     bias, gain = sigma[7 : 7 + c], sigma[7 + c : 7 + 2 * c]
     tilt = np.degrees(np.sqrt(np.mean(sigma[7 + 2 * c :].reshape(c, 2) ** 2, axis=1)))
@@ -150,8 +139,8 @@ def _add_sensors(
     calibration: ImuCalibration, imu: Imu, fit: Fit, known: _Known, noise: Array
 ) -> None:
     """Write the channels' own constants into a calibration."""
-    axes, constants = channels_of(imu)[0], fit.constants
-    turned = np.where(known.known["axis"][:, None], tilted(axes, constants.tilt), axes)
+    axes, constants = sensor_model.channels_of(imu)[0], fit.constants
+    turned = np.where(known.known["axis"][:, None], sensor_model.tilted(axes, constants.tilt), axes)
     values = {"bias": constants.bias, "scale": np.exp(constants.log_gain)}
     for sensor, own in known.sensors.items():
         found: dict[str, object] = {"axes": turned[own].tolist(), "noise": noise[own].tolist()}
@@ -176,10 +165,8 @@ def _open_direction(covariance: Array, *, max_deg: float = 5.0) -> tuple[Array |
 
 
 def _lever_known(sigma: Array, about: Array | None, *, max_error_m: float = 0.02) -> Mask:
-    """Which of the lever's components the logs give.
-
-    Where the angle about an axis is open, so is where the IMU sits around it.
-    """
+    """Which of the lever's components the logs give."""
+    # Where the angle about an axis is open, so is where the IMU sits around it.
     known = sigma < max_error_m
     if about is None:
         return known
@@ -192,7 +179,7 @@ def _beyond_prior(
 ) -> Mask:
     """Whether the logs show more than a prior of fixed width did; widths of many are found."""
     found = np.zeros(len(sigma), dtype=bool)
-    if accelerometers >= FEW:
+    if accelerometers >= sensor_model.FEW:
         found[:accelerometers] = True
     return found | (sigma < max_share * prior)
 

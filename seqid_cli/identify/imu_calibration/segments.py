@@ -7,8 +7,6 @@ that lasts counts once however many samples repeat it. A locked joint keeps the 
 up to an unknown constant within the encoder's step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -187,11 +185,9 @@ def _segment(source: _Source, own: slice, *, min_offset: float = 1e-4) -> Segmen
 
 
 def _jerk(ddq: Array, rate_hz: float, *, slack: float = 3.0) -> float:
-    """Standard deviation that moving joints' jerks are given, rad/s^3.
-
-    Joints push each other: one that hunts within a few counts jerks as the others do, whatever its
-    encoder shows of it.
-    """
+    """Standard deviation that moving joints' jerks are given, rad/s^3."""
+    # Joints push each other: one that hunts within a few counts jerks as the others do, whatever
+    # its encoder shows of it.
     rms = np.sqrt(np.mean((np.diff(ddq, axis=0) * rate_hz) ** 2, axis=0))
     return max(slack * float(np.max(rms)), 1.0)
 
@@ -204,10 +200,8 @@ def _hunts(view: EncoderView, rate_hz: float, own: slice) -> bool:
 def _still_hz(
     view: EncoderView, rate_hz: float, *, noise: float = 0.01, lowest_hz: float = 3.0
 ) -> float:
-    """Cut-off up to which an encoder shows a locked joint's acceleration to `noise` rad/s^2.
-
-    Zero below `lowest_hz`, where it is not followed.
-    """
+    """Cut-off up to which an encoder shows a locked joint's acceleration to `noise` rad/s^2."""
+    # Zero below `lowest_hz`, where it is not followed.
     density = (view.step**2 / 12 + view.white) * 2 / rate_hz
     hz = float((5 * noise**2 / (max(density, 1e-24) * (2 * np.pi) ** 4)) ** 0.2)
     return hz if hz >= lowest_hz else 0.0
@@ -228,10 +222,8 @@ def _locked_motion(q: Array, recording: Recording, view: EncoderView) -> tuple[A
 def _encoder_rows(
     source: _Source, j: int, wide: Index, own: slice, *, repeated: float = 2.0
 ) -> EncoderRows:
-    """Rows of one moving joint; a coarse encoder by its edges, a fine one by what is low-passed.
-
-    Swings that repeat themselves repeat their quantisation errors, so many times.
-    """
+    """Rows of one moving joint; a coarse encoder by its edges, a fine one by what is low-passed."""
+    # Swings that repeat themselves repeat their quantisation errors, so many times.
     rate, view = source.recording.rate_hz, source.views[j]
     strongest = float(np.max(np.abs(source.motion.ddq[own, j])))
     # What the low-pass takes off a jump of the acceleration.

@@ -5,8 +5,6 @@ with f + H r the specific force at r, w (3) its angular velocity. Accelerometer 
 the gain g_k, the unit axis s_k and the place r_k in the IMU's frame, R the mounting, l the lever:
 
     y_k = g_k (R s_k)'(f + H (l + R r_k)) + b_k,        gyro:  y_k = g_k (R s_k)'w + b_k.
-
-Priors of the IMU calibration: how wide they are, and what holds a frame that nothing shows.
 """
 
 from __future__ import annotations

@@ -158,12 +158,10 @@ def _fitted(
     settled: float = 0.1,
     first_size: float = 10.0,
 ) -> tuple[Fit, Sizes]:
-    """Fit with the noise of raw readings, or from sizes on that are renewed in every round.
-
-    The first `plain` of the `rounds` have no robust weights, those behind `freeze` the same. The
-    fit ends with a step of `settled` standard errors. Deflections are looked for from `first_size`
-    rad/s^2 of a node.
-    """
+    """Fit with the noise of raw readings, or from sizes on that are renewed in every round."""
+    # The first `plain` of the `rounds` have no robust weights, those behind `freeze` the same. The
+    # fit ends with a step of `settled` standard errors. Deflections are looked for from
+    # `first_size` rad/s^2 of a node.
     change, fixed = np.inf, None
     for number in range(rounds):
         sigma = state.noise_scale()
@@ -311,12 +309,10 @@ def _widened(model: Array, scores: Array, own: Array, widths: Widths, imu: Imu) 
 
 
 def _left_out(reductions: list[Reduced], inner: list[_Inner], information: Array) -> float | None:
-    """RMS of what each log reads beyond the prediction by all the others, over the fit's own.
-
-    Both are whitened residuals after each log's own trajectory; one means that the constants carry
-    over to a log that they have not seen. What only one log shows cannot be predicted by the others
-    and does not count.
-    """
+    """RMS of what each log reads beyond the prediction by all the others, over the fit's own."""
+    # Both are whitened residuals after each log's own trajectory; one means that the constants
+    # carry over to a log that they have not seen. What only one log shows cannot be predicted by
+    # the others and does not count.
     logs = {r.linear.segment.log for r in reductions}
     if len(logs) < 2:
         return None

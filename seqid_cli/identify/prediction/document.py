@@ -5,11 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.judging import as_a_whole, physics_verdicts
@@ -30,45 +28,20 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 
-@dataclass(frozen=True)
-class ErrorSums:
-    """Sums per joint (n,) over the samples that count; they add up over logs."""
+def _sums(log: LogPrediction, *, sliding: bool) -> Array:
+    """Sums (4, n) over one log: samples, squared errors and torques, and the largest error."""
+    # Over the samples that slide, or over all that count: at rest friction takes any value up to
+    # its limit, and the error is the distance to that interval.
+    counts = log.sliding if sliding else np.broadcast_to(log.used[:, None], log.tau.shape)
+    error = np.where(counts, log.residual if sliding else log.beyond, 0.0)
+    torque = np.where(counts, log.tau, 0.0)
+    sums = [values.sum(axis=0) for values in (counts, np.square(error), np.square(torque))]
+    return np.array([*sums, np.abs(error).max(axis=0, initial=0.0)])
 
-    count: NDArray[np.int64]
-    squared_error: Array  # (N m)^2
-    squared_torque: Array  # (N m)^2
-    max_abs: Array  # N m
 
-    @classmethod
-    def none(cls, n: int) -> ErrorSums:
-        """Return the sums over no sample of n joints."""
-        return cls(np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n), np.zeros(n))
-
-    @classmethod
-    def of(cls, log: LogPrediction, *, sliding: bool) -> ErrorSums:
-        """Return the sums over one log.
-
-        Over the samples that slide, or over all that count: at rest friction takes any value up to
-        its limit, and the error is the distance to that interval.
-        """
-        counts = log.sliding if sliding else np.broadcast_to(log.used[:, None], log.tau.shape)
-        error = np.where(counts, log.residual if sliding else log.beyond, 0.0)
-        torque = np.where(counts, log.tau, 0.0)
-        return cls(
-            count=counts.sum(axis=0, dtype=np.int64),
-            squared_error=np.square(error).sum(axis=0),
-            squared_torque=np.square(torque).sum(axis=0),
-            max_abs=np.abs(error).max(axis=0, initial=0.0),
-        )
-
-    def __add__(self, other: ErrorSums) -> ErrorSums:
-        """Return the sums over both."""
-        return ErrorSums(
-            self.count + other.count,
-            self.squared_error + other.squared_error,
-            self.squared_torque + other.squared_torque,
-            np.maximum(self.max_abs, other.max_abs),
-        )
+def _both(first: Array, second: Array) -> Array:
+    """Sums over two logs."""
+    return np.vstack([first[:3] + second[:3], np.maximum(first[3:], second[3:])])
 
 
 def prediction_file(
@@ -89,20 +62,20 @@ def prediction_file(
     """
     robot, stages = inputs.robot, inputs.stages
     names = robot.joint_names
-    overall = sliding = none = ErrorSums.none(len(names))
+    overall = sliding = none = np.zeros((4, len(names)))
     errors = []
     effects = effect_notes(stages, robot, unexplained=unexplained)
     with contextlib.ExitStack() as stack:
         writer = stack.enter_context(_torque_writer(torques, names, inputs)) if torques else None
         own = slid = none
         for log in predictions:
-            own = own + ErrorSums.of(log, sliding=False)
-            slid = slid + ErrorSums.of(log, sliding=True)
+            own = _both(own, _sums(log, sliding=False))
+            slid = _both(slid, _sums(log, sliding=True))
             if writer is not None:
                 writer.write(log)
             if log.last:
                 errors.append(_log_error(log, _joints(own, slid, names)))
-                overall, sliding = overall + own, sliding + slid
+                overall, sliding = _both(overall, own), _both(sliding, slid)
                 own = slid = none
     joints = _joints(overall, sliding, names)
     lacks = lacking(stages, robot)
@@ -143,19 +116,20 @@ def _log_error(log: LogPrediction, joints: dict[str, JointError]) -> LogPredicti
     )
 
 
-def _joints(sums: ErrorSums, sliding: ErrorSums, names: tuple[str, ...]) -> dict[str, JointError]:
-    return {
-        name: JointError(
-            rmse=_root(sliding.squared_error[j], sliding.count[j]),
-            relative_rmse=_root(sliding.squared_error[j], sliding.squared_torque[j]),
-            max_abs=float(sliding.max_abs[j]) if sliding.count[j] else None,
-            samples=int(sliding.count[j]),
-            rmse_all=_root(sums.squared_error[j], sums.count[j]),
-            samples_all=int(sums.count[j]),
-            share_sliding=float(sliding.count[j] / sums.count[j]) if sums.count[j] else None,
+def _joints(sums: Array, sliding: Array, names: tuple[str, ...]) -> dict[str, JointError]:
+    found = {}
+    for name, (every, squares, _, _), own in zip(names, sums.T, sliding.T, strict=True):
+        count, squared_error, squared_torque, largest = own
+        found[name] = JointError(
+            rmse=_root(squared_error, count),
+            relative_rmse=_root(squared_error, squared_torque),
+            max_abs=float(largest) if count else None,
+            samples=int(count),
+            rmse_all=_root(squares, every),
+            samples_all=int(every),
+            share_sliding=float(count / every) if every else None,
         )
-        for j, name in enumerate(names)
-    }
+    return found
 
 
 def _root(squares: float, over: float) -> float | None:
@@ -170,11 +144,9 @@ def _notes(joints: dict[str, JointError]) -> list[str]:
 def _verdict(
     name: str, error: JointError, lacks: Sequence[str], *, max_relative_rmse: float = 0.3
 ) -> Verdict:
-    """A joint is poor where the model lacks something of it, or its error is too large.
-
-    A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
-    the measured torque.
-    """
+    """A joint is poor where the model lacks something of it, or its error is too large."""
+    # A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
+    # the measured torque.
     share, reasons = error.relative_rmse, list(lacks)
     if share is None or share > max_relative_rmse:
         limit, left = percent(max_relative_rmse), "-" if share is None else percent(share)

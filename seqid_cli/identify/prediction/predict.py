@@ -3,8 +3,6 @@
 A log that is held is one block. A long one is passed over at its own rate; every part of it is
 worked on with so many samples more on either side that the filters have forgotten what lies beyond,
 so that the parts together are what the log as a whole gives.
-
-Measured and predicted torque of a log or of a part of it, and notes on it.
 """
 
 from __future__ import annotations
@@ -20,12 +18,7 @@ import numpy as np
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.streaming import (
-    chosen_cutoff,
-    open_if_long,
-    streams,
-    too_short,
-)
+from seqid_cli.identify.regression.streaming import chosen_cutoff, open_if_long, streams
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Health, Recording, torque_of
@@ -35,7 +28,7 @@ from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, friction_surfaces, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks, overlapping
 from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.motion.motion import Motion, estimate_motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot

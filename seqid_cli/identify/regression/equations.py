@@ -1,7 +1,5 @@
 """Rows of the torque equation (Eq. 4) of one log, filtered and decimated, block by block."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -65,14 +63,8 @@ class Rows:
 class FilteredColumns:
     """Filtered base regressors of consecutive parts of one log, all in the same memory.
 
-    Parameters
-    ----------
-    longest : int
-        Samples of a part, at most.
-    reach : int
-        Samples on either side that the low-pass remembers.
-    beside : callable, optional
-        One more column (N, n) of a motion, filtered already.
+    `longest`: samples of a part, at most. `reach`: samples on either side that the low-pass
+    remembers. `beside`: one more column (N, n) of a motion, filtered already.
     """
 
     def __init__(

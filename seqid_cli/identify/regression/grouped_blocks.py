@@ -5,8 +5,6 @@ is known beforehand how many will come, those that end up in one factor are redu
 same factor, with fewer and larger QR decompositions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,7 +21,6 @@ class GroupedBlocks:
     """Hands the rows of all joints, block by block, to their accumulators."""
 
     def __init__(self, joints: Sequence[Accumulator]) -> None:
-        """Take accumulators."""
         self._joints = joints
         self._group = 1
         self._held: list[Chunk] = []

@@ -12,9 +12,7 @@ rows of a log and on how they are cut into blocks, not on where the log was redu
 and blocks merge in their order. The factors of blocks (about a second of motion each) are kept as
 well, merged pairwise when they become many: the moves of the estimate without one block give
 standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
-small.
-
-Triangular factors of rows [H y] by Householder reflections (LAPACK's `dtpqrt`).
+small. The factors are made by Householder reflections (LAPACK's `dtpqrt`).
 """
 
 from __future__ import annotations
@@ -85,10 +83,8 @@ def merged_pairs(factors: list[Array]) -> list[Array]:
 
 
 def _reflected(R: Array, rows: Array, triangle: int, *, panel_size: int = 8) -> Array:
-    """R (k, k) of R on top of rows (m, k), the last `triangle` of them upper trapezoidal.
-
-    Both must be Fortran-ordered and are used up.
-    """
+    """R (k, k) of R on top of rows (m, k), the last `triangle` of them upper trapezoidal."""
+    # Both must be Fortran-ordered and are used up.
     panel = min(panel_size, len(R))
     R, *_ = dtpqrt(triangle, panel, R, rows, overwrite_a=True, overwrite_b=True)
     return R
@@ -142,7 +138,6 @@ class Accumulator:
         self._bound()
 
     def __add__(self, other: Accumulator) -> Accumulator:
-        """The rows of both, those of `other` behind."""
         span = max(self.span, other.span)
         both = Accumulator(
             self.size, self.blocks + other.blocks, self.rows + other.rows, span, span
@@ -291,11 +286,9 @@ def _floor(joint: Accumulator, R: Array) -> float:
 
 
 def _solve_scaled(factor: Array) -> tuple[Array, Array, Array, float]:
-    """Smallest solution with scaled columns.
-
-    Also returns B with (H'H)^+ = B B' over what is excited, the directions that are not, and the
-    condition.
-    """
+    """Smallest solution with scaled columns."""
+    # Also returns B with (H'H)^+ = B B' over what is excited, the directions that are not, and the
+    # condition.
     R, z = factor[:-1, :-1], factor[:-1, -1]
     scale = np.linalg.norm(R, axis=0)
     scale[scale < 1e-9 * scale.max(initial=1e-300)] = np.inf
@@ -329,13 +322,11 @@ def _jackknife(
     factor: Array,
     bread: Array,
 ) -> tuple[Array, Array]:
-    """Moves (G, p) of the estimate when one block of time is left out, and designs (n,).
-
-    With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
-    (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the sandwich it
-    does not shrink when a block has leverage. The scores of one joint alone, over what white noise
-    would make of them, are its design effect.
-    """
+    """Moves (G, p) of the estimate when one block of time is left out, and designs (n,)."""
+    # With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
+    # (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the sandwich it
+    # does not shrink when a block has leverage. The scores of one joint alone, over what white
+    # noise would make of them, are its design effect.
     normal = factor[:-1, :-1].T @ factor[:-1, :-1]
     count = max((len(joints[k].blocks) for k in used), default=0)
     A, s = np.zeros((count, *bread.shape)), np.zeros((len(joints), count, len(theta)))

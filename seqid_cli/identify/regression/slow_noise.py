@@ -16,8 +16,6 @@ of inter-block information when block sizes are unequal", Biometrika 58(3), 1971
 parameters take away is allowed for. Rows divided by V's root are generalised least squares.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -98,10 +96,8 @@ def _by_log(rows: Rows) -> list[Index]:
 
 
 def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> _Shape:
-    """W's diagonal, T and F of the rows of one log.
-
-    The lowest frequency of 1/f noise is one over so many `lengths` of the log.
-    """
+    """W's diagonal, T and F of the rows of one log."""
+    # The lowest frequency of 1/f noise is one over so many `lengths` of the log.
     t, trial = rows.t[at], rows.trial[at]
     common = (trial[:, None] == trial[None, :]).astype(np.float64)
     longest = max(float(np.ptp(t)), float(rows.seconds[at].max()))

@@ -6,8 +6,6 @@ unconstrained in units of its covariance, which is the maximum of the posterior 
 constraint (see `model.bodies.consistent`).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from msgspec.structs import replace
 

@@ -13,8 +13,6 @@ Econometrica 46(6), 1978, in the form that needs neither estimate to be efficien
 What of d is beyond its own noise, a share 1 - p / W of its square, counts as an error of theta.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

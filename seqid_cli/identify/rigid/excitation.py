@@ -1,7 +1,5 @@
 """Which pairs of joints must move together to determine what is still open (Sec. 2.2.4)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -23,7 +21,7 @@ def missing_pairs(robot: Robot, basis: Basis, left_open: Array) -> list[list[str
     scale = np.max([np.linalg.norm(H, axis=0) for H in seen.values()], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     seen = {pair: H / scale for pair, H in seen.items()}
-    first = left = _orthonormal(scale[:, None] * left_open)
+    first = left = np.asarray(np.linalg.qr(scale[:, None] * left_open)[0])
     chosen: list[tuple[int, int]] = []
     while left.shape[1]:
         after = {pair: _still_open(H, left) for pair, H in seen.items()}
@@ -60,16 +58,9 @@ def _pair_regressor(
     return H.reshape(-1, basis.size)
 
 
-def _orthonormal(directions: Array) -> Array:
-    """Columns that span the same."""
-    return np.asarray(np.linalg.qr(directions)[0])
-
-
 def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
-    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see.
-
-    Singular values below `min_share` of the largest are rounding.
-    """
+    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
+    # Singular values below `min_share` of the largest are rounding.
     _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
     largest = float(np.linalg.norm(H, 2))
     return np.asarray(left @ Vt[int(np.sum(s > min_share * largest)) :].T)

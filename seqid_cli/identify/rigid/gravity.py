@@ -67,10 +67,9 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
     for j in range(robot.n):
         cross.add_joint(by_joint(trials, j), joints)
     if not cross.used:
-        raise QualityError(
-            "no constant-velocity trial of a joint with known friction was found",
-            hint="give the logs of the friction stage again, or record single-joint moves",
-        )
+        message = "no constant-velocity trial of a joint with known friction was found"
+        hint = "give the logs of the friction stage again, or record single-joint moves"
+        raise QualityError(message, hint=hint)
     solution = solve(joints)
     return _stage(robot, basis, solution, cross)
 

@@ -5,8 +5,6 @@ asked whether the gyroscopic coupling to the link that carries the rotor is ther
 `rotor_coupling`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import operator
 from collections.abc import Iterable, Mapping
@@ -165,10 +163,8 @@ _both = or_none(operator.add)
 
 
 def _stage(equations: InertiaEquations, near: Mapping[float, InertiaEquations]) -> RigidStage:
-    """Solve, decide on the rotor coupling, and describe the result.
-
-    `near` holds the rows at multiples of the cut-off, to see what depends on it.
-    """
+    """Solve, decide on the rotor coupling, and describe the result."""
+    # `near` holds the rows at multiples of the cut-off, to see what depends on it.
     nothing = Coupling.none(equations.basis.size)
     coupling = decide([equations, *near.values()]) if equations.rotors.any() else nothing
     fixed = equations.with_coupling(float(coupling.used))
@@ -198,6 +194,11 @@ def _described(
     stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
     missing = stage.not_excited
     pairs = missing_pairs(robot, basis, solution.left_open) if missing else []
+    # Say which parameters the logs leave open, and which moves would determine them.
+    notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
+    if pairs:
+        text = ", ".join(" + ".join(pair) for pair in pairs)
+        notes.append(f"moving these joints together as well would give full rank: {text}")
     return msgspec.structs.replace(
         stage,
         rmse={
@@ -214,7 +215,7 @@ def _described(
         verdicts=_verdicts(equations, solution, joints),
         notes=[
             cutoff_note(equations.rows.cutoffs, equations.options.motion),
-            *_left_open(missing, pairs),
+            *notes,
             *coupling.notes,
         ],
     )
@@ -238,11 +239,9 @@ def _verdicts(
     poor_share: float = 0.15,
     poor_condition: float = 1000.0,
 ) -> list[Verdict]:
-    """A verdict for each joint, and one for all parameters.
-
-    A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
-    the condition number of their scaled equations is `poor_condition` or more.
-    """
+    """A verdict for each joint, and one for all parameters."""
+    # A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
+    # the condition number of their scaled equations is `poor_condition` or more.
     verdicts = []
     for j, name in enumerate(equations.robot.joint_names):
         if not joints[j].samples:
@@ -256,12 +255,3 @@ def _verdicts(
     good = solution.rank == size and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
     return [*verdicts, Verdict(good=good, reason=reason)]
-
-
-def _left_open(missing: list[str], pairs: list[list[str]]) -> list[str]:
-    """Say which parameters the logs leave open, and which moves would determine them."""
-    notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
-    if pairs:
-        text = ", ".join(" + ".join(pair) for pair in pairs)
-        notes.append(f"moving these joints together as well would give full rank: {text}")
-    return notes

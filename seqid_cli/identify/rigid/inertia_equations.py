@@ -9,6 +9,7 @@ a locked joint lies anywhere within its stiction.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import blocks
+from seqid_cli.identify.regression.equations import CHUNK, FilteredColumns, blocks, torque_motion
 from seqid_cli.identify.regression.grouped_blocks import GroupedBlocks
 from seqid_cli.identify.regression.least_squares import (
     Accumulator,
@@ -25,25 +26,23 @@ from seqid_cli.identify.regression.least_squares import (
     solve,
     whitened,
 )
-from seqid_cli.identify.regression.streaming import pass_over
+from seqid_cli.identify.regression.streaming import chosen_cutoff
 from seqid_cli.identify.rigid.parameters import imu_moves
-from seqid_cli.identify.rigid.posterior import (
-    Posterior,
-    by_joint,
-    constant_moves,
-    gravity_prior,
-)
+from seqid_cli.identify.rigid.posterior import Posterior, by_joint, constant_moves, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import friction_surfaces, known_rotors
-from seqid_cli.motion.blocks import SurveyedLog
-from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion
+from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
+from seqid_cli.motion.blocks import SurveyedLog, make_plan, motion_blocks, overlapping
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base_parameters import Basis, gear_ratios
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
+
+LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
 
 
 @dataclass
@@ -64,7 +63,6 @@ class InertiaRows:
         return cls(joints, np.zeros(n), {}, [], [], np.zeros(2))
 
     def __add__(self, other: InertiaRows) -> InertiaRows:
-        """The equations of both, those of `other` behind."""
         cross = dict(self.cross)
         for j, crossed in other.cross.items():
             cross[j] = cross[j] + crossed if j in cross else crossed
@@ -89,7 +87,7 @@ class InertiaEquations:
         scaled = robot.torque_constant_errors > 0.0
         self._rotor_torque = np.where(scaled, gear_ratios(robot) ** 2 * self.rotors, 0.0)
         self.rows = InertiaRows.none(basis.size + 1, robot.n)
-        self._grouped = GroupedBlocks(self.rows.joints)
+        self.grouped = GroupedBlocks(self.rows.joints)
 
     @property
     def joints(self) -> list[Accumulator]:
@@ -99,7 +97,7 @@ class InertiaEquations:
     def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
         """The rows of one log alone; these equations stay as they are."""
         fresh = self.with_rows(InertiaRows.none(self.basis.size + 1, self.robot.n))
-        fresh._grouped = GroupedBlocks(fresh.joints)
+        fresh.grouped = GroupedBlocks(fresh.joints)
         motion = pass_over(log, fresh)
         fresh.rows.cutoffs.append(motion.cutoff.hz)
         fresh.rows.uses.append(motion_use(log.path, self.robot, motion))
@@ -141,7 +139,7 @@ class InertiaEquations:
         self.rows.counts += motion.samples * np.array([motion.independent_share, 1.0])
         known = usable & np.array([surface is not None for surface in self.surfaces])
         ends = [block.stop for block in blocks(motion.samples, motion.rate_hz)]
-        self._grouped.add((H, y, known), ends)
+        self.grouped.add((H, y, known), ends)
         every = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
         for j, surface in enumerate(self.surfaces):
             rows = usable[:, j]
@@ -155,10 +153,6 @@ class InertiaEquations:
                 F = np.column_stack([F, every * self._rotor_torque[j] * motion.ddq[some, j]])
             crossed = self.rows.cross.get(j, np.zeros((H.shape[2], F.shape[1])))
             self.rows.cross[j] = crossed + H[some, j].T @ F
-
-    def expect(self, count: int, rows: int) -> None:
-        """So many blocks of about so many rows of one log follow; 0 when they have come."""
-        self._grouped.expect(count, rows)
 
     def with_coupling(self, share: float) -> list[Accumulator]:
         """The rows of all joints with the share of gyroscopic coupling held at a value."""
@@ -181,7 +175,8 @@ class InertiaEquations:
                 for known in (before.friction_sensitivity, before.torque_constant_moves)
             )
         if free and prior is not None:
-            prior = _wider(prior)
+            # The same prior with a column of zeros behind: it knows nothing of the coupling.
+            prior = Prior(np.hstack([prior.A, np.zeros((len(prior.A), 1))]), prior.b)
         share = self.independent_share
         solution = solve(joints, prior=prior, iterations=rounds, independent=share)
         size = len(solution.theta)
@@ -218,6 +213,79 @@ def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
     return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])
 
 
-def _wider(prior: Prior) -> Prior:
-    """The same prior with a column of zeros behind: it knows nothing of the coupling."""
-    return Prior(np.hstack([prior.A, np.zeros((len(prior.A), 1))]), prior.b)
+def pass_over(
+    log: Recording | SurveyedLog, equations: InertiaEquations, *, forgotten: float = 0.8
+) -> Motion:
+    """Add the rows of one log.
+
+    The motion of a log that is held is one block, of one to be passed over it comes in many.
+    `forgotten`: share of the low-pass's memory that is computed beside a part: 0.8 of it leaves
+    1e-10. Returns:
+    the last samples, `moving` (1, n) being that of all of them. Raises InputError if no stretch of
+    the log is long enough to filter.
+    """
+    held = isinstance(log, Recording)
+    if isinstance(log, Recording):
+        parts, lowpass, samples = _held(log, equations)
+    else:
+        parts, lowpass, samples = _streamed(log, equations)
+    reach = int(forgotten * lowpass.memory) + lowpass.settling
+    rows = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
+    columns = FilteredColumns(
+        equations.robot, equations.basis, min(rows, samples), reach, equations.coupling_column
+    )
+    # How many blocks of equations a log will have.
+    whole, rest = divmod(samples, CHUNK)
+    sizes = [(CHUNK, whole), (rest, 1 if rest else 0)]
+    expected = sum(times * sum(1 for _ in blocks(size, lowpass.rate_hz)) for size, times in sizes)
+    equations.grouped.expect(expected, samples // max(expected, 1))
+    moving, usable, last = np.zeros(equations.robot.n, dtype=bool), False, None
+    # Right sides need little memory: they are made of longer parts than the regressor.
+    for motion, start, stop in overlapping(parts, samples if held else 2 * rows, 2 * reach):
+        y = equations.right_side(motion)
+        for first in range(start, stop, rows):
+            _add_part(equations, columns, motion, y, slice(first, min(first + rows, stop)), reach)
+        moving |= motion.moving.any(axis=0)
+        usable |= bool(motion.usable.any())
+        last = motion
+    equations.grouped.expect(0, 0)
+    if last is None or not usable:
+        raise too_short(log.path, lowpass.cutoff_hz)
+    return replace(last, moving=moving[None])
+
+
+def _held(log: Recording, equations: InertiaEquations) -> tuple[Iterable[Motion], Lowpass, int]:
+    """The motion of a log as one block, its low-pass, and how many samples there are."""
+    options, imu = equations.options, equations.stages.imu
+    motion = torque_motion(log, equations.robot, options.motion, imu=imu, source=options.source)
+    return [motion], motion.lowpass, motion.samples
+
+
+def _streamed(
+    log: SurveyedLog, equations: InertiaEquations
+) -> tuple[Iterable[Motion], Lowpass, int]:
+    """The motion of a long log, block by block, its low-pass, and how many samples there are."""
+    options = equations.options.motion
+    cutoff, step = chosen_cutoff(log, equations.robot, options)
+    plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=options.samples_per_cutoff)
+    samples = -(-log.samples // plan.factor)
+    return motion_blocks(log.blocks(), plan), plan.kept_lowpass, samples
+
+
+def _add_part(
+    equations: InertiaEquations,
+    columns: FilteredColumns,
+    motion: Motion,
+    y: Array,
+    part: slice,
+    reach: int,
+) -> None:
+    """Add the rows of some samples; the others are there for the filters."""
+    low, high = max(0, part.start - reach), min(motion.samples, part.stop + reach)
+    usable = sliding(motion.part(slice(low, high)), equations.slowest)
+    H = columns.of(motion, part.start, part.stop)
+    for first in range(part.start, part.stop, CHUNK):
+        end = min(first + CHUNK, part.stop)
+        chunk = motion.part(slice(first, end))
+        rows = H[first - part.start : end - part.start]
+        equations.add_chunk(chunk, rows, y[first:end], usable[first - low : end - low])

@@ -1,7 +1,5 @@
 """From a least-squares solution to a stage of the parameter file; shared by gravity and inertia."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -155,11 +155,7 @@ def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:
     wide = np.zeros((len(rows), basis.size))
     own = [basis.names.index(parameter.name) for parameter in gravity.parameters]
     wide[:, own] = rows
-    return Prior(wide, rows @ _gravity_values(gravity, basis, size)[own])
-
-
-def _gravity_values(gravity: RigidStage, basis: Basis, size: int) -> Array:
-    """Base gravity parameters of the stage, undetermined ones at their smallest values."""
+    # Base gravity parameters of the stage, undetermined ones at their smallest values.
     names = standard_names(basis.expression.shape[1] // 11)
     phi = np.array([gravity.representative.get(name, 0.0) for name in names])
-    return np.asarray((basis.expression @ phi)[:size])
+    return Prior(wide, rows @ np.asarray((basis.expression @ phi)[:size])[own])

@@ -17,13 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from seqid_cli.identify.regression.least_squares import Accumulator, Solution
-from seqid_cli.identify.rigid.posterior import Posterior
-from seqid_cli.robot.base_parameters import Basis
+from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
 from seqid_cli.typing import Array
 
 
@@ -31,40 +28,18 @@ from seqid_cli.typing import Array
 class Coupling:
     """The decision: whether the coupling is `used`, and how it came about.
 
-    `share` and `std_error` are those of the fit that leaves it free; `errors` (p, d) are directions
-    along which the other hypothesis would move the parameters, in standard deviations.
+    `errors` (p, d) are directions along which the other hypothesis would move the parameters, in
+    standard deviations.
     """
 
     used: bool
-    decided: bool
-    share: float
-    std_error: float
     errors: Array
     notes: tuple[str, ...] = ()
 
     @classmethod
     def none(cls, size: int) -> Coupling:
         """Nothing to decide for `size` parameters: no known rotor, or both models are the same."""
-        return cls(False, True, 0.0, np.inf, np.zeros((size, 0)))
-
-
-class Equations(Protocol):
-    """Rows of an identification whose last column is the share of the coupling."""
-
-    basis: Basis
-
-    @property
-    def joints(self) -> list[Accumulator]:
-        """The rows of each joint."""
-        ...
-
-    def with_coupling(self, share: float) -> list[Accumulator]:
-        """The rows with the share held at a value."""
-        ...
-
-    def solved(self, joints: list[Accumulator]) -> tuple[Solution, Posterior]:
-        """Solve rows, with the share free or held."""
-        ...
+        return cls(False, np.zeros((size, 0)))
 
 
 @dataclass(frozen=True)
@@ -85,7 +60,7 @@ class _Share:
 
 
 def decide(
-    equations: Sequence[Equations], *, max_sigma: float = 3.0, min_log_odds: float = 5.0
+    equations: Sequence[InertiaEquations], *, max_sigma: float = 3.0, min_log_odds: float = 5.0
 ) -> Coupling:
     """Compare the two hypotheses by the logs.
 
@@ -105,20 +80,18 @@ def decide(
         for share in found
     ]
     sides = {share.odds > 0 for share in found if share is not None}
-    value, error = first.value, first.error
     if all(sure) and len(sides) == 1:
         used = sides.pop()
-        return Coupling(used, True, value, error, np.zeros((kappa, 0)), _decided(used))
+        text = "the data show rotors coupled to the links that carry them; used as such"
+        return Coupling(used, np.zeros((kappa, 0)), (text,) if used else ())
     # What does not decide does not count against the other hypothesis either.
     likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(first.odds, -min_log_odds, min_log_odds))))
     without, coupled = (own.solved(own.with_coupling(share))[0].theta for share in (0.0, 1.0))
     errors = np.sqrt(likely) * (coupled - without)[:, None]
-    return Coupling(
-        False, False, value, error, errors, _open(value, error, near=first.near(max_sigma))
-    )
+    return Coupling(False, errors, _open(first, near=first.near(max_sigma)))
 
 
-def _free(equations: Equations) -> _Share | None:
+def _free(equations: InertiaEquations) -> _Share | None:
     """The share that rows of one cut-off show; None where both models are the same."""
     kappa = equations.basis.size
     free, posterior = equations.solved(equations.joints)
@@ -127,13 +100,8 @@ def _free(equations: Equations) -> _Share | None:
     return _Share(float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa])))
 
 
-def _decided(used: bool) -> tuple[str, ...]:
-    text = "the data show rotors coupled to the links that carry them; used as such"
-    return (text,) if used else ()
-
-
-def _open(share: float, error: float, *, near: bool) -> tuple[str, ...]:
-    free = f"{share:.2f} +- {error:.2f} of it when left free"
+def _open(share: _Share, *, near: bool) -> tuple[str, ...]:
+    free = f"{share.value:.2f} +- {share.error:.2f} of it when left free"
     if not near:
         return (
             f"coupling of rotors to the links that carry them: {free}, neither 0 nor 1; something "

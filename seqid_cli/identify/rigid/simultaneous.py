@@ -7,8 +7,6 @@ written as a friction stage of orders (0, 1) and an inertia stage with all base 
 every later command reads it like any other file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from copy import deepcopy
 from pathlib import Path
@@ -33,16 +31,7 @@ from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import (
-    FrictionJoint,
-    FrictionStage,
-    ImuStage,
-    MotionUse,
-    Parameter,
-    RigidStage,
-    SpeedLevel,
-    Verdict,
-)
+from seqid_cli.params import schema
 from seqid_cli.robot.base_parameters import Basis, free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -56,9 +45,9 @@ def identify_simultaneous(
     *,
     options: MotionOptions,
     offset: bool = False,
-    imu: ImuStage | None = None,
+    imu: schema.ImuStage | None = None,
     source: str = "auto",
-) -> tuple[FrictionStage, RigidStage]:
+) -> tuple[schema.FrictionStage, schema.RigidStage]:
     """Identify rigid body and Coulomb-viscous friction together.
 
     Parameters
@@ -127,7 +116,7 @@ class SimultaneousEquations:
         self.position = np.array([[np.inf, -np.inf]] * robot.n)
         self.torque_squares = np.zeros(robot.n)
         self.cutoffs: list[float] = []
-        self.uses: list[MotionUse] = []
+        self.uses: list[schema.MotionUse] = []
 
     def add(self, path: Path, motion: Motion) -> None:
         """Add the rows of one log."""
@@ -171,7 +160,7 @@ class SimultaneousEquations:
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
         return motion.filtered(columns[:, :, : len(self.terms)], times=2)
 
-    def stages(self, options: MotionOptions) -> tuple[FrictionStage, RigidStage]:
+    def stages(self, options: MotionOptions) -> tuple[schema.FrictionStage, schema.RigidStage]:
         """Solve and describe the result."""
         solution = solve(self.joints)
         posterior = self._posterior(solution)
@@ -181,7 +170,7 @@ class SimultaneousEquations:
         note = f"{named} friction from one least squares with the rigid body (Eq. 5-6)"
         cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
         filtering = cutoff_note(self.cutoffs, options)
-        stage = FrictionStage(
+        stage = schema.FrictionStage(
             joints=friction,
             method="simultaneous",
             cutoff_hz=cutoff,
@@ -197,7 +186,7 @@ class SimultaneousEquations:
         moves = constant_moves(solution, self.robot.torque_constant_errors, known)
         return Posterior(solution.covariance, {}, moves)
 
-    def _joint(self, j: int, solution: Solution, posterior: Posterior) -> FrictionJoint:
+    def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
         own = self._own(j)
         values = solution.theta[own]
@@ -208,7 +197,7 @@ class SimultaneousEquations:
         covariance = both @ solution.covariance[own, own] @ both.T
         sigma = float(solution.sigma[j])
         errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
-        return FrictionJoint(
+        return schema.FrictionJoint(
             position_order=0,
             velocity_order=1,
             max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
@@ -221,14 +210,16 @@ class SimultaneousEquations:
             negative=[(back @ values).tolist()],
             covariance=covariance.tolist(),
             torque_constant_error=self.robot.joints[j].torque_constant_error,
-            speeds=[SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
+            speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
-                Parameter(name=n, value=float(v), std_error=float(e), unit=u)
+                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=u)
                 for (n, u), v, e in zip(self.terms, values, errors, strict=True)
             ],
         )
 
-    def _rigid(self, solution: Solution, posterior: Posterior, cutoff: float | None) -> RigidStage:
+    def _rigid(
+        self, solution: Solution, posterior: Posterior, cutoff: float | None
+    ) -> schema.RigidStage:
         basis, robot = self.basis, self.robot
         own = np.arange(basis.size)
         stage = rigid_stage(robot, basis, solution, posterior, own, known_rotors(robot))
@@ -254,16 +245,14 @@ class SimultaneousEquations:
         *,
         poor_share: float = 0.25,
         clear_sigma: float = 3.0,
-    ) -> list[Verdict]:
-        """A joint is poor where more than `poor_share` of its torque is left.
-
-        So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
-        """
+    ) -> list[schema.Verdict]:
+        """A joint is poor where more than `poor_share` of its torque is left."""
+        # So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
         verdicts = []
         for j, name in enumerate(self.robot.joint_names):
             samples = self.joints[j].samples
             if not samples:
-                verdicts.append(Verdict(joint=name, good=False, reason="does not move"))
+                verdicts.append(schema.Verdict(joint=name, good=False, reason="does not move"))
                 continue
             left = float(solution.sigma[j]), float(self.torque_squares[j]), samples
             share, reason = residual_share(*left)
@@ -273,9 +262,9 @@ class SimultaneousEquations:
             if drives:
                 reason += f"; Coulomb friction of {dry:.3g} N m cannot be: record moves both ways"
             good = share < poor_share and not drives
-            verdicts.append(Verdict(joint=name, good=good, reason=reason))
+            verdicts.append(schema.Verdict(joint=name, good=good, reason=reason))
         reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
-        verdicts.append(Verdict(good=not missing, reason=reason))
+        verdicts.append(schema.Verdict(good=not missing, reason=reason))
         return verdicts
 
 
@@ -283,18 +272,8 @@ def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
     """Entries of a friction surface, forward and backward, per Coulomb, viscous and offset.
 
     Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
-    taken off.
-
-    Parameters
-    ----------
-    fastest : float
-        Upper end of the surface's speed range [rad/s; m/s where prismatic].
-    terms : int
-        How many of the three there are.
-
-    Returns
-    -------
-    tuple of two (2, terms) arrays
+    taken off. `fastest`: upper end of the surface's speed range [rad/s; m/s where prismatic].
+    `terms`: how many of the three there are. Returns: tuple of two (2, terms) arrays.
     """
     ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
     return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

@@ -1,13 +1,11 @@
 """Time: units, rate, gaps, stamps, and the reader's warnings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 
 import numpy as np
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT

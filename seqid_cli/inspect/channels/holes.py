@@ -1,12 +1,10 @@
 """Channels that have no values for a while in which the rest of the log goes on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.params.results.inspection import InspectionFinding

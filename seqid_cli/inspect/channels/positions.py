@@ -1,7 +1,5 @@
 """Positions: units, limits, jumps, freezes, encoder resolution."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -9,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing_share
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Joint, Robot
 from seqid_cli.robust import white_noise
-from seqid_cli.shares import percent
 
 Rows = NDArray[np.intp]
 
@@ -39,17 +36,8 @@ class Break:
 def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
     """Find wraps, freezes, spikes and jumps of every joint.
 
-    Parameters
-    ----------
-    robot : Robot
-    t : (M,) array
-        Time of the joint samples [s].
-    position : (M, n) array
-        As logged [rad; m where prismatic], NaN where missing.
-
-    Returns
-    -------
-    list of Break
+    `t` (M,): time of the joint samples [s]. `position` (M, n): as logged [rad; m where prismatic],
+    NaN where missing.
     """
     breaks = []
     for j, joint in enumerate(robot.joints):
@@ -80,19 +68,14 @@ def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Inspec
             yield unit
 
 
-def position_quality(
-    data: LogData, broken: Container[str], *, max_missing: float = 0.01
-) -> Iterator[InspectionFinding]:
+def position_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
     """Check how well positions are measured, but for the joints named in `broken`."""
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
         q = column[np.isfinite(column)]
         if len(q) < 3:
             continue
-        share = missing_share(column)
-        if share > max_missing:
-            text = f"{percent(share)} of the positions are missing"
-            yield found("values_missing", text, joint=joint.name, channel="position")
+        yield from missing(column, joint.name, "position", what="positions")
         if joint.name in broken:
             continue
         yield from _resolution(joint, q, lattice(q))

@@ -1,16 +1,14 @@
 """Torque and current, channel by channel."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing_share
+from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Robot
@@ -83,19 +81,14 @@ def _spikes(
     return found_at if len(found_at) <= max_spikes else found_at[:0]
 
 
-def torque_quality(
-    data: LogData, broken: Container[str], *, max_missing: float = 0.01
-) -> Iterator[InspectionFinding]:
+def torque_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
     """Check how well torque is measured, but for the joints named in `broken`."""
     effort = data.effort()
     if effort is None:
         return
     quantity, values = effort
     for j, joint in enumerate(data.robot.joints):
-        share = missing_share(values[:, j])
-        if share > max_missing:
-            text = f"{percent(share)} of the values are missing"
-            yield found("values_missing", text, joint=joint.name, channel=quantity)
+        yield from missing(values[:, j], joint.name, quantity)
         if data.moves(j) and joint.name not in broken:
             for code, text in _resolved(data, j, values[:, j]):
                 yield found(code, text, joint=joint.name, channel=quantity)

@@ -1,15 +1,17 @@
 """Tests of one channel by itself: stuck, clipped, held, quantised."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.inspect.findings import found
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
+from seqid_cli.shares import percent
 
 Mask = NDArray[np.bool_]
 
@@ -42,9 +44,7 @@ def clipped(
 ) -> tuple[float, float] | None:
     """Find a limit at which a channel (M,) is cut off.
 
-    Returns
-    -------
-    (limit, share of the samples) or None
+    Returns (limit, share of the samples) or None.
     """
     if (
         len(values) < min_levels
@@ -124,12 +124,16 @@ def _refined(values: Array, step: float) -> float:
     return step
 
 
-def missing_share(values: Array) -> float:
-    """Share of a channel (M,) that is missing at uneven distances; 0 for a slower channel."""
+def missing(
+    values: Array, joint: str, channel: str, *, what: str = "values", max_missing: float = 0.01
+) -> Iterator[InspectionFinding]:
+    """Find values of a channel (M,) that are missing at uneven distances, as of no slower one."""
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:
-        return 0.0
+        return
     distance = np.diff(present)
     usual = int(np.bincount(distance).argmax())
     share = 1.0 - (len(present) - 1) * usual / float(present[-1] - present[0])
-    return max(share, 0.0)
+    if share > max_missing:
+        text = f"{percent(share)} of the {what} are missing"
+        yield found("values_missing", text, joint=joint, channel=channel)

@@ -1,8 +1,6 @@
 """Causes of a misfit between log and robot, each as the change to the log that undoes it."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -32,15 +30,15 @@ def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
     turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
     for joints in (group for group in degrees if far[list(group)].any()):
-        yield Cause("position_in_degrees", joints, "is in degrees", _in_radians(joints))
+        yield Cause("position_in_degrees", joints, "is in degrees", _scaled(joints, np.pi / 180.0))
     for j in range(robot.n):
-        yield Cause("axis_flipped", (j,), "turns the other way round", _flipped(j))
-        yield Cause("sign_mismatch", (j,), "its torque is reversed", _flipped(j, motion=False))
-        yield Cause("sign_mismatch", (j,), "its position is reversed", _flipped(j, torque=False))
+        yield Cause("axis_flipped", (j,), "turns the other way round", _scaled((j,), -1.0, -1.0))
+        yield Cause("sign_mismatch", (j,), "its torque is reversed", _scaled((j,), 1.0, -1.0))
+        yield Cause("sign_mismatch", (j,), "its position is reversed", _scaled((j,), -1.0))
         if not robot.joints[j].prismatic:
             for turns, angle in (("a quarter", 0.5), ("minus a quarter", -0.5), ("half a", 1.0)):
                 text = f"its zero is {turns} turn off"
-                yield Cause("position_zero", (j,), text, _shifted(j, angle * np.pi))
+                yield Cause("position_zero", (j,), text, _scaled((j,), 1.0, shift=angle * np.pi))
     # Exchanging a joint that stands with one that moves changes what is compared.
     for a, b in combinations(sample.moving, 2):
         if robot.joints[a].prismatic != robot.joints[b].prismatic:
@@ -69,37 +67,22 @@ def units_of(data: LogData) -> Iterator[Cause]:
     )
 
 
-def _flipped(j: int, *, motion: bool = True, torque: bool = True) -> Change:
+def _scaled(
+    joints: Sequence[int], motion: float, torque: float = 1.0, shift: float = 0.0
+) -> Change:
+    """Some joints' motion and torque times factors, and their zeros shifted."""
+
     def change(sample: Sample) -> Sample:
-        sign = np.ones(sample.q.shape[1])
-        sign[j] = -1.0
-        moved, driven = sign if motion else 1.0, sign if torque else 1.0
+        own = np.isin(np.arange(sample.q.shape[1]), joints)
+        moved = np.where(own, motion, 1.0)
         return replace(
             sample,
-            q=sample.q * moved,
+            q=sample.q * moved + np.where(own, shift, 0.0),
             dq=sample.dq * moved,
             ddq=sample.ddq * moved,
-            tau=sample.tau * driven,
-            direction=sample.direction * moved,
+            tau=sample.tau * np.where(own, torque, 1.0),
+            direction=sample.direction * np.sign(moved),
         )
-
-    return change
-
-
-def _in_radians(joints: tuple[int, ...]) -> Change:
-    def change(sample: Sample) -> Sample:
-        factor = np.ones(sample.q.shape[1])
-        factor[list(joints)] = np.pi / 180.0
-        return replace(sample, q=sample.q * factor, dq=sample.dq * factor, ddq=sample.ddq * factor)
-
-    return change
-
-
-def _shifted(j: int, angle: float) -> Change:
-    def change(sample: Sample) -> Sample:
-        shift = np.zeros(sample.q.shape[1])
-        shift[j] = angle
-        return replace(sample, q=sample.q + shift)
 
     return change
 

@@ -7,8 +7,6 @@ torque is split into s times its gravity torque, inertia and friction; s is near
 is torque.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ import numpy as np
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
@@ -68,19 +66,10 @@ def geometry_findings(
 ) -> list[InspectionFinding]:
     """Compare a log with the robot's equations.
 
-    Parameters
-    ----------
-    data : LogData
-    sample : Sample
-        Its filtered motion and torque.
-    friction : list of InspectionFinding
-        What its friction shows. Another cause that mends the equations explains that as well: a
-        zero that is off leaves gravity in the torque, which may look like friction of any sign.
-
-    Returns
-    -------
-    list of InspectionFinding
-        One cause, or those of `friction`, or what the robot's weight says.
+    `sample`: its filtered motion and torque. `friction`: what its friction shows. Another cause
+    that mends the equations explains that as well: a zero that is off leaves gravity in the torque,
+    which may look like friction of any sign. Returns: one cause, or those of `friction`, or what
+    the robot's weight says.
     """
     if not data.modelled or not sample.moving:
         return friction
@@ -129,14 +118,10 @@ def _mounting(
     other: Mended | None,
     *,
     free: float = np.inf,
-    max_ratio: float = 0.5,
-    max_error: float = 0.35,
 ) -> Mended | None:
-    """Find the axis of the base along which gravity acts, where that mends a fit best; else other.
-
-    Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
-    decide, or both are named. Columns that are new are held to `free` as in `_mending`.
-    """
+    """Find the base's axis along which gravity acts, where that mends a fit best; else other."""
+    # Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
+    # decide, or both are named. Columns that are new are held to `free` as in `_mending`.
     strength = float(np.linalg.norm(robot.gravity))
     tried = []
     for axis in np.vstack([np.eye(3), -np.eye(3)]) if strength else ():
@@ -144,18 +129,24 @@ def _mounting(
         own = replace(sample, basis=base_parameters(turned, rotor=[]))
         nominal = _nominal_error(turned, own).error if robot.nominal is not None else 0.0
         after = measure(turned, own)
-        most = min(before.error, free) if after.columns > before.columns else before.error
-        error = after.error if after.error <= max_ratio * most else np.inf
+        error = after.error if after.error <= _limit(before, after, free) else np.inf
         tried.append((error, nominal, turned.gravity))
     best = min((error for error, *_ in tried), default=np.inf)
-    rival = np.inf if other is None else BETTER * other.error
-    if best > min(max_error, rival):
+    if not np.isfinite(best) or (other is not None and best > BETTER * other.error):
         return other
     alike = sorted((row for row in tried if row[0] < best / BETTER), key=lambda row: row[1])
     told = alike[: 1 if robot.nominal is not None else 2]
     text = " or ".join(str([float(f"{x:.4g}") + 0.0 for x in row[2]]) for row in told)
     fall = f"falls from {percent(before.error)} to {percent(best)}"
     return Mended(found("gravity_direction", MOUNTED.format(text, fall)), best)
+
+
+def _limit(
+    before: Left, after: Left, free: float, *, max_ratio: float = 0.5, max_error: float = 0.35
+) -> float:
+    """Largest error that a fit may leave to be mended."""
+    fewer = before.error if after.columns <= before.columns else min(before.error, free)
+    return min(max_ratio * fewer, max_error)
 
 
 def _mending(
@@ -166,19 +157,15 @@ def _mending(
     causes: Sequence[Cause],
     *,
     free: float = np.inf,
-    max_ratio: float = 0.5,
-    max_error: float = 0.35,
     max_rivals: int = 8,
     max_alike: int = 3,
     few_rows: int = 250,
 ) -> Mended | None:
-    """Find the one change that mends a fit; None where none does, or too many.
-
-    Where several do as well, the inertials of a URDF decide. A cause must leave half of the error.
-    Where it gives the equations columns that they had not before (gravity on a joint that hardly
-    feels it, say), any free function would do better as well: then it must leave half of what such
-    functions leave, `free`.
-    """
+    """Find the one change that mends a fit; None where none does, or too many."""
+    # Where several do as well, the inertials of a URDF decide. A cause must leave half of the
+    # error. Where it gives the equations columns that they had not before (gravity on a joint that
+    # hardly feels it, say), any free function would do better as well: then it must leave half of
+    # what such functions leave, `free`.
     few = _thinned(sample, few_rows)
     tried = [(measure(robot, cause.change(few)).error, cause) for cause in causes]
     tried.sort(key=lambda item: item[0])
@@ -191,8 +178,7 @@ def _mending(
         alike.sort(key=lambda cause: _nominal_error(robot, cause.change(sample)).error)
     cause = alike[0]
     after = next(after for after, other in best if other is cause)
-    most = min(before.error, free) if after.columns > before.columns else before.error
-    if after.error > min(max_ratio * most, max_error):
+    if after.error > _limit(before, after, free):
         return None
     names = ", ".join(robot.joint_names[j] for j in cause.joints)
     fall = f"falls from {percent(before.error)} to {percent(after.error)}"
@@ -226,10 +212,8 @@ def _thinned(sample: Sample, count: int = 600) -> Sample:
 def _structural_error(
     robot: Robot, sample: Sample, *, own_law: bool = False, min_speed: float = 0.2
 ) -> Left:
-    """RMS that rigid body and friction leave of the torques, each as a share of its own.
-
-    With `own_law`, and a smooth function of each joint's own position.
-    """
+    """RMS that rigid body and friction leave of the torques, each as a share of its own."""
+    # With `own_law`, and a smooth function of each joint's own position.
     assert sample.basis is not None
     Y = base_regressor(robot, sample.basis, sample.q, sample.dq, sample.ddq)
     parts = [Y, joint_columns(robot, sample), *([position_columns(sample)] if own_law else [])]
@@ -256,10 +240,8 @@ def _weights(
     min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
     min_weight: float = 0.05,  # of the largest gravity torque of any joint
 ) -> list[Weight]:
-    """Compare the torque of each moving joint with gravity by the URDF's inertials.
-
-    Only joints that carry a fair share of the weight, by which a URDF can be judged.
-    """
+    """Compare the torque of each moving joint with gravity by the URDF's inertials."""
+    # Only joints that carry a fair share of the weight, by which a URDF can be judged.
     if robot.nominal is None or not robot.gravity.any():
         return []
     gravity, inertia = _nominal(robot, sample)
@@ -272,8 +254,7 @@ def _weights(
     for j in sample.moving:
         alike = slides == slides[j]  # forces and torques are not to be compared
         least = max(
-            min_load * max(float(rms[alike & moving].max()), HEAVY),
-            min_acting * float(could[j]),
+            min_load * max(float(rms[alike & moving].max()), HEAVY), min_acting * float(could[j])
         )
         if rms[j] < least or could[j] < min_weight * could[alike].max():
             continue  # friction that changes with position would pass for gravity
@@ -313,10 +294,8 @@ def _nominal(robot: Robot, sample: Sample) -> tuple[Array, Array]:
 
 
 def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Left:
-    """RMS that the URDF's inertials and friction leave of the torques, each as a share of its own.
-
-    With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
-    """
+    """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
+    # With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
     gravity, inertia = _nominal(robot, sample)
     columns = joint_columns(robot, sample)
     shares = []

@@ -10,8 +10,6 @@ is positive: a negative one means that torque and position have opposite signs. 
 joint i is there and the joint's own is not, the torque is that of the other joint.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,7 +18,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import Motion, decimated

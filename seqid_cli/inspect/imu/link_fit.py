@@ -1,7 +1,5 @@
 """The motion of a link fitted to the readings of an IMU, for a range of time shifts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -223,11 +221,9 @@ def _vertex(
     *,
     blocks: int = 8,
 ) -> tuple[float, float]:
-    """Delay [s] at the vertex of the parabola through the best shifts, and its error.
-
-    The error is the larger of what white noise leads to and of how the vertex moves when one of
-    `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
-    """
+    """Delay [s] at the vertex of the parabola through the best shifts, and its error."""
+    # The error is the larger of what white noise leads to and of how the vertex moves when one of
+    # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
     k = int(np.clip(best, 1, max(len(errors) - 2, 1)))
     dt = 1.0 / motion.rate_hz
     if len(errors) < 3 or best != k:

@@ -6,14 +6,12 @@ one of the angular velocity (3), at the IMU's own time. Both sides go through th
 linear function is fitted to each channel for a range of time shifts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, LinkFit, fit_link, scan
 from seqid_cli.inspect.imu.readings import channel_name, odd_channel
 from seqid_cli.inspect.material import LogData
@@ -85,10 +83,8 @@ def motion_findings(
 
 
 def _resolution_s(data: LogData, link: int) -> float:
-    """Time that the fastest joint before a link takes for the error of its encoder, s.
-
-    Joints rest anywhere within a count, on one side going forward and on the other going back.
-    """
+    """Time that the fastest joint before a link takes for the error of its encoder, s."""
+    # Joints rest anywhere within a count, on one side going forward and on the other going back.
     assert data.motion is not None
     motion = data.motion
     speeds = [

@@ -1,15 +1,13 @@
 """IMUs by themselves: stuck, clipped, units, gravity at rest, axes of an array."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
 from msgspec import structs
 
-from seqid_cli.inspect.channels.values import clipped, equal_runs, missing_share
-from seqid_cli.inspect.findings.finding import found
+from seqid_cli.inspect.channels.values import clipped, equal_runs, missing
+from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.checks.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
@@ -96,13 +94,10 @@ def _channel(
     others: bool,
     stuck_s: float = 0.5,
     stuck_samples: int = 50,
-    max_missing: float = 0.01,
 ) -> InspectionFinding | None:
     present = values[np.isfinite(values)]
-    share = missing_share(values)
-    if share > max_missing:
-        text = f"{percent(share)} of the values are missing"
-        return found("values_missing", text, joint=imu.name, channel=name)
+    if lost := next(missing(values, imu.name, name), None):
+        return lost
     least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
     # A channel that repeats itself all the time is slow or coarse, not stuck.
     lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
@@ -163,13 +158,7 @@ def odd_channel(
 ) -> InspectionFinding | None:
     """Find the one change with which the accelerometers of an array agree on gravity (Eq. 29).
 
-    Parameters
-    ----------
-    imu : Imu
-    rest : (R, K) array
-        Readings [m/s^2] to specific force alone.
-    gravity : float
-        Its size [m/s^2].
+    `rest` (R, K): readings [m/s^2] to specific force alone. `gravity`: its size [m/s^2].
     """
     count = rest.shape[1]
     if count <= 3:

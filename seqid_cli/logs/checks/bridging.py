@@ -5,8 +5,6 @@ both sides (which follows an arm over tens of milliseconds) and by straight line
 was logged around it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +22,6 @@ class Losses:
     seconds: Array
 
     def __len__(self) -> int:
-        """Count the places."""
         return len(self.rows)
 
 

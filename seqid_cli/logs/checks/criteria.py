@@ -1,7 +1,5 @@
 """What counts as lost samples, and as an echo of the command: the numbers that decide."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 
@@ -9,107 +7,52 @@ from dataclasses import dataclass
 class LossCriteria:
     """When a step of the positions is time that was lost; see `lost_samples`, `recurring_losses`.
 
-    Parameters
-    ----------
-    sure : float
-        Standard errors of the lost time, beyond which it is believed.
-    least_intervals : float
-        Sample intervals that are lost, at least.
-    longest_s : float
-        Seconds that can be lost at once: behind that, motion before says nothing.
-    sudden, sudden_noise, counts : float
-        A step differs from the mean of the increments beside it by so many times the smaller of
-        them, by so many times what increments usually differ by, and by so many smallest
-        increments.
-    uneven, uneven_means : float
-        Share of the motion of the lost time in which joints may differ (they accelerate): at a
-        single step, and where means or the usual time tell the loss.
-    returned : float
-        Share of a step that the increments around it may take back.
-    counted : float
-        Share of an interval by which stamps that count rows may differ from even ones.
-    many : float
-        Share of the increments: steps as frequent as that are noise or a slower channel.
-    on_grid : float
-        Share of an interval (median) within which losses are whole intervals.
-    beside : int
-        Increments from a step to its way back, if it is a spike.
-    around : int
-        Increments on either side that tell the velocity at a step.
-    held_least : int
-        Increments of nothing before a joint catches up.
-    smallest, most : float, int
-        Share of the increments that make a count of the encoder or less, of so many of them.
-    edge_s : float
-        Seconds of the means before and behind a loss of less than a count.
-    recurs, least_losses : float, int
-        Share of the distances between losses that are one and the same, and losses that tell it.
+    A `sudden` step differs from the mean of the increments beside it by so many times the smaller
+    of them, by `sudden_noise` times what increments usually differ by, and by `counts` smallest
+    increments. Joints may differ in the motion of the lost time, for they accelerate.
     """
 
-    sure: float = 8.0
-    least_intervals: float = 1.5
-    longest_s: float = 1.0
+    sure: float = 8.0  # standard errors of the lost time, beyond which it is believed
+    least_intervals: float = 1.5  # that are lost
+    longest_s: float = 1.0  # lost at once: behind that, motion before says nothing
     sudden: float = 1.2
     sudden_noise: float = 5.0
     counts: float = 4.0
-    uneven: float = 0.15
-    uneven_means: float = 0.5
-    returned: float = 0.5
-    counted: float = 0.3
-    many: float = 0.2
-    on_grid: float = 0.12
-    beside: int = 3
-    around: int = 6
-    held_least: int = 2
-    smallest: float = 1e-3
-    most: int = 20_000
-    edge_s: float = 0.1
-    recurs: float = 0.5
-    least_losses: int = 4
+    uneven: float = 0.15  # of that motion, at a single step
+    uneven_means: float = 0.5  # of it, where means or the usual time tell the loss
+    returned: float = 0.5  # of a step, that the increments around it may take back
+    counted: float = 0.3  # of an interval, by which stamps that count rows differ from even ones
+    many: float = 0.2  # of the increments: steps as frequent are noise or a slower channel
+    on_grid: float = 0.12  # of an interval (median) within which losses are whole intervals
+    beside: int = 3  # increments from a step to its way back, if it is a spike
+    around: int = 6  # increments on either side that tell the velocity at a step
+    held_least: int = 2  # increments of nothing before a joint catches up
+    smallest: float = 1e-3  # of the increments that make a count of the encoder or less ...
+    most: int = 20_000  # ... of so many of them
+    edge_s: float = 0.1  # of the means before and behind a loss of less than a count
+    recurs: float = 0.5  # of the distances between losses that are one and the same ...
+    least_losses: int = 4  # ... and losses that tell it
 
 
 @dataclass(frozen=True)
 class EchoCriteria:
-    """When a torque is an echo of the command; see `echo`. Shares are of the torque's RMS.
+    """When a torque is an echo of the command; see `echo`. Shares are of the torque's RMS."""
 
-    Parameters
-    ----------
-    unexplained, exact : float
-        Share that an echo's law may leave; below the second nothing is left to be explained.
-    others : float
-        Share of what position leaves (of its square) that friction and acceleration may explain.
-    friction, none : float
-        Share that an echo's friction is certainly below; share that is no friction at all.
-    inertia : float
-        Share that an echo's accelerations may explain.
-    certain, uncertain : float
-        Standard errors.
-    fewest, travel : int, float
-        Windows of motion each way, and rad (m) that a joint must go each way: less is noise, or a
-        flexing brake.
-    slow : float
-        Share of the top speed, below which a joint does not certainly slide.
-    window_s, memory_s : float
-        Seconds over which samples are averaged; that the residual remembers, for the errors.
-    most_windows, smooth_terms : int
-        Windows of a joint that are used; terms of a smooth function of its position.
-    """
-
-    unexplained: float = 0.1
-    exact: float = 1e-3
-    others: float = 0.15
-    friction: float = 0.1
-    none: float = 0.003
-    inertia: float = 0.05
-    certain: float = 3.0
-    uncertain: float = 2.0
-    fewest: int = 50
-    travel: float = 0.1
-    slow: float = 0.05
-    window_s: float = 0.02
-    memory_s: float = 0.5
-    most_windows: int = 4000
-    smooth_terms: int = 5
+    unexplained: float = 0.1  # that an echo's law may leave
+    exact: float = 1e-3  # below it nothing is left to be explained
+    others: float = 0.15  # of what position leaves, squared, for friction and acceleration
+    friction: float = 0.1  # that an echo's friction is certainly below
+    none: float = 0.003  # that is no friction at all
+    inertia: float = 0.05  # that an echo's accelerations may explain
+    certain: float = 3.0  # standard errors
+    uncertain: float = 2.0  # standard errors
+    fewest: int = 50  # windows of motion each way
+    travel: float = 0.1  # rad (m) each way: less is noise, or a flexing brake
+    slow: float = 0.05  # of the top speed, below which a joint does not certainly slide
+    window_s: float = 0.02  # over which samples are averaged
+    memory_s: float = 0.5  # that the residual remembers, for the errors
+    most_windows: int = 4000  # of a joint that are used
+    smooth_terms: int = 5  # of a smooth function of its position
 
 
 LOSSES = LossCriteria()

@@ -14,8 +14,6 @@ friction has but a controller may. A joint that is only held is passed over: whi
 its torque follows its position by its controller's law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,12 +74,7 @@ def echo_warnings(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> 
 
 
 def echoes(
-    robot: Robot,
-    t: Array,
-    q: Array,
-    tau: Array,
-    valid: Mask,
-    criteria: EchoCriteria = ECHOES,
+    robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, criteria: EchoCriteria = ECHOES
 ) -> list[int]:
     """Return the joints whose torque follows position alone; see `echo_warnings`."""
     found = _shares(robot, t, q, tau, valid, criteria)

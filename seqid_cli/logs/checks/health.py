@@ -1,7 +1,5 @@
 """Cheap checks of units and clocks: each warning names the channel, the value and the remedy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.logs.raw import Array, Mask

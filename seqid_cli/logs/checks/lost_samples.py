@@ -9,14 +9,11 @@ fits the increments better), the time L that is lost at a step is the least-squa
     d_j - v_j dt = v_j L,    for all joints j, each weighted by its noise.
 
 It counts where it is certain, longer than one and a half intervals, and the same for all joints
-that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by
-L; the hole is filled by the cubic through positions and velocities of both sides (which follows an
-arm over tens of milliseconds) and by straight lines through what else was logged around it.
+that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by L
+and the hole is filled (`bridging`).
 
 A position that is held and then catches up loses no time: there the held samples alone are filled.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -168,17 +165,13 @@ def _sudden(d: Array, criteria: LossCriteria) -> Rows:
     found = (apart > criteria.sudden * np.minimum(size[:-2], size[2:])) & (size[1:-1] > beside)
     if not found.any():
         return np.zeros(0, np.intp)
+    # Usual size (n,) of what increments differ by.
+    some = apart[:: max(1, len(apart) // criteria.most)]
     found &= apart > np.maximum(
-        criteria.counts * _count(size, criteria), criteria.sudden_noise * _usual(apart, criteria)
+        criteria.counts * _count(size, criteria), criteria.sudden_noise * gaussian_spread(some)
     )
     rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
     return rows
-
-
-def _usual(apart: Array, criteria: LossCriteria) -> Array:
-    """Usual size (n,) of what increments differ by."""
-    some = apart[:: max(1, len(apart) // criteria.most)]
-    return gaussian_spread(some)
 
 
 def _count(size: Array, criteria: LossCriteria) -> Array:
@@ -192,10 +185,8 @@ def _count(size: Array, criteria: LossCriteria) -> Array:
 
 
 def _slopes(motion: _Motion, at: Rows, side: int) -> tuple[Array, Array]:
-    """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter.
-
-    Returns (K, n): median and standard deviation [rad/s].
-    """
+    """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter."""
+    # Returns (K, n): median and standard deviation [rad/s].
     t, q = motion.t, motion.q
     offsets = side * np.arange(1, motion.criteria.around + 1)
     rows = np.clip(at[:, None] + offsets, 0, len(t) - 2)
@@ -323,10 +314,8 @@ def _spread(apart: Array, d: Array) -> Array:
 
 
 def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
-    """Time (K,) that the increments around a step gain, with the step itself.
-
-    What is late and catches up has lost none, nor has a spike, whose way back is beside it.
-    """
+    """Time (K,) that the increments around a step gain, with the step itself."""
+    # What is late and catches up has lost none, nor has a spike, whose way back is beside it.
     d, dt, usual, criteria = motion.d, motion.dt, motion.usual, motion.criteria
     net = np.zeros(len(steps))
     for k, i in enumerate(steps):

@@ -13,8 +13,6 @@ Losses that recur at one distance tell where the next one is. At such a place, o
 a step is one too if the motion of the usual lost time explains it better than no loss does.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -38,21 +36,9 @@ def below_counts(
 ) -> Losses:
     """Losses that only means over many counts show.
 
-    Parameters
-    ----------
-    t : (M,) array
-        As stamped [s].
-    q, dq : (M, n) array
-        Positions and logged velocities.
-    count : (n,) array
-        Step of the encoders.
-    known : Losses
-        What single increments show.
-
-    Returns
-    -------
-    Losses
-        Others; none where a joint that moves passes a count in an interval.
+    `t` (M,): as stamped [s]. `q`, `dq` (M, n): positions and logged velocities. `count` (n,): step
+    of the encoders. `known`: what single increments show. Returns: others; none where a joint that
+    moves passes a count in an interval.
     """
     step = float(np.median(np.diff(t)))
     width = max(3, round(criteria.edge_s / step))
@@ -107,22 +93,9 @@ def recurring(
 ) -> Losses:
     """Losses at slow motion, where those at faster motion say that there must be one.
 
-    Parameters
-    ----------
-    t : (M,) array
-        As stamped [s].
-    q : (M, n) array
-    v : (M - 1, n) array
-        Velocity before and behind each increment, on average.
-    noise : (n,) array
-        Of increments.
-    known : Losses
-        At least `criteria.least_losses`.
-
-    Returns
-    -------
-    Losses
-        Others, each of the usual time; none where losses do not recur at one distance.
+    `t` (M,): as stamped [s]. `q` (M, n). `v` (M - 1, n): velocity before and behind each increment,
+    on average. `noise` (n,): of increments. `known`: at least `criteria.least_losses`. Returns:
+    others, each of the usual time; none where losses do not recur at one distance.
     """
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
     distances = np.diff(known.rows)

@@ -5,8 +5,6 @@ records that it names must follow each other without a hole and fill the chunk, 
 is walked record by record. Both ways find the same messages.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple

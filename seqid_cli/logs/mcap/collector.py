@@ -1,7 +1,5 @@
 """The messages of one topic: gathered, decoded in batches, kept as arrays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

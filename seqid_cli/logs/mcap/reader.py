@@ -39,29 +39,15 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read an MCAP log block by block, in memory that does not grow with its length.
 
-    Parameters
-    ----------
-    robot : Robot
-        Joints are matched by name; its IMUs say which topics are read.
-    time_source : {"header", "log"}
-        Stamps of the message headers, or the times at which the messages were logged.
-    rows : int or None
-        Messages in a block, of all topics together; a block holds a little more. None for the whole
-        log as one block.
-
-    Yields
-    ------
-    RawLog
-        The next part of every topic, in the order of the file; streams of topics that have nothing
-        in it are empty. A quantity that no sample of a block has is left out of it. The last block
-        says in `partial` what a damaged file lost; the delay of logging is told of a whole log
-        only. Whether a topic has header stamps is decided by its first block.
-
-    Raises
-    ------
-    InputError
-        No joint states, none of the robot's joints in them, or nothing readable: what only the
-        whole file can tell, after the last block.
+    `robot`: joints are matched by name; its IMUs say which topics are read. `time_source`
+    {"header", "log"}: stamps of the message headers, or the times at which the messages were
+    logged. `rows`: messages in a block, of all topics together; a block holds a little more. None
+    for the whole log as one block. Yields: the next part of every topic, in the order of the file;
+    streams of topics that have nothing in it are empty. A quantity that no sample of a block has is
+    left out of it. The last block says in `partial` what a damaged file lost; the delay of logging
+    is told of a whole log only. Whether a topic has header stamps is decided by its first block.
+    Raises InputError: no joint states, none of the robot's joints in them, or nothing readable:
+    what only the whole file can tell, after the last block.
     """
     log, streams = _Log.of(path, robot), Streams(robot, time_source)
     positions = False
@@ -226,20 +212,16 @@ def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
             where=where,
         )
     if faults:
-        return InputError(
-            f"the file is damaged and nothing can be salvaged ({faults})",
-            hint="Copy it again from the source; `mcap doctor FILE` shows the damage.",
-            where=where,
-        )
+        message = f"the file is damaged and nothing can be salvaged ({faults})"
+        hint = "Copy it again from the source; `mcap doctor FILE` shows the damage."
+        return InputError(message, hint=hint, where=where)
     topics = [info.topic for info in _topics(scan)]
     typed = [info.topic for info in _topics(scan) if info.schema.endswith("JointState")]
     near = typed or difflib.get_close_matches(JOINT_STATES, topics, n=1)
     hint = f"Is it {near[0]}? Record or remap it as {JOINT_STATES}." if near else ""
-    return InputError(
-        f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}",
-        hint=hint or f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well.",
-        where=where,
-    )
+    message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
+    hint = hint or f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
+    return InputError(message, hint=hint, where=where)
 
 
 def _no_joints(path: Path, names: NameMap) -> InputError:

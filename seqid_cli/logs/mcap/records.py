@@ -6,8 +6,6 @@ What is lost is counted, and the rest is used. The records themselves are read b
 but for messages and their indexes, of which there are too many.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -214,19 +212,9 @@ def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> tuple[Sum
     """Read what a file says of itself at its end.
 
     Nothing is read because the summary says that it is there; it only tells what can be left out.
-
-    Parameters
-    ----------
-    file, size
-        The file and its bytes.
-    most : int
-        Bytes that a summary may have.
-
-    Returns
-    -------
-    tuple of Summary and int
-        The summary, an empty one where there is none or where it is damaged; the checksum of the
-        data section, 0 where none was written.
+    `file`, `size`: the file and its bytes. `most`: bytes that a summary may have. Returns: the
+    summary, an empty one where there is none or where it is damaged; the checksum of the data
+    section, 0 where none was written.
     """
     end = size - _TAIL
     if end < len(MAGIC):

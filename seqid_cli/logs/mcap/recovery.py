@@ -1,7 +1,5 @@
 """Where a damaged MCAP file goes on: the next place at which several sound records follow."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Collection

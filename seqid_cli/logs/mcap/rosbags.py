@@ -4,8 +4,6 @@ Their messages are the same as those of an MCAP file, so a bag is read in two st
 states and IMU messages in it are copied to a temporary MCAP file, and that is read.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -22,11 +20,7 @@ from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.storage.temporary import room_for_copies, temporary_folder
 from seqid_cli.robot.types import Robot
 
-_KEPT = (
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/Imu",
-    "control_msgs/msg/DynamicJointState",
-)
+_KEPT = ("sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "control_msgs/msg/DynamicJointState")
 _ROSBAG1 = b"#ROSBAG V2.0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
@@ -140,11 +134,9 @@ def _wanted(path: Path, topics: tuple[Topic, ...]) -> list[Topic]:
         return wanted
     listed = [f"{topic.name} ({topic.kind}, {topic.messages})" for topic in topics[:_SHOWN]]
     more = [f"and {len(topics) - _SHOWN} more"] if len(topics) > _SHOWN else []
-    raise InputError(
-        f"the bag holds no joint states; in it: {', '.join(listed + more) or 'no topics'}",
-        hint="Record /joint_states (sensor_msgs/msg/JointState) as well.",
-        where=str(path),
-    )
+    message = f"the bag holds no joint states; in it: {', '.join(listed + more) or 'no topics'}"
+    hint = "Record /joint_states (sensor_msgs/msg/JointState) as well."
+    raise InputError(message, hint=hint, where=str(path))
 
 
 @contextmanager
@@ -157,11 +149,9 @@ def _opened(path: Path, open_bag: _Open) -> Iterator[_Bag]:
         raise
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(
-            f"the bag cannot be read ({reason})",
-            hint=_REMEDY["rosbag1" if open_bag is _rosbag1 else "rosbag2"],
-            where=str(path),
-        ) from error
+        message = f"the bag cannot be read ({reason})"
+        hint = _REMEDY["rosbag1" if open_bag is _rosbag1 else "rosbag2"]
+        raise InputError(message, hint=hint, where=str(path)) from error
     try:
         yield opened
     finally:

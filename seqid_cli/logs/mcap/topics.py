@@ -1,7 +1,5 @@
 """Topics of a robot: which ones it needs, and their samples as streams of channels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -10,16 +8,7 @@ import numpy as np
 from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.collector import Samples
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Kind
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    Array,
-    Mask,
-    RawLog,
-    Stamps,
-    Stream,
-    TimeSource,
-)
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Stamps, Stream, TimeSource
 from seqid_cli.robot.types import Imu, Robot
 
 JOINT_STATES = "/joint_states"

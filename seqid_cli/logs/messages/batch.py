@@ -38,11 +38,9 @@ class Payloads:
         return cls(buffer, FRONT + np.cumsum(lengths) - lengths, lengths)
 
     def __len__(self) -> int:
-        """Count the payloads."""
         return len(self.starts)
 
     def __iter__(self) -> Iterator[bytes]:
-        """Copy the payloads out, one after the other."""
         view, ends = self.buffer.data, self.starts + self.lengths
         spans = zip(self.starts.tolist(), ends.tolist(), strict=True)
         return (bytes(view[start:end]) for start, end in spans)
@@ -99,14 +97,9 @@ class Decoded:
 class NameMap:
     """Which entry of a JointState belongs to which joint of the robot.
 
-    Parameters
-    ----------
-    joints : iterable of str
-        Joints of the robot.
-    effort : {"torque", "current"}
-        What effort is: an interface of that name stands in for it.
-    most : int
-        Names of messages that are remembered, for the message that none of them fits.
+    `joints`: joints of the robot. `effort` {"torque", "current"}: what effort is: an interface of
+    that name stands in for it. `most`: names of messages that are remembered, for the message that
+    none of them fits.
     """
 
     def __init__(self, joints: Iterable[str], effort: str = "torque", *, most: int = 200) -> None:

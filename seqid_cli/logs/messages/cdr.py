@@ -4,20 +4,12 @@ The parsers here read one message field by field, with every bound checked, and 
 structure and its numbers lie; `layouts` decodes the messages that are alike.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from seqid_cli.logs.messages.batch import (
-    JOINT_QUANTITIES,
-    Decode,
-    Kind,
-    NameMap,
-    check_lengths,
-)
+from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, check_lengths
 from seqid_cli.logs.messages.layouts import Layout, LayoutDecoder
 
 _ENCAPSULATION = 4

@@ -9,8 +9,6 @@ Joint states have the fields of sensor_msgs' JointState, or those of `foxglove.J
 is absent is missing, not zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from seqid_cli.logs.messages.batch import (

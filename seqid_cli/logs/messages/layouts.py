@@ -165,16 +165,9 @@ class Form:
 class LayoutDecoder:
     """Decodes batches; remembers the layouts that it has met.
 
-    Parameters
-    ----------
-    parse : callable
-        From a payload to its layout; raises ValueError or struct.error where it is damaged.
-    width : int
-        Numbers per row.
-    rounds : int
-        Layouts of one length that are decoded together; what remains goes one by one.
-    most : int
-        Layouts remembered.
+    `parse`: from a payload to its layout; raises ValueError or struct.error where it is damaged.
+    `width`: numbers per row. `rounds`: layouts of one length that are decoded together; what
+    remains goes one by one. `most`: layouts remembered.
     """
 
     parse: Callable[[bytes], Layout]

@@ -1,7 +1,5 @@
 """Parsers that make an object of one message, for `fields`: by the encodings' own libraries."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -3,8 +3,6 @@
 Runs before any heavy import, so that a wrong path fails at once: standard library only.
 """
 
-from __future__ import annotations
-
 import difflib
 import glob
 import os
@@ -37,10 +35,7 @@ _FROM_NUMPY = (
     "delimiter=',', comments='', header='time,q1,q2,i1,i2')."
 )
 _OTHER_MAGIC = {
-    b"#ROSBAG": (
-        "a ROS bag of an old version",
-        "Convert it: `rosbag fix OLD.bag NEW.bag`.",
-    ),
+    b"#ROSBAG": ("a ROS bag of an old version", "Convert it: `rosbag fix OLD.bag NEW.bag`."),
     b"PARE": ("an encrypted Parquet file", "Write it without encryption."),
     b"\x89HDF": ("an HDF5 file, or MATLAB's of version 7.3", _FROM_MATLAB),
     b"MATLAB 5.0": ("a MATLAB file", _FROM_MATLAB),
@@ -63,27 +58,12 @@ Note = Callable[[str], None]
 def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = False) -> list[Path]:
     """Turn files, folders and globs into log files.
 
-    Parameters
-    ----------
-    paths : sequence of str
-        Files (taken whatever their suffix), folders (searched at any depth for the suffixes of
-        logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth).
-        CSV files met in a folder that are no logs are left out.
-    note : callable, optional
-        Told what was left out, and why.
-    stored : bool
-        Whether URLs of object storage are welcome as well.
-
-    Returns
-    -------
-    list of Path
-        In the order of the arguments, within each in natural order (`run2` before `run10`);
-        a file that is meant twice comes once.
-
-    Raises
-    ------
-    InputError
-        An argument stands for no file at all.
+    `paths`: files (taken whatever their suffix), folders (searched at any depth for the suffixes of
+    logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth). CSV
+    files met in a folder that are no logs are left out. `note`: told what was left out, and why.
+    `stored`: whether URLs of object storage are welcome as well. Returns: in the order of the
+    arguments, within each in natural order (`run2` before `run10`); a file that is meant twice
+    comes once. Raises InputError: an argument stands for no file at all.
     """
     found: dict[Path, Path] = {}
     for argument in paths:
@@ -126,23 +106,16 @@ def storage_file(path: Path) -> Path:
     if len(files) == 1:
         return files[0]
     what = f"of {len(files)} files" if files else "without *.mcap and *.db3"
-    raise InputError(
-        f"is a ROS 2 bag {what}",
-        hint="Name its files." if files else "Unpack what is compressed: `zstd -d FILE`.",
-        where=str(path),
-    )
+    hint = "Name its files." if files else "Unpack what is compressed: `zstd -d FILE`."
+    raise InputError(f"is a ROS 2 bag {what}", hint=hint, where=str(path))
 
 
 @contextmanager
 def unchanged(path: Path) -> Iterator[None]:
     """Read a log that nobody writes to meanwhile.
 
-    Raises
-    ------
-    InputError
-        It is another file than at first when the block ends.
-    OSError
-        It has vanished.
+    Raises InputError: it is another file than at first when the block ends. Raises OSError: it has
+    vanished.
     """
     before = path.stat()
     yield
@@ -210,11 +183,8 @@ def _format(head: bytes, tail: bytes, size: int, where: str) -> str:
             raise InputError(f"is {kind}, not a log that can be read", hint=remedy, where=where)
     if is_text(head) or head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "csv"
-    raise InputError(
-        f"{_OTHER} (it starts with {head[:8]!r})",
-        hint="Logs are told by their content, not by their suffix: convert it to one of these.",
-        where=where,
-    )
+    hint = "Logs are told by their content, not by their suffix: convert it to one of these."
+    raise InputError(f"{_OTHER} (it starts with {head[:8]!r})", hint=hint, where=where)
 
 
 def _matches(argument: str, note: Note) -> list[Path]:
@@ -260,20 +230,16 @@ def _globbed(pattern: str, note: Note) -> list[Path]:
 
 
 def _logs_in(folder: Path, note: Note) -> list[Path]:
+    # Tell whether a file belongs to the description of a LeRobot data set, not to its data.
     candidates = natural_order(
         path
         for path in folder.rglob("*")
         if path.suffix.lower() in SUFFIXES
         and not path.name.startswith(".")
         and path.is_file()
-        and not _describes_data_set(path)
+        and not any(p.name == "meta" and (p / "info.json").is_file() for p in path.parents)
     )
     return [path for path in candidates if _is_meant(path, note)]
-
-
-def _describes_data_set(path: Path) -> bool:
-    """Tell whether a file belongs to the description of a LeRobot data set, not to its data."""
-    return any(p.name == "meta" and (p / "info.json").is_file() for p in path.parents)
 
 
 def _is_meant(path: Path, note: Note) -> bool:

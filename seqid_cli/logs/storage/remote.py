@@ -70,26 +70,10 @@ def is_url(text: str) -> bool:
 def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
     """Return the logs that a URL means: one, those of a folder at any depth, or those of a glob.
 
-    Parameters
-    ----------
-    url : str
-        An object is taken whatever its suffix.
-    suffixes : sequence of str
-        Of logs, for folders and globs.
-
-    Returns
-    -------
-    list of Path
-        `StoredLog`, in no particular order.
-
-    Raises
-    ------
-    InputError
-        There is none, or the store cannot be reached.
-    ConfigError
-        The store refuses access.
-    UsageError
-        What reads this kind of storage is not installed.
+    `url`: an object is taken whatever its suffix. `suffixes`: of logs, for folders and globs.
+    Returns: `StoredLog`, in no particular order. Raises InputError: there is none, or the store
+    cannot be reached. Raises ConfigError: the store refuses access. Raises UsageError: what reads
+    this kind of storage is not installed.
     """
     system, root = _opened(url)
     with _explained(url):

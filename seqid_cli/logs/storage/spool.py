@@ -5,8 +5,6 @@ temporary files do (`TMPDIR`), has no name where the system allows, and goes wit
 Where there is too little room, or the rows become too many, there is none.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile
@@ -22,12 +20,7 @@ from seqid_cli.logs.raw import Array, Stamps
 class Spool:
     """Takes rows in parts, and gives them back as often as wanted; `complete` if all are there.
 
-    Parameters
-    ----------
-    most_bytes : int
-        Largest file.
-    share : float
-        Of the free space, that at most is taken.
+    `most_bytes`: largest file. `share`: of the free space, that at most is taken.
     """
 
     def __init__(self, most_bytes: int = 1 << 31, share: float = 0.25) -> None:

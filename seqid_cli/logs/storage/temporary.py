@@ -1,7 +1,5 @@
 """Folders for copies of logs, which go with the run that made them, or with the next."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """Columns of a table as numbers, and its time column as integer nanoseconds."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,11 +45,8 @@ def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
     Raises InputError: the table does not have it exactly once.
     """
     if table.schema.names.count(name) != 1:
-        raise InputError(
-            f"column {name!r} is not a plain column",
-            hint="Write one number per row and column.",
-            where=where,
-        )
+        message = f"column {name!r} is not a plain column"
+        raise InputError(message, hint="Write one number per row and column.", where=where)
     found = table.column(name)
     if pa.types.is_dictionary(found.type):
         found = pc.cast(found, found.type.value_type)
@@ -66,18 +61,12 @@ def numbers(where: str, table: pa.Table, name: str) -> Array:
     try:
         found = column(where, table, name)
         if not is_number(found.type):
-            raise InputError(
-                f"column {name!r} holds {found.type}, not numbers",
-                hint="Write it as float64 in SI units.",
-                where=where,
-            )
+            message = f"column {name!r} holds {found.type}, not numbers"
+            raise InputError(message, hint="Write it as float64 in SI units.", where=where)
         values: Array = pc.cast(found, pa.float64(), safe=False).to_numpy()
     except ARROW_ERRORS as error:
-        raise InputError(
-            f"column {name!r} cannot be read ({' '.join(str(error).split())[:200]})",
-            hint="Write it as float64 in SI units.",
-            where=where,
-        ) from error
+        message = f"column {name!r} cannot be read ({' '.join(str(error).split())[:200]})"
+        raise InputError(message, hint="Write it as float64 in SI units.", where=where) from error
     return values
 
 
@@ -162,11 +151,9 @@ def _from_counts(where: str, table: pa.Table, name: str, ns_per_unit: int) -> tu
             found = pc.cast(found, pa.int32() if found.type.bit_width == 32 else pa.int64())
         counts = pc.fill_null(pc.cast(found, pa.int64()), 0).to_numpy()
     except ARROW_ERRORS as error:
-        raise InputError(
-            f"time column {name!r} cannot be read ({' '.join(str(error).split())[:200]})",
-            hint="Write time as float64 in seconds or as a timestamp.",
-            where=where,
-        ) from error
+        message = f"time column {name!r} cannot be read ({' '.join(str(error).split())[:200]})"
+        hint = "Write time as float64 in seconds or as a timestamp."
+        raise InputError(message, hint=hint, where=where) from error
     per_second = 1_000_000_000 // ns_per_unit
     seconds = np.where(missing, np.nan, (counts // per_second).astype(np.float64))
     return seconds, ((counts % per_second) * ns_per_unit).astype(np.float64)
@@ -207,11 +194,9 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
     file = pq.ParquetFile(readable(path), **options)
     size, room = path.stat().st_size, 8 * file.metadata.num_rows * file.metadata.num_columns
     if room > ROOM + MOST_TIMES * size:
-        raise InputError(
-            f"its {size} bytes unpack to {room}, {room // size} times as many",
-            hint="No recording repeats itself like that: copy it again, or leave it out.",
-            where=str(path),
-        )
+        message = f"its {size} bytes unpack to {room}, {room // size} times as many"
+        hint = "No recording repeats itself like that: copy it again, or leave it out."
+        raise InputError(message, hint=hint, where=str(path))
     return file
 
 

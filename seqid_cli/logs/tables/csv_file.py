@@ -1,7 +1,5 @@
 """CSV logs: one line per sample, converted by Arrow; only the needed columns are kept."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +14,7 @@ from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS
 from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
-from seqid_cli.logs.tables.table import read_table
+from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _BLOCK = 8 << 20  # bytes; no line can be longer
@@ -43,25 +41,12 @@ class _Ragged:
         return "skip"
 
 
-@dataclass(frozen=True)
-class CsvTable:
-    """An opened CSV file; see `table.TableFile`."""
+@dataclass(frozen=True, kw_only=True)
+class CsvTable(TableFile):
+    """An opened CSV file; `ended` says whether its last line has an end."""
 
-    path: Path
     form: CsvForm
-    entries: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    ended: bool = True  # whether the last line has an end
-
-    @property
-    def where(self) -> str:
-        """The file, for messages."""
-        return str(self.path)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All columns."""
-        return self.form.names
+    ended: bool = True
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns as one table; lines with another number of fields are left out and counted.
@@ -137,35 +122,26 @@ class CsvTable:
         line = "a line" if number is None else f"line {number}"
         what = f"{line} has {actual} fields, the header {expected}"
         if ragged.count > max(1.0, _RAGGED_SHARE * (rows + ragged.count)):
-            raise InputError(
-                f"{what}; so do {ragged.count} of {rows + ragged.count} lines",
-                hint="Give every line as many fields as there are names.",
-                where=self.where,
-            )
+            message = f"{what}; so do {ragged.count} of {rows + ragged.count} lines"
+            hint = "Give every line as many fields as there are names."
+            raise InputError(message, hint=hint, where=self.where)
         return f"{what}; {ragged.count} of {rows + ragged.count} lines were left out"
 
     def _fault(self, error: BaseException) -> InputError:
         text = " ".join(str(error).split())
         if "straddling" in text:
-            return InputError(
-                f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples",
-                hint="End every sample with a line feed.",
-                where=self.where,
-            )
+            message = f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples"
+            return InputError(message, hint="End every sample with a line feed.", where=self.where)
         found = _FAULT.search(text)
         if not found:
-            return InputError(
-                f"the CSV file is not readable ({text[:200]})",
-                hint="Export it again, numbers only, one line per sample.",
-                where=self.where,
-            )
+            message = f"the CSV file is not readable ({text[:200]})"
+            hint = "Export it again, numbers only, one line per sample."
+            return InputError(message, hint=hint, where=self.where)
         name = self.names[int(found["column"])]
         line = f"line {self._line(int(found['row']))}, " if found["row"] else ""
-        return InputError(
-            f"{line}column {name!r}: {found['value'][:40]!r} is no number",
-            hint="Correct or delete the line; leave the field empty where a value is missing.",
-            where=self.where,
-        )
+        message = f"{line}column {name!r}: {found['value'][:40]!r} is no number"
+        hint = "Correct or delete the line; leave the field empty where a value is missing."
+        return InputError(message, hint=hint, where=self.where)
 
     def _line(self, row: int) -> int:
         """Return the line of a row: Arrow counts all lines but empty ones among the data."""
@@ -190,7 +166,9 @@ def read_blocks(
     del time_source
     ended = _ends(path)
     notes = () if ended else ("the last line has no end: it may be cut short, and is left out",)
-    return read_table(CsvTable(path, read_form(path), notes=notes, ended=ended), robot, rows)
+    form = read_form(path)
+    file = CsvTable(path, form.names, notes=notes, form=form, ended=ended)
+    return read_table(file, robot, rows)
 
 
 def _ends(path: Path) -> bool:

@@ -4,8 +4,6 @@ Delimiter, decimal mark, comment lines and names of the columns are found by loo
 loggers agree on them.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence
@@ -62,11 +60,8 @@ def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
     data = [line for line in lines[header_at + 1 :] if line.strip()][:looked_at]
     names_line = names_line or data[0]
     if not data:
-        raise InputError(
-            "the table has names but no line of data",
-            hint="Was the recording stopped at once? Record again.",
-            where=where,
-        )
+        hint = "Was the recording stopped at once? Record again."
+        raise InputError("the table has names but no line of data", hint=hint, where=where)
     delimiter = _delimiter(names_line, data[0], where)
     names = [name.strip() for name in _split(names_line, delimiter)]
     if names_line == data[0]:
@@ -85,11 +80,8 @@ def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
 
 def _require_text(head: bytes, where: str) -> None:
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise InputError(
-            "is UTF-16 text; CSV logs are read as UTF-8",
-            hint="Convert it: `iconv -f UTF-16 -t UTF-8 FILE > NEW.csv`.",
-            where=where,
-        )
+        hint = "Convert it: `iconv -f UTF-16 -t UTF-8 FILE > NEW.csv`."
+        raise InputError("is UTF-16 text; CSV logs are read as UTF-8", hint=hint, where=where)
     if b"\0" in head:
         line = head[: head.index(b"\0")].count(b"\n") + 1
         raise InputError(
@@ -113,20 +105,15 @@ def _lines(head: bytes, encoding: str, where: str) -> list[str]:
     lines = re.split(r"\r\n|\n|\r", text)
     if len(head) == HEAD:
         if len(lines) == 1:
-            raise InputError(
-                f"its first line is longer than {HEAD} bytes: it is no table of samples",
-                hint=_HINT,
-                where=where,
-            )
+            message = f"its first line is longer than {HEAD} bytes: it is no table of samples"
+            raise InputError(message, hint=_HINT, where=where)
         lines.pop()
     return lines
 
 
 def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
-    """Find the line of names: the first that is no comment, or the last comment before numbers.
-
-    The names are empty, and the line is that before the numbers, where there are none.
-    """
+    """Find the line of names: the first that is no comment, or the last comment before numbers."""
+    # The names are empty, and the line is that before the numbers, where there are none.
     comment = ""
     for at, line in enumerate(lines):
         stripped = line.strip()
@@ -167,11 +154,9 @@ def _delimiter(names: str, data: str, where: str) -> str:
             where=where,
         )
     if best == " " and "  " in data.strip():
-        raise InputError(
-            "columns are separated by a varying number of spaces",
-            hint="Write one space or comma between them: `tr -s ' ' < FILE > NEW.csv`.",
-            where=where,
-        )
+        message = "columns are separated by a varying number of spaces"
+        hint = "Write one space or comma between them: `tr -s ' ' < FILE > NEW.csv`."
+        raise InputError(message, hint=hint, where=where)
     return best
 
 
@@ -201,8 +186,6 @@ def _require_numbers(row: Sequence[str], names: int, delimiter: str, line: int, 
         )
     numeric = [field for field in row if _is_number(field) or field.strip().lower() in MISSING]
     if not any(_is_number(field) for field in numeric):
-        raise InputError(
-            f"line {line} holds no number: it is no table of samples ({' '.join(row)[:60]!r})",
-            hint=_HINT + " A line of units below the names must go.",
-            where=where,
-        )
+        message = f"line {line} holds no number: it is no table of samples ({' '.join(row)[:60]!r})"
+        hint = _HINT + " A line of units below the names must go."
+        raise InputError(message, hint=hint, where=where)

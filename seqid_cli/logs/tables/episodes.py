@@ -5,8 +5,6 @@ begins again (LeRobot's `episode_index`). Their stamps are laid one behind the o
 between them that counts as a gap, so that nothing is interpolated or differentiated across.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -25,24 +23,11 @@ def separate(
 ) -> tuple[Stamps, Rows, list[str]]:
     """Lay episodes one behind the other.
 
-    Parameters
-    ----------
-    stamps : (M,) array
-        Stamps of the rows [ns].
-    keep : (K,) array
-        The rows that have one.
-    episode : (M,) array
-        Number of the episode of each row; NaN where it is missing.
-    name : str
-        Its column, for messages.
-    hole_s, hole_intervals : float, int
-        Length of the hole between episodes, at least: seconds, and intervals between samples.
-
-    Returns
-    -------
-    tuple
-        New stamps (M,), the rows to keep (those of an episode), and notes. One episode stays as it
-        is.
+    `stamps` (M,): stamps of the rows [ns]. `keep` (K,): the rows that have one. `episode` (M,):
+    number of the episode of each row; NaN where it is missing. `name`: its column, for messages.
+    `hole_s`, `hole_intervals`: length of the hole between episodes, at least: seconds, and
+    intervals between samples. Returns: new stamps (M,), the rows to keep (those of an episode), and
+    notes. One episode stays as it is.
     """
     numbered = np.isfinite(episode[keep])
     lost = int(np.count_nonzero(~numbered))

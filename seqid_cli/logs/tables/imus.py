@@ -1,7 +1,5 @@
 """Which columns of a table belong to an IMU."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from seqid_cli.errors import InputError
@@ -14,11 +12,7 @@ _FORMS = (
     ("{imu}_a{k}", "{imu}_a{axis}", "{imu}_g{axis}"),
     *(
         ("", f"{stem}linear_acceleration{end}", f"{stem}angular_velocity{end}")
-        for stem, end in (
-            ("{imu}.", ".{axis}"),
-            ("{imu}/", "/{axis}"),
-            ("/{imu}/data/", "/{axis}"),
-        )
+        for stem, end in (("{imu}.", ".{axis}"), ("{imu}/", "/{axis}"), ("/{imu}/data/", "/{axis}"))
     ),
 )
 

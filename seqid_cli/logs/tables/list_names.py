@@ -4,8 +4,6 @@ A table made of JointState messages has a `name` column of string lists. A LeRob
 the motors of `observation.state` in `meta/info.json`, two folders or one above its data files.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -84,10 +82,8 @@ def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
         rows = file.read(columns=[column]).column(0).to_pylist()
         given = [row for row in rows if row]
         if any(row != given[0] for row in given):
-            raise InputError(
-                f"the names in column {column!r} change from row to row",
-                hint="Write one column per joint, <joint>.position and so on.",
-                where=str(path),
-            )
+            message = f"the names in column {column!r} change from row to row"
+            hint = "Write one column per joint, <joint>.position and so on."
+            raise InputError(message, hint=hint, where=str(path))
         return [str(name) for name in given[0]] if given else []
     return []

@@ -109,7 +109,7 @@ RTDE = Scheme(
         "velocity": ("actual_qd_{index0}",),
         "current": ("actual_current_{index0}",),
         "temperature": ("joint_temperatures_{index0}",),
-    },
+    }
 )
 FRANKA = Scheme(
     {
@@ -128,7 +128,7 @@ LEROBOT = Scheme(
         "current": ("observation.current[{index0}]",),
         "temperature": ("observation.temperature[{index0}]",),
         "effort": ("observation.effort[{index0}]",),
-    },
+    }
 )
 LISTS = "*[{index0}]"
 SCHEMES = (

@@ -1,9 +1,7 @@
 """Parquet logs: only the needed columns are read, one row group at a time."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, opened_table
 from seqid_cli.logs.tables.list_names import list_entries
-from seqid_cli.logs.tables.table import read_table
+from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
@@ -24,23 +22,11 @@ BLOCK_ROWS = 65_536
 _LONGEST = 256  # elements of a list column that can be one number per joint
 
 
-@dataclass(frozen=True)
-class ParquetTable:
-    """An opened Parquet file; see `table.TableFile`.
+@dataclass(frozen=True, kw_only=True)
+class ParquetTable(TableFile):
+    """An opened Parquet file; `lists` are its list columns of numbers and how long these are."""
 
-    `lists` are its list columns of numbers and how long their lists are.
-    """
-
-    path: Path
-    names: tuple[str, ...]
     lists: dict[str, int] = field(default_factory=dict)
-    entries: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def where(self) -> str:
-        """The file, for messages."""
-        return str(self.path)
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged.
@@ -171,7 +157,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
         raise damaged(path, error) from error
     names = [name for name, _ in fields]
     names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
-    return ParquetTable(path, tuple(names), lists, entries, notes)
+    return ParquetTable(path, tuple(names), entries, notes, lists=lists)
 
 
 def list_columns(path: Path) -> list[tuple[str, str, int]]:
@@ -221,8 +207,6 @@ def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
 def damaged(path: Path, error: BaseException) -> InputError:
     """Make the error for what Arrow could not read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
-    return InputError(
-        f"the Parquet file is damaged or not readable ({reason})",
-        hint="Copy it again from the source, or leave this log out.",
-        where=str(path),
-    )
+    message = f"the Parquet file is damaged or not readable ({reason})"
+    hint = "Copy it again from the source, or leave this log out."
+    return InputError(message, hint=hint, where=str(path))

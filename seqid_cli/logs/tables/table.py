@@ -1,11 +1,10 @@
 """Tables, one row per sample: which column carries what, whatever file they come from."""
 
-from __future__ import annotations
-
 import difflib
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -37,29 +36,25 @@ ROWS = "the rows"
 _SHOWN = 6
 
 
-class TableFile(Protocol):
-    """A file that holds a table.
+@dataclass(frozen=True)
+class TableFile:
+    """An opened file that holds a table.
 
     `names` are its columns, elements of list columns as `column[k]`; `entries` the places of the
-    joints in its lists, empty where the file does not name them.
+    joints in its lists, empty where the file does not name them; `notes` what was noticed.
     """
+
+    path: Path
+    names: tuple[str, ...]
+    entries: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def where(self) -> str:
         """The file, for messages."""
+        return str(self.path)
 
-    @property
-    def names(self) -> Sequence[str]:
-        """All columns."""
-
-    @property
-    def entries(self) -> Mapping[str, int]:
-        """Places of named joints in list columns."""
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """What was noticed while the file was opened."""
-
+    @abstractmethod
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns, at most `rows` rows at a time if that is given; says what was lost.
 
@@ -90,24 +85,12 @@ class Plan:
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
     """Read the channels that the robot file knows.
 
-    Parameters
-    ----------
-    robot : Robot
-        Its joints, IMUs and `[channels]` say which columns are read.
-    rows : int or None
-        Rows in a block, if the format allows it; None for the whole table as one block.
-
-    Yields
-    ------
-    RawLog
-        The next rows. All streams share their stamps; nulls and NaN stay missing. What was noticed
-        of the file is told by the first block, what was noticed of rows by theirs. A file that
-        holds several episodes is one block: they are put one behind the other as a whole.
-
-    Raises
-    ------
-    InputError
-        A missing column, or one that holds no numbers.
+    `robot`: its joints, IMUs and `[channels]` say which columns are read. `rows`: rows in a block,
+    if the format allows it; None for the whole table as one block. Yields: the next rows. All
+    streams share their stamps; nulls and NaN stay missing. What was noticed of the file is told by
+    the first block, what was noticed of rows by theirs. A file that holds several episodes is one
+    block: they are put one behind the other as a whole. Raises InputError: a missing column, or one
+    that holds no numbers.
     """
     plan = make_plan(file, robot)
     _require_once(file.where, plan.columns, file.names)
@@ -209,11 +192,9 @@ def _time_column(file: TableFile, channels: Channels, match: Match | None) -> Ti
         said = told[candidates[0]]
         return TimeColumn(candidates[0], said or unit, said is not None)
     if candidates:
-        raise InputError(
-            f"the time column is ambiguous: {' or '.join(candidates)}",
-            hint='Say which in the robot file: [channels] time = "..."',
-            where=file.where,
-        )
+        message = f"the time column is ambiguous: {' or '.join(candidates)}"
+        hint = 'Say which in the robot file: [channels] time = "..."'
+        raise InputError(message, hint=hint, where=file.where)
     parts = stamp_parts(names)
     if parts is None:
         raise missing_columns(file.where, ["t"], names, what="[channels] time")
@@ -249,11 +230,8 @@ def _require_once(where: str, columns: Sequence[str], names: Sequence[str]) -> N
     for name in columns:
         count = list(names).count(name)
         if count > 1:
-            raise InputError(
-                f"column {name!r} is there {count} times",
-                hint="Give each column a name of its own.",
-                where=where,
-            )
+            message = f"column {name!r} is there {count} times"
+            raise InputError(message, hint="Give each column a name of its own.", where=where)
 
 
 def _columns(where: str, table: pa.Table, row: Sequence[str | None]) -> Array:

@@ -24,8 +24,6 @@ percent of the highest J, for what lies above is noise of the torque and nothing
 is never below that of the encoders, beside which the smoother has nowhere more noise.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -145,13 +143,7 @@ def highest_of(
 
 
 def choose_smoothed_cutoff(
-    encoder: Cutoff,
-    dq: Array,
-    ddq: Array,
-    variance: Array,
-    rate_hz: float,
-    *,
-    moving: Mask,
+    encoder: Cutoff, dq: Array, ddq: Array, variance: Array, rate_hz: float, *, moving: Mask
 ) -> Cutoff:
     """Choose one low-pass cut-off for all joints of a log whose motion comes from the smoother.
 
@@ -193,7 +185,11 @@ def smoothed_score(
         power = _power_below(ddq[:, j], rate_hz, np.minimum(cutoffs, rate_hz / 2))
         signal = np.maximum(power - error[:, j], 1e-12)
         values += np.log(signal) - KAPPA * error[:, j] / signal
-        bandwidth = max(bandwidth, _bandwidth(dq[:, j], rate_hz))
+        # As `bandwidth_of`, of a velocity (N,).
+        velocity = dq[:, j]
+        length = min(len(velocity), max(256, int(20 * rate_hz)))
+        frequency, density = welch(velocity, rate_hz, nperseg=length, detrend=False)
+        bandwidth = max(bandwidth, bandwidth_of(frequency, density, rate_hz))
     return Score(values, bandwidth, int(np.sum(moving)))
 
 
@@ -219,13 +215,6 @@ def first_maximum(score: Array, *, clear_fall: float = 0.05) -> int:
     """
     fallen = np.flatnonzero(score < np.maximum.accumulate(score) - clear_fall)
     return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
-
-
-def _bandwidth(velocity: Array, rate_hz: float) -> float:
-    """As `bandwidth_of`, of a velocity (N,)."""
-    length = min(len(velocity), max(256, int(20 * rate_hz)))
-    frequency, density = welch(velocity, rate_hz, nperseg=length, detrend=False)
-    return bandwidth_of(frequency, density, rate_hz)
 
 
 def bandwidth_of(frequency: Array, density: Array, rate_hz: float) -> float:

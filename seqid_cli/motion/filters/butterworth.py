@@ -21,8 +21,6 @@ filter of twice the order: away from the ends of a signal, forward, backward, fo
 is the same as twice forward and twice backward.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -126,25 +124,11 @@ class Lowpass:
     ) -> Array:
         """Filter signals without ends or gaps, at every so many samples only.
 
-        Parameters
-        ----------
-        values : (N, c) array
-            With as many samples in front of what is wanted and behind as the filter remembers.
-        every : int
-            Samples per kept one, see `can_decimate`.
-        first : int
-            Number of the first sample to keep.
-        count : int
-            How many to keep.
-        passes : int
-            How often the signals go through the low-pass: 1 or 2.
-        derivatives : bool
-            Whether first and second derivative, as of `differentiate`, are wanted as well.
-
-        Returns
-        -------
-        (1 or 3, count, c) array
-            Values, per second and per second squared.
+        `values` (N, c): with as many samples in front of what is wanted and behind as the filter
+        remembers. `every`: samples per kept one, see `can_decimate`. `first`: number of the first
+        sample to keep. `count`: how many to keep. `passes`: how often the signals go through the
+        low-pass: 1 or 2. `derivatives`: whether first and second derivative, as of `differentiate`,
+        are wanted as well. Returns (1 or 3, count, c): values, per second and per second squared.
         """
         kernel = _kernel(self.cutoff_hz, self.rate_hz, self.every, every, passes, derivatives)
         ahead, low = divmod(first - every // 2, kernel.length)
@@ -204,11 +188,9 @@ class _Kernel:
 
 
 def _scanned(start: Array, added: Array, step: Array, *, back: bool = False) -> Array:
-    """States (c b, m) before each block: x+ = step x + added, from the start (c, m).
-
-    `added` is (c b, m); `back` goes from the last block to the first. Two numbers are one mode, and
-    modes of a second pass are driven by those of the first.
-    """
+    """States (c b, m) before each block: x+ = step x + added, from the start (c, m)."""
+    # `added` is (c b, m); `back` goes from the last block to the first. Two numbers are one mode,
+    # and modes of a second pass are driven by those of the first.
     grown = added.reshape(len(start), -1, start.shape[1])
     grown = (grown[:, ::-1] if back else grown)[:, :-1]
     states = np.concatenate([start[:, None], grown], axis=1)

@@ -1,7 +1,5 @@
 """Time derivatives of band-limited samples, and the runs of a mask."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.typing import Array, Mask

@@ -15,17 +15,6 @@ from scipy.signal import get_window
 
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion.filters import bandwidth
-from seqid_cli.motion.filters.bandwidth import (
-    HIGHEST_HZ,
-    KAPPA,
-    LOWEST_HZ,
-    Cutoff,
-    Score,
-    acceleration_powers,
-    bandwidth_of,
-    first_maximum,
-    highest_of,
-)
 from seqid_cli.motion.segmentation import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN
 from seqid_cli.typing import Array, Index, Mask
@@ -81,12 +70,7 @@ class Welch:
 class Survey:
     """Takes a log's positions (M, n) in order; then tells the noise step and the cut-off.
 
-    Parameters
-    ----------
-    n : int
-        Joints.
-    samples : int
-        How many will come, if that is known.
+    `n`: joints. `samples`: how many will come, if that is known.
     """
 
     def __init__(self, n: int, rate_hz: float, samples: int = MANY) -> None:
@@ -183,7 +167,9 @@ class Survey:
         """Joints (n,) that move at any time."""
         return np.asarray(self._travel > TRAVEL_STEPS * step)
 
-    def cutoff(self, resolution: Array, *, highest_hz: float = HIGHEST_HZ) -> Cutoff:
+    def cutoff(
+        self, resolution: Array, *, highest_hz: float = bandwidth.HIGHEST_HZ
+    ) -> bandwidth.Cutoff:
         """Choose one low-pass cut-off by the joints that move; the others say nothing about it.
 
         `resolution` (n,): encoder step [rad] of the robot file; zero where it is to be read off the
@@ -192,19 +178,19 @@ class Survey:
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)
         if len(joints):
-            own = highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
+            own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
             highest = min(highest, own)
-        candidates = np.geomspace(min(LOWEST_HZ, highest / 2), highest, 120)
+        candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
         score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
         floors = step**2 / 12 * 2 / self.rate_hz
         for j, signal, noise, floor in self._powers(joints, step, candidates):
             floors[j] = floor
-            score += np.log(signal) - KAPPA * noise / signal
+            score += np.log(signal) - bandwidth.KAPPA * noise / signal
             bias = np.maximum(bias, noise / signal)
-        best = first_maximum(score) if len(joints) else len(candidates) // 2
-        return Cutoff(float(candidates[best]), step, float(bias[best]), True, floors)
+        best = bandwidth.first_maximum(score) if len(joints) else len(candidates) // 2
+        return bandwidth.Cutoff(float(candidates[best]), step, float(bias[best]), True, floors)
 
-    def score(self, resolution: Array, cutoffs: Array) -> Score | None:
+    def score(self, resolution: Array, cutoffs: Array) -> bandwidth.Score | None:
         """Score cut-offs (C,) Hz by the joints that move; None where none does."""
         step, joints = self._steps(resolution)
         if not len(joints):
@@ -212,9 +198,9 @@ class Survey:
         values = np.zeros(len(cutoffs))
         below = np.minimum(cutoffs, self.rate_hz / 2)
         for _, signal, noise, _ in self._powers(joints, step, below):
-            values += np.log(signal) - KAPPA * noise / signal
+            values += np.log(signal) - bandwidth.KAPPA * noise / signal
         seconds = self._seen / self.rate_hz
-        return Score(values, self._widest(joints), len(joints), seconds)
+        return bandwidth.Score(values, self._widest(joints), len(joints), seconds)
 
     def _steps(self, resolution: Array) -> tuple[Array, Index]:
         """Encoder steps (n,) rad and the joints that move."""
@@ -225,7 +211,7 @@ class Survey:
         """Bandwidth of the motion, Hz: the largest of some joints."""
         frequency, density = self._velocity.density(self.rate_hz)
         density *= self.rate_hz**2
-        return max(bandwidth_of(frequency, density[j], self.rate_hz) for j in joints)
+        return max(bandwidth.bandwidth_of(frequency, density[j], self.rate_hz) for j in joints)
 
     def _powers(
         self, joints: Index, step: Array, cutoffs: Array
@@ -238,7 +224,9 @@ class Survey:
         for j in joints:
             yield (
                 int(j),
-                *acceleration_powers(frequency, density[j], self.rate_hz, step[j], cutoffs),
+                *bandwidth.acceleration_powers(
+                    frequency, density[j], self.rate_hz, step[j], cutoffs
+                ),
             )
 
 

@@ -9,8 +9,6 @@ which is linear in f (3), dw (3) and the products of w (6): xx, yy, zz, xy, xz, 
 well-placed accelerometers determine all of them; the products give w up to its sign.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

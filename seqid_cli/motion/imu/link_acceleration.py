@@ -9,8 +9,6 @@ Each IMU weighted by its noise below the cut-off, this is a small least squares 
 and 42 are its cases of one and two moving joints. Only what no IMU sees is left to the encoder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -99,11 +97,7 @@ def _from_imus(
 
 
 def _impossible(
-    source: str,
-    recording: Recording,
-    robot: Robot,
-    stage: ImuStage | None,
-    reasons: Sequence[str],
+    source: str, recording: Recording, robot: Robot, stage: ImuStage | None, reasons: Sequence[str]
 ) -> InputError:
     """The error of a log that has no IMU to go by, with what stands in the way."""
     if not robot.imus:
@@ -112,11 +106,9 @@ def _impossible(
         why = f"{', '.join(imu.name for imu in robot.imus)}: no calibration given"
     else:
         why = "; ".join(reasons) or "no IMU sees a joint that moves"
-    return InputError(
-        f"no calibrated, healthy IMU for --motion {source} in this log: {why}",
-        hint="run seqid imu-calib and give its file with -p, or use --motion encoder",
-        where=str(recording.path),
-    )
+    message = f"no calibrated, healthy IMU for --motion {source} in this log: {why}"
+    hint = "run seqid imu-calib and give its file with -p, or use --motion encoder"
+    return InputError(message, hint=hint, where=str(recording.path))
 
 
 def _readings(
@@ -182,10 +174,8 @@ def unbiased(reading: LinkReading, robot: Robot, motion: Motion) -> LinkReading:
 
 
 def _gain(calibration: ImuCalibration) -> float:
-    """Scale of the angular acceleration, where the encoders prove that it is not one.
-
-    Gains of single accelerometers, where they are known, are off the readings already.
-    """
+    """Scale of the angular acceleration, where the encoders prove that it is not one."""
+    # Gains of single accelerometers, where they are known, are off the readings already.
     references = list(calibration.references.values())
     single = [*calibration.accelerometer_scale, *calibration.gyro_scale]
     if not references or any(scale is not None for scale in single):

@@ -36,11 +36,7 @@ class EncoderView:
         """What lies between two places."""
         own = slice(start, stop)
         return replace(
-            self,
-            q=self.q[own],
-            edge=self.edge[own],
-            dwell=self.dwell[own],
-            known=self.known[own],
+            self, q=self.q[own], edge=self.edge[own], dwell=self.dwell[own], known=self.known[own]
         )
 
     def refined(self, stride: int) -> EncoderView:

@@ -221,12 +221,7 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion
     cutoff, moves = encoder.cutoff, np.any(encoder.moving, axis=0)
     if cutoff.chosen:
         cutoff = choose_smoothed_cutoff(
-            cutoff,
-            smoothed.dq,
-            smoothed.ddq,
-            smoothed.variance,
-            encoder.rate_hz,
-            moving=moves,
+            cutoff, smoothed.dq, smoothed.ddq, smoothed.variance, encoder.rate_hz, moving=moves
         )
     lowpass = Lowpass(cutoff.hz, recording.rate_hz)
     q, dq, ddq = _low_passed(recording, lowpass, smoothed, moves)
@@ -248,21 +243,14 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion
 
 
 def _low_passed(
-    recording: Recording,
-    lowpass: Lowpass,
-    smoothed: _Found,
-    moves: Mask,
+    recording: Recording, lowpass: Lowpass, smoothed: _Found, moves: Mask
 ) -> list[Array]:
     """q, dq, ddq (N, n): smoothed where IMUs see a joint, else differentiated as without them."""
     valid = recording.valid
     # What noise makes of locked joints must not pass for excitation.
     motion = [
         lowpass(np.where(moves, values, still), valid)
-        for values, still in (
-            (smoothed.q, recording.q),
-            (smoothed.dq, 0.0),
-            (smoothed.ddq, 0.0),
-        )
+        for values, still in ((smoothed.q, recording.q), (smoothed.dq, 0.0), (smoothed.ddq, 0.0))
     ]
     hidden = moves & ~smoothed.seen
     if hidden.any():

@@ -1,7 +1,5 @@
 """IMUs for the motion smoother: what calibration knows of them, and their live readings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

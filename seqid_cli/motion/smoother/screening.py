@@ -1,7 +1,5 @@
 """Placing IMUs on the encoders' motion, clocks included, and whether to believe them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -147,10 +145,8 @@ def _fitted(chunk: Chunk, c: Array, x: Mounted, count: int) -> Mounted:
 def _searched(
     chunk: Chunk, c: Array, x: Mounted, *, search_s: float = 0.06, independent_s: float = 0.05
 ) -> Mounted:
-    """The clock offset on a grid of knots that leaves the least of the readings, all else fitted.
-
-    The encoders' motion errs over long stretches; few of the residuals are independent.
-    """
+    """The clock offset, of a grid of knots, that leaves least of the readings, all else fitted."""
+    # The encoders' motion errs over long stretches; few of the residuals are independent.
     h, late = chunk.spacing, x.place.channels + 6
     told = predicted(chunk, c, x)
     r = _cell_means(chunk, x, x.y - told)

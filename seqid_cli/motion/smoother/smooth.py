@@ -10,8 +10,6 @@ towards it by expectation and maximisation; traces come from probing with random
 from the factor's rows behind some of the knots.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -69,17 +67,9 @@ def smoothed_motion(
 ) -> Smoothed:
     """Smooth all joints of one log.
 
-    Parameters
-    ----------
-    stage : ImuStage, optional
-        Calibrations; IMUs without one take no part.
-    chunk_s : float
-        Length [s] of what is smoothed at once.
-
-    Returns
-    -------
-    Smoothed
-        At the log's own rate. Joints that no believed IMU sees rest on their encoders.
+    `stage`: calibrations; IMUs without one take no part. `chunk_s`: length [s] of what is smoothed
+    at once. Returns: at the log's own rate. Joints that no believed IMU sees rest on their
+    encoders.
     """
     # Threads of the linear algebra only get into each other's way with matrices this narrow.
     with threadpool_limits(1):
@@ -140,14 +130,17 @@ def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
     """What was found on coarse knots, on fine ones."""
     fine = _on_knots(replace(chunk, imus=shared.chunk.imus), FINE_S).gathered()
     c = resampled(shared.chunk, shared.c, fine)
-    return fine, c, _on_finer(shared.jerk, shared.chunk, fine)
+    # The same jerk between knots that are closer together.
+    times = (np.arange(fine.intervals) + 0.5) * fine.spacing / shared.chunk.spacing
+    at = np.minimum(times.astype(int), shared.chunk.intervals - 1)
+    size = shared.jerk.size * np.sqrt(shared.chunk.spacing / fine.spacing)
+    return fine, c, replace(shared.jerk, size=size, relative=shared.jerk.relative[at])
 
 
 def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution, list[str]]:
-    """Settle the constants; IMUs whose readings no motion explains are left out one by one.
-
-    Coarse knots may not follow what an IMU feels: before it is left out, fine ones have their say.
-    """
+    """Settle the constants; IMUs whose readings no motion explains are left out one by one."""
+    # Coarse knots may not follow what an IMU feels: before it is left out, fine ones have their
+    # say.
     notes = []
     while True:
         shared = settled(coarse, c, jerk)
@@ -161,14 +154,6 @@ def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution
         if not name:
             return shared, notes
         coarse = replace(coarse, imus=tuple(x for x in coarse.imus if x.name != name))
-
-
-def _on_finer(jerk: Jerk, coarse: Chunk, fine: Chunk) -> Jerk:
-    """The same jerk between knots that are closer together."""
-    times = (np.arange(fine.intervals) + 0.5) * fine.spacing / coarse.spacing
-    at = np.minimum(times.astype(int), coarse.intervals - 1)
-    size = jerk.size * np.sqrt(coarse.spacing / fine.spacing)
-    return replace(jerk, size=size, relative=jerk.relative[at])
 
 
 def _with_covariance(shared: Solution, last: Solution) -> tuple[Mounted, ...]:
@@ -193,14 +178,6 @@ def _on_knots(chunk: Chunk, spacing: float) -> Chunk:
     return replace(chunk, views=views, dt=chunk.dt / finer, every=every)
 
 
-def _chunks(samples: int, length: float, lap: int) -> list[slice]:
-    """Overlapping chunks of nearly the same length."""
-    edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
-    starts = np.maximum(edges[:-1] - lap, 0).tolist()
-    stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples).tolist()
-    return [slice(a, b) for a, b in zip(starts, stops, strict=True)]
-
-
 def _joined(
     recording: Recording,
     robot: Robot,
@@ -212,7 +189,12 @@ def _joined(
     """Lay the chunks side by side; each fades into the next over their overlap."""
     samples, rate = len(recording.q), recording.rate_hz
     imus = mounted_imus(recording, robot, stage)
-    chunks = _chunks(samples, chunk_s * rate, int(overlap_s * rate))
+    # Overlapping chunks of nearly the same length.
+    lap = int(overlap_s * rate)
+    edges = np.linspace(0, samples, max(1, round(samples / (chunk_s * rate))) + 1).astype(int)
+    starts = np.maximum(edges[:-1] - lap, 0).tolist()
+    stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples).tolist()
+    chunks = [slice(a, b) for a, b in zip(starts, stops, strict=True)]
     motion = np.zeros((samples, 3, robot.n))
     places, covariance = [], []
     notes: list[str] = []

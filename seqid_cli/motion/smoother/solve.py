@@ -1,7 +1,5 @@
 """Gauss-Newton of the motion smoother, the size of the jerk, and covariances."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,19 +9,9 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.ndimage import uniform_filter1d
 
+from seqid_cli.motion.smoother import system
 from seqid_cli.motion.smoother.chunk import Chunk, jerk_of
 from seqid_cli.motion.smoother.imus import moved
-from seqid_cli.motion.smoother.system import (
-    Cells,
-    Constants,
-    Normal,
-    chosen,
-    encoder_information,
-    linearised,
-    misfit,
-    normal_equations,
-    predicted,
-)
 from seqid_cli.motion.smoother.terms import JERK, Jerk
 from seqid_cli.typing import Array, Index
 
@@ -38,7 +26,7 @@ class Solution:
     factor: Array  # Cholesky factor of the band
     border: Array  # (Kn, g): inverse of the factor times the border
     schur: Array  # (g, g): information about the constants
-    constants: Constants = "none"
+    constants: system.Constants = "none"
 
     def inverse(self, right: Array) -> Array:
         """Covariance of the coefficients times `right` (Kn, m)."""
@@ -72,7 +60,7 @@ def encoder_motion(chunk: Chunk, size: Array, *, encoder_rounds: int = 4) -> tup
     c, rng = _first_coefficients(chunk), np.random.default_rng(0)
     jerk = Jerk(size, np.eye(len(size)), np.ones((chunk.intervals, len(size))))
     for _ in range(encoder_rounds):
-        band = encoder_information(chunk, c, jerk.size * jerk.relative)
+        band = system.encoder_information(chunk, c, jerk.size * jerk.relative)
         factor = _factor(band.by_joint())
         signs = rng.choice([-1.0, 1.0], jerk.relative.shape)
         probe = _jerk_probe(chunk, jerk, signs)
@@ -115,10 +103,10 @@ def settled(coarse: Chunk, c: Array, jerk: Jerk) -> Solution:
     one round does.
     """
     rng = np.random.default_rng(0)
-    rounds: tuple[Constants, ...] = ("place",) if _axes_known(coarse) else ("place", "all")
+    rounds: tuple[system.Constants, ...] = ("place",) if _axes_known(coarse) else ("place", "all")
     solution = None
     for constants in rounds if coarse.imus else ("none",):
-        linear = linearised(coarse, c, gains=constants == "all")
+        linear = system.linearised(coarse, c, gains=constants == "all")
         solution = renewed(coarse, c, jerk, linear, constants)
         jerk = _probed_jerk(solution, rng)
         coarse, c = solution.chunk.gathered(), solution.c
@@ -135,11 +123,11 @@ def _axes_known(chunk: Chunk, *, known_axes: float = 0.002) -> bool:
 def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1) -> Solution:
     """Motion on fine knots about `c` (K, n), with the IMUs' clocks, other constants as they are."""
     rng = np.random.default_rng(0)
-    linear = linearised(fine, c)
+    linear = system.linearised(fine, c)
     first = renewed(fine, c, jerk, linear, "clock")
     fine, c, jerk = first.chunk.gathered(), first.c, _probed_jerk(first, rng)
-    told = tuple(predicted(fine, c, x) for x in fine.imus)
-    misfits = [misfit(x, y) for x, y in zip(fine.imus, told, strict=True)]
+    told = tuple(system.predicted(fine, c, x) for x in fine.imus)
+    misfits = [system.misfit(x, y) for x, y in zip(fine.imus, told, strict=True)]
     factors = _noise_factors(first, jerk, misfits)
     if any(np.any(np.abs(f - 1.0) > noise_tolerance) for f in factors):
         pairs = zip(fine.imus, factors, strict=True)
@@ -151,12 +139,12 @@ def renewed(
     chunk: Chunk,
     c: Array,
     jerk: Jerk,
-    linear: tuple[Cells, ...],
-    constants: Constants,
+    linear: tuple[system.Cells, ...],
+    constants: system.Constants,
     told: tuple[Array, ...] | None = None,
 ) -> Solution:
     """One step of Gauss-Newton about the coefficients `c` (K, n)."""
-    normal = normal_equations(chunk, c, jerk, linear, constants=constants, told=told)
+    normal = system.normal_equations(chunk, c, jerk, linear, constants=constants, told=told)
     return stepped(replace(solved(chunk, c, jerk, normal), constants=constants), normal)
 
 
@@ -168,10 +156,8 @@ def _noise_factors(
     most_quieter: float = 2.0,
     least_free: float = 0.1,
 ) -> list[Array]:
-    """Noise of each IMU's channels over what they were weighted with, most likely.
-
-    The motion has followed the noise in as many directions as the readings determine.
-    """
+    """Noise of each IMU's channels over what they were weighted with, most likely."""
+    # The motion has followed the noise in as many directions as the readings determine.
     chunk = solution.chunk
     found = jerk_of(solution.c, chunk.spacing) / jerk.relative
     determined = np.sum((found @ jerk.precision) * found)
@@ -188,7 +174,7 @@ def _first_coefficients(chunk: Chunk, *, first_mean_s: float = 0.05) -> Array:
     return np.asarray(q[index])
 
 
-def solved(chunk: Chunk, c: Array, jerk: Jerk, normal: Normal) -> Solution:
+def solved(chunk: Chunk, c: Array, jerk: Jerk, normal: system.Normal) -> Solution:
     """Factor the normal equations; the coefficients stay as they are."""
     factor = _factor(normal.band)
     border = normal.border
@@ -197,7 +183,7 @@ def solved(chunk: Chunk, c: Array, jerk: Jerk, normal: Normal) -> Solution:
     return Solution(chunk, c, jerk, factor, border, normal.corner - border.T @ border)
 
 
-def stepped(solution: Solution, normal: Normal) -> Solution:
+def stepped(solution: Solution, normal: system.Normal) -> Solution:
     """Coefficients, and constants where they take part, after one step of Gauss-Newton."""
     free = halved(solution.factor, normal.gradient[:, None])[:, 0]
     chunk = solution.chunk
@@ -207,7 +193,7 @@ def stepped(solution: Solution, normal: Normal) -> Solution:
         free = free - solution.border @ constants
         imus, start = [], 0
         for x in chunk.imus:
-            taken = chosen(x, solution.constants)
+            taken = system.chosen(x, solution.constants)
             change = np.zeros(len(x.away))
             change[taken] = constants[start : start + len(taken)]
             start += len(taken)
@@ -256,12 +242,10 @@ def _renewed_jerk(
     most_dark: float = 4.0,
     relative_limits: tuple[float, float] = (0.1, 30.0),
 ) -> Jerk:
-    """One step towards the most likely jerk of each joint, and towards its changes over time.
-
-    `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the data
-    leave to its prior. The rest tells its size: all intervals together, those nearby how it
-    compares there. Where they tell nothing it is taken to be as large as on the average.
-    """
+    """One step towards the most likely jerk of each joint, and towards its changes over time."""
+    # `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the
+    # data leave to its prior. The rest tells its size: all intervals together, those nearby how it
+    # compares there. Where they tell nothing it is taken to be as large as on the average.
     m = chunk.intervals
     known = np.maximum(m - left_open.sum(axis=0), least_known * m)
     found = jerk_of(c, chunk.spacing)
@@ -350,11 +334,9 @@ def _at_knots(solution: Solution, knots: Index, *, fewer: int = 4) -> Array:
 
 
 def _forward(solution: Solution, knots: Index, which: slice) -> Array:
-    """Covariance (G, n, d, d) of some derivatives at knots.
-
-    The factor's rows of a knot hold all that comes before it. What comes after the next knot is
-    left away: it hardly tells more.
-    """
+    """Covariance (G, n, d, d) of some derivatives at knots."""
+    # The factor's rows of a knot hold all that comes before it. What comes after the next knot is
+    # left away: it hardly tells more.
     n, W = solution.chunk.joints, solution.chunk.knots[0][which]
     d = len(W)
     found = np.empty((len(knots), n, d, d))

@@ -1,24 +1,12 @@
 """Normal equations of the motion smoother: encoders, jerk and IMUs along one stretch of a log."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from seqid_cli.motion.smoother import terms
 from seqid_cli.motion.smoother.chunk import Chunk, Mounted, jerk_of, mean_motion, sampled
-from seqid_cli.motion.smoother.terms import (
-    JERK,
-    Band,
-    Jerk,
-    chain_state,
-    couple_jerks,
-    felt_by,
-    imu_rows,
-    readings,
-    spline_weights,
-)
 from seqid_cli.typing import Array, Index, Mask
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
@@ -48,11 +36,11 @@ class Normal:
     corner_gradient: Array
 
 
-def _encoder_terms(chunk: Chunk, c: Array, band: Band) -> None:
+def _encoder_terms(chunk: Chunk, c: Array, band: terms.Band) -> None:
     """Add what the encoders' samples and edges say of the coefficients `c`."""
     m, every, n = chunk.intervals, chunk.every, chunk.joints
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
-    at_edges = spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
+    at_edges = terms.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
     both = np.zeros((2, m * every, n)), np.zeros((2, m * every, n))
     for j, view in enumerate(chunk.views):
         own = slice(chunk.samples)
@@ -65,16 +53,16 @@ def _encoder_terms(chunk: Chunk, c: Array, band: Band) -> None:
         band.add(B, w, w * (y - sampled(c, B)))
 
 
-def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> Band:
+def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> terms.Band:
     """What encoders and the size of the jerk say about the coefficients `c` (K, n).
 
     `jerk` is (n,) or (M, n) rad/s^3.
     """
-    band = Band(chunk.intervals, chunk.joints)
+    band = terms.Band(chunk.intervals, chunk.joints)
     _encoder_terms(chunk, c, band)
     weight = 1.0 / np.atleast_2d(jerk) ** 2
     pull = -jerk_of(c, chunk.spacing) * weight
-    band.add(JERK[None] / chunk.spacing**3, weight[None], pull[None])
+    band.add(terms.JERK[None] / chunk.spacing**3, weight[None], pull[None])
     return band
 
 
@@ -89,17 +77,15 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     q, dq, ddq = mean_motion(chunk, c[:, :head], x.fraction, amid)
     rate = _rate(chunk, c[:, :head], x.fraction)
     chain = chunk.robot.chain
-    state = chain_state(chain, chunk.robot.gravity, q, dq, ddq)
-    rows = imu_rows(chain, state, dq, x.place)
+    state = terms.chain_state(chain, chunk.robot.gravity, q, dq, ddq)
+    rows = terms.imu_rows(chain, state, dq, x.place)
     return Cells(rows.by_motion, rows.by_constants(np.moveaxis(rate, 2, 0), gains=gains))
 
 
 def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
-    """Time derivatives (3, n, C) of q, dq, ddq in every cell.
-
-    Those of the spline where a cell is one interval; of a longer cell the change from the interval
-    before to the one behind, which the noise of a first motion disturbs less.
-    """
+    """Time derivatives (3, n, C) of q, dq, ddq in every cell."""
+    # Those of the spline where a cell is one interval; of a longer cell the change from the
+    # interval before to the one behind, which the noise of a first motion disturbs less.
     m, starts = chunk.intervals, chunk.cells
     if chunk.cell == 1:
         jerk = jerk_of(c, chunk.spacing).T[None]
@@ -123,10 +109,8 @@ def _share(chunk: Chunk, x: Mounted) -> Array:
 
 
 def _columns(chunk: Chunk, x: Mounted, cells: Cells) -> Array:
-    """Information of one interval with readings in each cell.
-
-    (4, C, n, 4n): of the columns of a lower band that belong to the interval's four coefficients.
-    """
+    """Information of one interval with readings in each cell."""
+    # (4, C, n, 4n): of the columns of a lower band that belong to the interval's four coefficients.
     n, m, count = chunk.joints, x.joints, len(chunk.cells)
     by_joint = np.zeros((count, len(x.noise), 4, n))
     by_joint[..., :m] = cells.by_coefficients(chunk, x)
@@ -151,11 +135,9 @@ def _coupled(chunk: Chunk, cells: tuple[Cells, ...]) -> Array:
 
 
 def _lay_out(chunk: Chunk, parts: list[tuple[Array, Mask]], out: Array) -> None:
-    """Fill `out` (..., K, V) with what intervals with readings add to their four coefficients.
-
-    `parts` are pairs of (4, ..., C, V), the same throughout a cell, and whether (M,) there are
-    readings. Where a cell has them in all intervals, but three of its coefficients get the same.
-    """
+    """Fill `out` (..., K, V) with what intervals with readings add to their four coefficients."""
+    # `parts` are pairs of (4, ..., C, V), the same throughout a cell, and whether (M,) there are
+    # readings. Where a cell has them in all intervals, but three of its coefficients get the same.
     m, size, starts = chunk.intervals, chunk.cell, chunk.cells
     alike = np.zeros((4, *out.shape[:-2], len(starts), out.shape[-1]))
     for part, there in parts:
@@ -204,7 +186,7 @@ def _constants(
 def normal_equations(
     chunk: Chunk,
     c: Array,
-    jerk: Jerk,
+    jerk: terms.Jerk,
     linear: tuple[Cells, ...] = (),
     *,
     constants: Constants = "none",
@@ -222,9 +204,9 @@ def normal_equations(
     band = encoder_information(chunk, c, jerk.relative / np.sqrt(own))
     pull = (jerk_of(c, spacing) / jerk.relative) @ between / jerk.relative
     for a in range(4):
-        band.gradient[a : a + m] -= JERK[a] * pull
+        band.gradient[a : a + m] -= terms.JERK[a] * pull
     lower = band.added_to(_coupled(chunk, linear))
-    couple_jerks(lower, between / spacing**3, jerk.relative)
+    terms.couple_jerks(lower, between / spacing**3, jerk.relative)
     border, corner = np.zeros((c.size, 0)), np.zeros((0, 0))
     right = []
     if linear:
@@ -250,7 +232,7 @@ def chosen(x: Mounted, constants: Constants) -> Index:
 
 
 def _imu_gradient(
-    chunk: Chunk, x: Mounted, cells: Cells, constants: Constants, told: Array, band: Band
+    chunk: Chunk, x: Mounted, cells: Cells, constants: Constants, told: Array, band: terms.Band
 ) -> Array:
     """Add an IMU's gradient to the coefficients'; return that of its constants."""
     m, size = chunk.intervals, chunk.cell
@@ -276,5 +258,5 @@ def misfit(x: Mounted, told: Array) -> Array:
 def predicted(chunk: Chunk, c: Array, x: Mounted) -> Array:
     """An IMU's readings (M, K), its bias included."""
     motion = mean_motion(chunk, c[:, : x.joints], x.fraction)
-    own = felt_by(chunk.robot.chain, chunk.robot.gravity, motion, x.place)
-    return readings(x.place, own) + x.bias
+    own = terms.felt_by(chunk.robot.chain, chunk.robot.gravity, motion, x.place)
+    return terms.readings(x.place, own) + x.bias

@@ -7,13 +7,11 @@ origins, `w`, `dw` angular rates, `a` acceleration minus gravity, all seen from 
 components first and the samples last.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.robot.kinematics import cross, joint_transforms, link_motion
+from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion
 from seqid_cli.robot.types import Chain
 from seqid_cli.typing import Array
 
@@ -132,33 +130,21 @@ def _head(chain: Chain, count: int) -> Chain:
 
 def chain_state(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> ChainState:
     """Move along the first m joints of a chain in the base frame; q, dq, ddq are (m, N)."""
-    n, count = q.shape
-    turns, offsets = joint_transforms(_head(chain, n), q)
-    parts = {
-        name: np.empty((3, n, count)) for name in ("p", "z", "wb", "dwb", "ab", "w", "dw", "a")
-    }
-    R_all = np.empty((n, 3, 3, count))
-    R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, count))
-    p, w, dw = (np.zeros((3, count)) for _ in range(3))
-    a = np.repeat(-gravity[:, None], count, axis=1)
-    for i in range(n):
-        d = np.einsum("abn,bn->an", R, offsets[i])
-        a = a + cross(dw, d) + cross(w, cross(w, d))
-        p = p + d
-        R = np.einsum("abn,bcn->acn", R, turns[i])
-        z = np.einsum("abn,b->an", R, chain.axis[i])
-        for name, value in zip(("wb", "dwb", "ab"), (w, dw, a), strict=True):
-            parts[name][:, i] = value
-        if chain.prismatic[i]:
-            a = a + 2.0 * cross(w, z) * dq[i] + z * ddq[i]
-        else:
-            dw = dw + cross(w, z) * dq[i] + z * ddq[i]
-            w = w + z * dq[i]
-        for name, value in zip(("p", "z", "w", "dw", "a"), (p, z, w, dw, a), strict=True):
-            parts[name][:, i] = value
-        R_all[i] = R
-    x = parts
-    return ChainState(R_all, x["p"], x["z"], x["wb"], x["dwb"], x["ab"], x["w"], x["dw"], x["a"])
+    own = link_motion(_head(chain, len(q)), gravity, q, dq, ddq)
+    R, p, a_before = np.empty_like(own.R), np.zeros_like(own.p), np.empty_like(own.p)
+    turned, start = np.broadcast_to(np.eye(3)[:, :, None], R[0].shape), np.zeros(p[0].shape)
+    at = start - gravity[:, None]  # of the link before, at the joint, in that link's frame
+    for i in range(len(q)):
+        if i:
+            at = own.a[i - 1] + np.einsum("abn,bn->an", own.H[i - 1], own.p[i])
+        a_before[i] = np.einsum("abn,bn->an", turned, at)
+        start = p[i] = start + np.einsum("abn,bn->an", turned, own.p[i])
+        turned = R[i] = np.einsum("abn,bcn->acn", turned, own.R[i])
+    w, dw, a = (np.einsum("iabn,ibn->ain", R, v) for v in (own.w, own.dw, own.a))
+    w_before, dw_before = (np.pad(v, ((0, 0), (1, 0), (0, 0)))[:, :-1] for v in (w, dw))
+    z = np.einsum("iabn,ib->ain", R, chain.axis[: len(q)])
+    first = np.moveaxis(np.stack([p, a_before]), 2, 1)
+    return ChainState(R, first[0], z, w_before, dw_before, first[1], w, dw, a)
 
 
 @dataclass(frozen=True)
@@ -252,7 +238,9 @@ def imu_rows(chain: Chain, state: ChainState, dq: Array, x: Mounting) -> Rows:
     mounting = np.zeros((len(R), 3, 3, 6))
     for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         mounting[:, :, a, 3 + b], mounting[:, :, a, 3 + c] = -own[:, :, c], own[:, :, b]
-    H = _point_matrix(state.w[:, link], state.dw[:, link]).transpose(2, 0, 1)
+    H = np.empty((3, 3, len(R)))
+    fill_motion_matrix(H, state.w[:, link], state.dw[:, link])
+    H = H.transpose(2, 0, 1)
     mounting[:, 0, :, :3] = R.transpose(0, 2, 1) @ H @ (R @ x.R.T)
     return Rows(by_motion, rows @ mounting.reshape(len(R), 9, 6), _sensed(x, own))
 
@@ -264,14 +252,6 @@ def _sensed(x: Mounting, own: Array) -> Array:
     if x.gyro is None:
         return np.asarray(force)
     return np.concatenate([force, np.repeat(w, 3, axis=1)], axis=1)
-
-
-def _point_matrix(w: Array, dw: Array) -> Array:
-    """skew(dw) + skew(w) skew(w), (3, 3, N)."""
-    columns = []
-    for unit in np.eye(3)[:, :, None]:
-        columns.append(cross(dw, unit) + cross(w, cross(w, unit)))
-    return np.stack(columns, axis=1)
 
 
 def _reading_matrix(x: Mounting, w: Array) -> Array:
@@ -290,10 +270,8 @@ def _reading_matrix(x: Mounting, w: Array) -> Array:
 
 
 def _columns(chain: Chain, state: ChainState, dq: Array, link: int, point: Array) -> Array:
-    """Derivatives of f, dw, w at a point of a link in q, dq, ddq: (3, 3, 3 * (link + 1), N).
-
-    A joint's angle turns what its own link inherits backwards; everything beyond rides on it.
-    """
+    """Derivatives of f, dw, w at a point of a link in q, dq, ddq: (3, 3, 3 * (link + 1), N)."""
+    # A joint's angle turns what its own link inherits backwards; everything beyond rides on it.
     m = link + 1
     z, w_before, w_own = state.z[:, :m], state.w_before[:, :m], state.w[:, :m]
     slides = chain.prismatic[:m, None]
@@ -309,11 +287,7 @@ def _columns(chain: Chain, state: ChainState, dq: Array, link: int, point: Array
         (z, turn, none),
         (none, z, none),
     )  # fmt: skip
-    sliding = (
-        cross(state.dw[:, :m], z) + cross(w_own, cross(w_own, z)),
-        2 * cross(w_own, z),
-        z,
-    )
+    sliding = (cross(state.dw[:, :m], z) + cross(w_own, cross(w_own, z)), 2 * cross(w_own, z), z)
     out = np.zeros((3, 3, 3, m, z.shape[-1]))
     for kind, (by_w, by_dw, by_a) in enumerate(kinds):
         force = by_a + cross(by_dw, r)

@@ -1,7 +1,5 @@
 """The comparison, `seqid/comparison@1`: two results of one robot side by side."""
 
-from __future__ import annotations
-
 from seqid_cli.params.base import Document, FrozenStruct
 from seqid_cli.params.schema import Tool
 

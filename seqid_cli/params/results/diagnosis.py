@@ -1,7 +1,5 @@
 """The diagnosis file, `seqid/diagnosis@1`: effects that a model lacks, with the evidence."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from seqid_cli.params.base import Document, Struct

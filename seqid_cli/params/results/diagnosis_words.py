@@ -1,13 +1,7 @@
 """Whether a diagnosis may say that nothing but noise is left, in words."""
 
-from __future__ import annotations
-
 from seqid_cli.params.evidence_schema import EvidenceEntry
-from seqid_cli.params.results.diagnosis import (
-    MORE_THAN_NOISE,
-    DiagnosisFile,
-    ResidualEntry,
-)
+from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE, DiagnosisFile, ResidualEntry
 
 _MEASURES = {"driving_load": "load times direction"}
 

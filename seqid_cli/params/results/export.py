@@ -1,7 +1,5 @@
 """The result of an export, `seqid/export@1`, beside the file itself."""
 
-from __future__ import annotations
-
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import RobotId, Tool

@@ -1,7 +1,5 @@
 """The inspection document, `seqid/inspection@1`: the content of logs and their faults."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from seqid_cli.params.base import Document, FrozenStruct, Struct
@@ -70,22 +68,22 @@ class InspectedLog(Struct, kw_only=True):
     sha256: str
     format: str
     verdict: str
-    samples: int
-    seconds: float
-    rate_hz: float
-    jitter: float
-    gaps: list[list[float]]
-    non_monotonic: int
-    duplicates: int
-    log_minus_header_s: float | None
-    channels: list[str]
-    missing: dict[str, str]
-    joints: list[InspectedJoint]
-    imus: list[InspectedImu]
-    moves: list[InspectedMoves]
-    moving_together: list[str]
-    serves: list[str]
-    partial: str
+    samples: int = 0
+    seconds: float = 0.0
+    rate_hz: float = 0.0
+    jitter: float = 0.0
+    gaps: list[list[float]] = []
+    non_monotonic: int = 0
+    duplicates: int = 0
+    log_minus_header_s: float | None = None
+    channels: list[str] = []
+    missing: dict[str, str] = {}
+    joints: list[InspectedJoint] = []
+    imus: list[InspectedImu] = []
+    moves: list[InspectedMoves] = []
+    moving_together: list[str] = []
+    serves: list[str] = []
+    partial: str = ""
 
 
 class PlannedPart(Struct, kw_only=True):

@@ -1,7 +1,5 @@
 """What a robot carries, `seqid/payload@1`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from seqid_cli.params.base import Document, Struct

@@ -1,7 +1,5 @@
 """The plan file, `seqid/plan@1`: which motions to record next and what errors they will give."""
 
-from __future__ import annotations
-
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import RobotId, Tool, Verdict

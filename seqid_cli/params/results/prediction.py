@@ -1,7 +1,5 @@
 """The prediction file, `seqid/prediction@1`: how well a model predicts the torque of some logs."""
 
-from __future__ import annotations
-
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
 

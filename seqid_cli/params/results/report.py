@@ -1,7 +1,5 @@
 """The verdict of a report, beside the page itself."""
 
-from __future__ import annotations
-
 from seqid_cli.params.base import Document, Struct
 
 TITLES = {  # of verdicts

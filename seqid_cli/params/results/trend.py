@@ -1,7 +1,5 @@
 """What changed over time, `seqid/trend@1`."""
 
-from __future__ import annotations
-
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Tool

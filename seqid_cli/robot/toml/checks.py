@@ -1,7 +1,5 @@
 """Checks of a robot file beyond its types; every message names the key's full path."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re
@@ -20,20 +18,10 @@ from seqid_cli.robot.formula import (
     parse_formula,
     symbol_of,
 )
-from seqid_cli.robot.toml.schema import EffectEntry, ImuEntry, JointEntry, RobotFile
+from seqid_cli.robot.toml.schema import Channels, EffectEntry, ImuEntry, JointEntry, RobotFile
 
 PATTERN_FIELDS = frozenset({"name", "index", "index0"})
-JOINT_CHANNELS = (
-    "position",
-    "velocity",
-    "current",
-    "torque",
-    "load",
-    "link_position",
-    "voltage",
-    "pwm",
-    "temperature",
-)
+JOINT_CHANNELS = [n for n in Channels.__struct_fields__ if n not in ("time", "effort", "unit")]
 
 _MEANING = {  # what each number of a joint is, for hints
     "torque_constant": "It is the motor-side constant in N m/A; the sign goes to gear_ratio.",
@@ -74,15 +62,8 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def check_content(path: Path, robot: RobotFile) -> tuple[Formula | None, ...]:
     """Check the values of a robot file, apart from checks that need its URDF.
 
-    Returns
-    -------
-    tuple of Formula or None
-        That of each effect; None where an installed package offers the effect.
-
-    Raises
-    ------
-    ConfigError
-        A value makes no sense; the message names `path` and the key.
+    Returns: that of each effect; None where an installed package offers the effect. Raises
+    ConfigError: a value makes no sense; the message names `path` and the key.
     """
     return _Checks(path).document(robot)
 

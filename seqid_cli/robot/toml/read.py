@@ -3,8 +3,6 @@
 Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from dataclasses import dataclass
@@ -51,15 +49,7 @@ class ReadRobotFile:
 def read_robot_file(path: Path) -> ReadRobotFile:
     """Read and check a robot file, apart from checks that need its URDF.
 
-    Parameters
-    ----------
-    path : Path
-        The `robot.toml`.
-
-    Raises
-    ------
-    ConfigError
-        Naming the file and the key's full path.
+    `path`: the `robot.toml`. Raises ConfigError: naming the file and the key's full path.
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
@@ -78,10 +68,8 @@ def read_robot_file(path: Path) -> ReadRobotFile:
 def read_limited(path: Path, what: str, limit: int) -> bytes:
     """Read the file `path`, called `what` in messages; refuses more than `limit` bytes.
 
-    Raises
-    ------
-    ConfigError
-        Where there is no such file, it cannot be read, or it is larger than `limit`.
+    Raises ConfigError: where there is no such file, it cannot be read, or it is larger than
+    `limit`.
     """
     where = str(path)
     try:
@@ -97,11 +85,8 @@ def read_limited(path: Path, what: str, limit: int) -> bytes:
     except (OSError, ValueError) as problem:
         raise ConfigError(f"the {what} cannot be read: {problem}", where=where) from None
     if len(raw) > limit:
-        raise ConfigError(
-            f"the {what} is larger than {limit} bytes",
-            where=where,
-            hint=f"Is this really a {what}?",
-        )
+        message = f"the {what} is larger than {limit} bytes"
+        raise ConfigError(message, where=where, hint=f"Is this really a {what}?")
     return raw
 
 
@@ -144,11 +129,8 @@ def _check_schema(path: Path, document: dict[str, object]) -> None:
     if match is None:
         raise ConfigError(f"schema is {schema!r}, not {SCHEMA!r}", where=str(path), hint=hint)
     if int(match[1]) > SCHEMA_VERSION:
-        raise ConfigError(
-            f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})",
-            where=str(path),
-            hint="Update seqid.",
-        )
+        message = f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})"
+        raise ConfigError(message, where=str(path), hint="Update seqid.")
 
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)

@@ -1,7 +1,5 @@
 """`robot.toml` as typed data, `seqid/robot@1` (msgspec only)."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import msgspec

@@ -1,7 +1,5 @@
 """A commented `robot.toml` from known values, with TODO for values that the user must add."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field

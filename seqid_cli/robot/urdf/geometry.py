@@ -4,8 +4,6 @@ Meshes count by their convex hulls. Neighbouring links are not checked against e
 links that overlap in most postures: their hulls touch at the joint between them.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Sequence
@@ -64,24 +62,11 @@ def geometry_of(
 ) -> Geometry | None:  # fmt: skip
     """Read the collision geometry of a URDF.
 
-    Parameters
-    ----------
-    robot : Robot
-    postures : (P, n) array
-        Drawn ones, by which links that always touch are found.
-    boxes : sequence of box
-        Where no link may be.
-    workspace : box, optional
-        Out of which no link may reach.
-    clearance_m : float
-        How near counts as a collision, m.
-    usual_contact : float
-        Share of the postures in which links that touch are not checked against each other.
-
-    Returns
-    -------
-    Geometry or None
-        None where there is no URDF, or its links have no shapes, or a mesh is not found.
+    `postures` (P, n): drawn ones, by which links that always touch are found. `boxes`: where no
+    link may be. `workspace`: out of which no link may reach. `clearance_m`: how near counts as a
+    collision, m. `usual_contact`: share of the postures in which links that touch are not checked
+    against each other. Returns None where there is no URDF, or its links have no shapes, or a mesh
+    is not found.
     """
     if robot.urdf is None:
         return None

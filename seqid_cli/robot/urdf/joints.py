@@ -5,8 +5,6 @@ the dynamics and which hand-made files lack, and links with the name of a joint,
 `readable` repairs both.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Mapping
@@ -109,11 +107,8 @@ def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
 def check_urdf(urdf: UrdfText) -> None:
     """Check for faults that a reader of URDFs refuses without naming the place.
 
-    Raises
-    ------
-    ConfigError
-        Links named twice, joints between links that are not there, links with two parents, loops,
-        no or several roots, numbers that are none; naming the file, the joint or link.
+    Raises ConfigError: links named twice, joints between links that are not there, links with two
+    parents, loops, no or several roots, numbers that are none; naming the file, the joint or link.
     """
     root = urdf.root
     links = [link.get("name", "") for link in root.findall("link")]

@@ -1,11 +1,8 @@
 """URDF to chain and nominal inertials. The only file that touches Pinocchio."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,34 +16,15 @@ from seqid_cli.robot.urdf.joints import readable
 from seqid_cli.robot.urdf.text import UrdfText
 
 
-@dataclass(frozen=True)
-class UrdfRobot:
-    """The named joints of a URDF: `nominal` (n, 10), None where it has no inertials."""
-
-    chain: Chain
-    nominal: Array | None
-
-
-def chain_from_urdf(urdf: UrdfText, names: tuple[str, ...], source: Path) -> UrdfRobot:
+def chain_from_urdf(
+    urdf: UrdfText, names: tuple[str, ...], source: Path
+) -> tuple[Chain, Array | None]:
     """Build the chain of the joints `names`, all other joints locked at zero and merged.
 
-    Parameters
-    ----------
-    urdf : UrdfText
-    names : tuple of str
-        Movable joints of the URDF, in the order of the robot file.
-    source : Path
-        The robot file, for messages.
-
-    Returns
-    -------
-    UrdfRobot
-        Quarter turns and zeros that the file rounds are exact (see `placement`).
-
-    Raises
-    ------
-    ConfigError
-        Where the URDF is inconsistent, or `names` is not a serial chain in this order.
+    `names`: movable joints of the URDF, in the order of the robot file. `source`: the robot file,
+    for messages. Returns: quarter turns and zeros that the file rounds are exact (see `placement`).
+    Raises ConfigError: where the URDF is inconsistent, or `names` is not a serial chain in this
+    order.
     """
     model = _reduced(_parsed(urdf), names)
     _check_chain(model, names, urdf, source)
@@ -59,7 +37,7 @@ def chain_from_urdf(urdf: UrdfText, names: tuple[str, ...], source: Path) -> Urd
         axis=np.array([tidy_axis(axis) for axis in axes]),
         prismatic=prismatic,
     )
-    return UrdfRobot(chain=chain, nominal=nominal if urdf.has_inertia else None)
+    return chain, nominal if urdf.has_inertia else None
 
 
 def _parsed(urdf: UrdfText) -> pin.Model:
@@ -115,11 +93,9 @@ def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, sourc
         before = children[0]
         order.append(before)
     if tuple(order) != names:
-        raise ConfigError(
-            f"the [[joint]] tables are not in chain order: {', '.join(names)}",
-            where=str(source),
-            hint=f"The order in {urdf.path.name} is: {', '.join(order)}.",
-        )
+        message = f"the [[joint]] tables are not in chain order: {', '.join(names)}"
+        hint = f"The order in {urdf.path.name} is: {', '.join(order)}."
+        raise ConfigError(message, where=str(source), hint=hint)
 
 
 def _axes(model: pin.Model) -> tuple[list[Array], np.ndarray[tuple[int], np.dtype[np.bool_]]]:

@@ -3,8 +3,6 @@
 Meshes, visuals and transmissions play no part in the dynamics and are neither read nor required.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,14 +37,14 @@ class UrdfText:
 def read_urdf_text(path: Path) -> UrdfText:
     """Read a URDF and check that it is one.
 
-    Raises
-    ------
-    ConfigError
-        Where the file is missing, is a xacro file, is not well-formed XML or not a URDF.
+    Raises ConfigError: where the file is missing, is a xacro file, is not well-formed XML or not a
+    URDF.
     """
     raw = read_limited(path, "URDF", SIZE_LIMIT)
     where = str(path)
-    if path.suffix == ".xacro" or re.search(rb"<\s*xacro:", _uncommented(raw)):
+    if path.suffix == ".xacro" or re.search(
+        rb"<\s*xacro:", re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
+    ):
         raise ConfigError("this is a xacro file, not a URDF", where=where, hint=XACRO_HINT)
     if re.search(rb"<!\s*(DOCTYPE|ENTITY)", raw, re.IGNORECASE):
         raise ConfigError(
@@ -57,17 +55,10 @@ def read_urdf_text(path: Path) -> UrdfText:
     except (ElementTree.ParseError, ValueError, LookupError) as problem:
         raise ConfigError(f"not well-formed XML: {problem}", where=where) from None
     if root.tag != "robot":
-        raise ConfigError(
-            f"not a URDF: its outermost element is <{root.tag}>, not <robot>",
-            where=where,
-            hint="SDF and MJCF files have to be converted to URDF.",
-        )
+        message = f"not a URDF: its outermost element is <{root.tag}>, not <robot>"
+        hint = "SDF and MJCF files have to be converted to URDF."
+        raise ConfigError(message, where=where, hint=hint)
     return _collected(path, raw, root)
-
-
-def _uncommented(raw: bytes) -> bytes:
-    """Leave out comments, in which xacro leaves its source."""
-    return re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
 
 
 def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
@@ -119,20 +110,14 @@ def _numbers(text: str) -> list[float]:
 def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:
     """Check that the robot file's joints `names` are movable joints of the URDF.
 
-    Raises
-    ------
-    ConfigError
-        Naming `source`, the key, the joint, and what the URDF has instead.
+    Raises ConfigError: naming `source`, the key, the joint, and what the URDF has instead.
     """
     for k, name in enumerate(names):
         key, where = f"joint[{k}].name", str(source)
         known = f"Movable joints of {urdf.path.name}: {', '.join(urdf.movable) or 'none'}."
         if name not in urdf.types:
-            raise ConfigError(
-                f"{key} {name!r} is no joint of {urdf.path.name}",
-                where=where,
-                hint=f"{nearest(name, urdf.movable)}{known}",
-            )
+            message = f"{key} {name!r} is no joint of {urdf.path.name}"
+            raise ConfigError(message, where=where, hint=f"{nearest(name, urdf.movable)}{known}")
         if urdf.types[name] not in MOVABLE:
             raise ConfigError(
                 f"{key} {name!r} is a {urdf.types[name] or 'typeless'} joint in {urdf.path.name}",

@@ -17,7 +17,7 @@ from seqid_cli.identify.prediction.predict import LogPrediction, predict
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
-from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, ImuStage, Parameter, RigidStage, Stages
@@ -78,7 +78,9 @@ class Rig:
     def _read(self, stage: str) -> list[Recording]:
         if stage in self._recordings or not (self.folder / stage).exists():
             return self._recordings.get(stage, [])
-        return list(read_recordings(sorted((self.folder / stage).iterdir()), self.robot))
+        return [
+            read_recording(path, self.robot) for path in sorted((self.folder / stage).iterdir())
+        ]
 
     @cached_property
     def friction(self) -> FrictionStage:

@@ -14,7 +14,7 @@ from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.checks.echo import WARNING
-from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
@@ -50,8 +50,8 @@ def diagnosed(
     folder = folder_of(name)
     robot = load_robot(folder / "robot.toml")
     motion = MotionOptions(cutoff_hz=cutoff_hz)
-    given = list(read_recordings([folder / log for log in logs], robot))
-    train = list(read_recordings([folder / log for log in fitted], robot)) or given
+    given = [read_recording(folder / log, robot) for log in logs]
+    train = [read_recording(folder / log, robot) for log in fitted] or given
     friction, inertia = identify_simultaneous(train, robot, options=motion, offset=True)
     options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
     return diagnose(given, robot, Stages(friction=friction, inertia=inertia), options=options)
@@ -113,7 +113,7 @@ def test_ripple_of_a_harmonic_drive() -> None:
 def test_echoes_of_the_pendulum_and_no_others() -> None:
     folder = folder_of(PENDULUM)
     robot = load_robot(folder / "robot.toml")
-    recordings = list(read_recordings(expand([str(folder)]), robot))
+    recordings = [read_recording(path, robot) for path in expand([str(folder)])]
     assert len(recordings) == 10
     told = {r.path.name for r in recordings if any(WARNING in w for w in r.health.warnings)}
     assert told == ECHOES
@@ -130,12 +130,12 @@ def test_diagnosis_of_an_echo_is_refused() -> None:
 def test_torque_of_other_robots_is_no_echo(name: str) -> None:
     folder = folder_of(name)
     robot = load_robot(folder / "robot.toml")
-    for recording in read_recordings(expand([str(folder)]), robot):
+    for recording in (read_recording(path, robot) for path in expand([str(folder)])):
         assert not [w for w in recording.health.warnings if WARNING in w], recording.path.name
 
 
 @pytest.mark.parametrize("name", ["one_joint", "two_joint", "six_joint"])
 def test_torque_of_the_sample_logs_is_no_echo(name: str) -> None:
     robot = sample_robot(name)
-    for recording in read_recordings(expand([str(SAMPLES / name)]), robot):
+    for recording in (read_recording(path, robot) for path in expand([str(SAMPLES / name)])):
         assert not [w for w in recording.health.warnings if WARNING in w], recording.path.name

@@ -22,7 +22,7 @@ from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
-from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, Stages
@@ -42,7 +42,7 @@ def robot() -> Robot:
 
 @cache
 def log(name: str) -> Recording:
-    return next(iter(read_recordings([SAMPLES / name], robot())))
+    return read_recording(SAMPLES / name, robot())
 
 
 def sprung(recording: Recording) -> Recording:

@@ -12,7 +12,7 @@ import pytest
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
-from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
@@ -56,7 +56,7 @@ def test_the_inertia_is_that_of_the_whole_log(tmp_path: Path, rate_hz: float) ->
     found = []
     for lost in (0, round(0.03 * rate_hz)):
         log = write_log(tmp_path / f"{lost}.parquet", rate_hz, lost, seed=4)
-        logs = read_recordings([log], robot)
+        logs = [read_recording(log, robot)]
         _, inertia = identify_simultaneous(logs, robot, options=MotionOptions())
         found.append(inertia)
     whole, lossy = (stage.parameters[-1] for stage in found)
@@ -75,8 +75,11 @@ def test_a_recorded_arm_with_lost_samples(joint: int, reached: float) -> None:
     robot = load_robot(DATA / f"joint_{joint}_robot.toml")
     train, holdout = ([DATA / f"joint_{joint}_{part}.parquet"] for part in ("train", "holdout"))
     options = InertiaOptions()
-    found = identify_simultaneous(read_recordings(train, robot), robot, options=options.motion)
+    found = identify_simultaneous(
+        [read_recording(path, robot) for path in train], robot, options=options.motion
+    )
     stages = Stages(friction=found[0], inertia=found[1])
-    logs = list(predict(read_recordings(holdout, robot), robot, stages, options=options))
+    held_out = [read_recording(path, robot) for path in holdout]
+    logs = predict(held_out, robot, stages, options=options)
     errors = [(log.tau - log.predicted)[log.used & log.sliding[:, 0], 0] for log in logs]
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) <= reached

@@ -8,7 +8,7 @@ import pytest
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
-from seqid_cli.logs.read import read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
@@ -53,9 +53,9 @@ def test_a_held_out_log_is_predicted_as_well_as_elsewhere(
         pytest.skip("recorded data are not beside the project")
     robot = load_robot(home / "robot.toml")
     options = InertiaOptions(motion=MotionOptions(None if own_cutoff else cutoff_hz))
-    logs = read_recordings([home / f"{name}.parquet" for name in train], robot)
+    logs = [read_recording(home / f"{name}.parquet", robot) for name in train]
     friction, inertia = identify_simultaneous(logs, robot, options=options.motion)
     stages = Stages(friction=friction, inertia=inertia)
-    held_out = read_recordings([home / f"{holdout}.parquet"], robot)
+    held_out = [read_recording(home / f"{holdout}.parquet", robot)]
     error = rmse(list(predict(held_out, robot, stages, options=options)))
     assert (np.round(error, 2) <= reached).all(), error

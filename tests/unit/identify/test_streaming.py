@@ -12,6 +12,7 @@ from seqid_cli.__main__ import main
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import streaming
+from seqid_cli.identify.rigid import inertia_equations
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
@@ -78,7 +79,7 @@ def test_the_parameters_are_those_of_the_held_log(
     folder: Path, robot: Robot, held: RigidStage, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(blocks, "LEAST_BLOCK", least)
-    monkeypatch.setattr(streaming, "LEAST_CHUNKS", 1)
+    monkeypatch.setattr(inertia_equations, "LEAST_CHUNKS", 1)
     log = surveyed(folder / "log.parquet", robot)
     same(identify_inertia([log], robot, known_friction(), options=OPTIONS), held)
 
@@ -114,9 +115,9 @@ def test_the_command_passes_over_long_logs(
     given = with_stage(None, robot_id(robot), [], friction=friction, gravity=nothing)
     write_json_atomic(tmp_path / "gravity.json", given)
     passed: list[Path] = []
-    pass_over = streaming.pass_over
+    pass_over = inertia_equations.pass_over
 
-    def spy(log: SurveyedLog, equations: streaming.Equations) -> object:
+    def spy(log: SurveyedLog, equations: inertia_equations.InertiaEquations) -> object:
         passed.extend([log.path] if isinstance(log, SurveyedLog) else [])
         return pass_over(log, equations)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from seqid_cli.inspect.findings.codes import CODES
+from seqid_cli.inspect.findings import ERRORS
 from tests.unit.inspect.faults import FAULTS, Fault, groups
 from tests.unit.inspect.rig import inspect_planted
 
@@ -25,8 +25,8 @@ def test_a_planted_fault_is_found_and_nothing_else(
             assert [finding.channel for finding in mine] == [fault.channel]
     if len(faults) > 1 or faults[0].channel is not None:  # one channel each, so one finding each
         assert len(report.findings) == len(faults), found
-    severities = {CODES[fault.code].severity for fault in faults}
-    assert report.verdict == ("faulty" if "error" in severities else "usable")
+    faulty = any(fault.code in ERRORS for fault in faults)
+    assert report.verdict == ("faulty" if faulty else "usable")
     assert all(finding.remedy and finding.message for finding in report.findings)
 
 

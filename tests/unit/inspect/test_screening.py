@@ -69,10 +69,10 @@ def test_a_log_that_is_passed_over_is_told_the_same(
     path = planted(tmp_path, *plants)
     opened = open_if_long(path, robot, least=1)
     assert opened is not None
-    found = screened_long(opened, robot)
-    assert {finding.code for finding in found.findings} == codes
+    log, findings = screened_long(opened, robot)
+    assert {finding.code for finding in findings} == codes
     assert {finding.code for finding in read_screened(path, robot).findings} == codes
-    q = np.concatenate([block.q for block in found.log.blocks()])
+    q = np.concatenate([block.q for block in log.blocks()])
     assert np.abs(q - read_recording(LOG, robot).q).max() < 0.06
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs import long as module
-from seqid_cli.logs.long import Block, LongLog, open_long, rows_at_least
+from seqid_cli.logs.long import Block, LongLog, likely_rows, open_long
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.storage import spool
@@ -112,11 +112,11 @@ def test_how_long_a_log_is_without_reading_it(tmp_path: Path) -> None:
         tmp_path / "log.mcap", t, JOINTS, curve(t, 3), encoding="cdr", effort=curve(t, 3)
     )
     for path in (table, bag):
-        assert rows_at_least(path, SAMPLES)
-        assert not rows_at_least(path, SAMPLES + 1)
+        assert likely_rows(path) >= SAMPLES
+        assert likely_rows(path) < SAMPLES + 1
     table.write_bytes(table.read_bytes()[:-5] + b"xxxxx")
     with pytest.raises(InputError, match=r"log\.parquet"):
-        rows_at_least(table, 1)
+        likely_rows(table)
 
 
 @pytest.mark.parametrize("even", [True, False])

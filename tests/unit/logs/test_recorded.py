@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.logs.read import read_recording, read_recordings
+from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.types import Channels, Robot
 from tests import ROOT
@@ -46,7 +46,7 @@ def test_every_log_is_read(name: str) -> None:
     robot = ROBOTS[name]
     paths = expand([str(DATA / name)])
     assert paths
-    for recording in read_recordings(paths, robot):
+    for recording in (read_recording(path, robot) for path in paths):
         table = pq.read_table(recording.path)
         t, q = table.column("t").to_numpy(), table.column("q_1").to_numpy()
         start, length = t[0], t[-1] - t[0]

@@ -6,7 +6,6 @@ import jsonschema
 import pytest
 
 from seqid_cli.params.encode import encode
-from seqid_cli.params.generate import DOCUMENTS, json_schema, schema_path
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.schema import SCHEMA
 from tests.unit.params.documents import (
@@ -15,8 +14,9 @@ from tests.unit.params.documents import (
     full_file,
     gravity_file,
 )
+from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
 
-REMEDY = "run python -m seqid_cli.params.generate"
+REMEDY = "run python -m tests.unit.params.generate"
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)

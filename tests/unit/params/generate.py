@@ -1,6 +1,4 @@
-"""JSON Schemas of the documents, made from their types: `python -m seqid_cli.params.generate`."""
-
-from __future__ import annotations
+"""JSON Schemas of the documents, made from their types: `python -m tests.unit.params.generate`."""
 
 import json
 from collections.abc import Mapping
@@ -16,8 +14,9 @@ from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
 from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
+from tests import ROOT
 
-SCHEMA_FOLDER = Path(__file__).parent / "schemas"
+SCHEMA_FOLDER = ROOT / "seqid_cli" / "params" / "schemas"
 DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     SCHEMA: ParameterFile,
     PREDICTION_SCHEMA: PredictionFile,

@@ -1,1 +1,0 @@
-"""Codes of findings with their remedies, and findings made of them."""

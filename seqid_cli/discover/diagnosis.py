@@ -34,7 +34,7 @@ from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.survey.events import GATE, Interval
+from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
@@ -146,8 +146,7 @@ def _contact(found: Investigation, robot: Robot) -> FindingEntry:
     energies = _event_energies(found)
     inside = sum(energies)
     gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
-    ratio = max(event.score for event in found.events) / GATE
-    confidence = (1.0 - 0.5**ratio**2) * _apart(found, energies)
+    confidence = max(event.certainty for event in found.events) * _apart(found, energies)
     return FindingEntry(
         effect=effect.name,
         joint=None,

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
@@ -20,9 +19,9 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.discover.select.naming import TOLD
-from seqid_cli.discover.select.results import Options, Selected
+from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select, select_again
-from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
+from seqid_cli.discover.survey.events import Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
@@ -31,10 +30,8 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
-BESIDE = 0.5  # of what effects show in an interval: less may be the error of their shape
 LAW = 0.02  # of the swing of the model's torque: less may be the error of any of its laws
 AROUND_S = 0.5
-STANDS_OUT = 1.5  # times the gate, that the strongest event must reach for any to be believed
 
 
 @dataclass(frozen=True)
@@ -69,11 +66,10 @@ def investigate(
     options: DiscoverOptions,
     *,
     least: float = TOLD,
-    selection: Options | None = None,
 ) -> Investigation:
     """Select what a model lacks, and find events in what is left.
 
-    What is less likely than `least` is not told; `selection` says what decides.
+    What is less likely than `least` is not told.
 
     Raises
     ------
@@ -83,7 +79,7 @@ def investigate(
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)
-    found = select(_ground(rows, stages), selection)
+    found = select(_ground(rows, stages))
     step("looking for events", 8, 10)
     events = events_of(found.model)
     gone = [
@@ -123,18 +119,13 @@ def guessed(model: Model) -> list[Mask]:
 
 
 def events_of(model: Model) -> list[Interval]:
-    """Stretches that stand out in what the model leaves; none unless one does so clearly."""
-    rows = model.ground.stage.rows
-    each = list(zip(rows.scenes, model.left(), model.shown(), strict=True))
-
-    def of_model(event: Interval) -> bool:
-        """Whether it may be an error of the model's laws."""
-        scene, left, shown = each[event.scene]
-        return of_law(event, scene, left) or of_shape(model, event, scene, left, shown)
-
-    events = [event for event in find_events(rows, model.scaled()) if not of_model(event)]
-    strongest = max((event.score for event in events), default=0.0)
-    return events if strongest >= STANDS_OUT * GATE else []
+    """Stretches that stand out in what the model leaves, and are no errors of its laws."""
+    rows, left = model.ground.stage.rows, model.left()
+    return [
+        event
+        for event in find_events(rows, model.scaled())
+        if not of_law(event, rows.scenes[event.scene], left[event.scene])
+    ]
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
@@ -143,22 +134,3 @@ def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     joints = list(event.joints)
     left = np.sqrt(np.mean(residual[inside][:, joints] ** 2, axis=0))
     return bool(np.all(left < LAW * np.ptp(scene.modelled[around][:, joints], axis=0)))
-
-
-def of_shape(model: Model, event: Interval, scene: Scene, residual: Array, shown: Array) -> bool:
-    """Whether an event's residual is small beside its log's effects around it, (N, n) N m each.
-
-    A push is nothing beside which an effect that the logs show all along is large. What the effect
-    shows is looked at a little around the event too, where it shows most in as short a time, and
-    how far it swings there: shapes are wrong where effects change sign.
-    """
-    if not model.terms:
-        return False
-    inside, around = event.inside(scene), event.inside(scene, AROUND_S)
-    joints = list(event.joints)
-    sigma = model.noise.sigma[joints]
-    left = residual[inside][:, joints] / sigma
-    torque = shown[around][:, joints] / sigma
-    strongest = float(np.max(uniform_filter1d(np.mean(torque**2, axis=1), int(inside.sum()))))
-    swing = float(np.mean(np.ptp(torque[inside[around]], axis=0) ** 2))
-    return bool(np.mean(left**2) < BESIDE**2 * max(strongest, swing))

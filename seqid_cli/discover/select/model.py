@@ -174,12 +174,6 @@ class Model:
         return best, most
 
     @property
-    def freed(self) -> int:
-        """Parameters of friction that is not held as the file says."""
-        friction, hold = self.ground.base.friction, self.hold
-        return sum(int(X.shape[1]) for j, X in enumerate(friction) if hold.of(j) > 1.0)
-
-    @property
     def offsets(self) -> list[float]:
         """Time [s] by which each joint's torque is early against its position."""
         n = self.ground.n

@@ -1,10 +1,9 @@
 """Forward and backward selection of what a model lacks.
 
-A term is taken if it predicts blocks of time that were left out better than the model without it:
-surely over drawn blocks, and by so much of their squared error that it matters. Of
-terms that do so equally well, the one of the fewest parameters is taken, and of these the one of
-the largest evidence; smooth functions have many. What does not hold beside terms that came later is
-taken back.
+A term is taken if it surely predicts blocks of time that were left out better than the model
+without it. Of terms that do so equally well, the one of the fewest parameters is taken, and of
+these the one of the largest evidence; smooth functions have many. What does not hold beside terms
+that came later is taken back.
 
 The base is held to the file in one of two ways to begin with: as the file says, or loosely, as
 files need it that have taken up an effect. Of each finished model the evidence says how loosely the
@@ -23,6 +22,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
 from seqid_cli.discover.select.linear import Linear
@@ -42,8 +42,6 @@ LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
 CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
 SMOOTH_SHORTLIST = 3  # smooth functions per joint
-BEHIND = 2.0  # standard errors, by which a term is clearly behind the best
-UNDECIDED = 3.0  # log evidence, by which a model is no better for certain
 
 
 def select(
@@ -74,15 +72,11 @@ def select(
 
 
 def _best_of_all(every: Sequence[Selection]) -> Selection:
-    """The selection of the best model, all under the noise of the one that leaves least.
-
-    Of models that the evidence does not tell apart the one whose terms have the fewest parameters.
-    """
+    """The selection of the best model, all under the noise of the one that leaves least."""
     joints = every[0].model.ground.n
     least = min((one.model.noise for one in every), key=lambda noise: noise.level(joints))
     worth = [one.worth(least) for one in every]
-    near = [k for k, value in enumerate(worth) if value >= max(worth) - UNDECIDED]
-    number = min(near, key=lambda k: (every[k].freedom, -worth[k]))
+    number = int(np.argmax(worth))
     best, behind = every[number], (worth[number] - value for value in worth)
     best.others = [(max(b, 0.0), tuple(x.model.terms)) for b, x in zip(behind, every, strict=True)]
     return best
@@ -121,11 +115,6 @@ class Selection:
         self._tried: list[Ranked] = []
         self._tied: dict[Key, list[Term]] = {}
         self.others: list[tuple[float, tuple[Term, ...]]] = []
-
-    @property
-    def freedom(self) -> int:
-        """Parameters of all terms, and of friction that is not held."""
-        return sum(term.freedom for term in self.model.terms) + self.model.freed
 
     def worth(self, noise: Noise) -> float:
         """Evidence under a noise, less what simpler models are granted.
@@ -206,13 +195,13 @@ class Selection:
     def _passes(self, one: Ranked) -> bool:
         """Whether a term is worth it."""
         options, told = self.options, one.predicted
-        sure = one.gained.evidence > options.chance and told.doubt < options.doubt
-        return sure and told.share > options.improvement
+        return one.gained.evidence > options.chance and told.doubt < options.doubt
 
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, behind = self.options, best.predicted.density - one.predicted.density
-        least = max(BEHIND * scatter(behind), options.tie * best.predicted.total, 1.0)
+        chance = float(norm.isf(options.doubt)) * scatter(behind)
+        least = max(chance, options.tie * best.predicted.total, 1.0)
         less = best.predicted.total - one.predicted.total
         return bool(one.term.channels & best.term.channels) and less <= least
 

@@ -61,6 +61,11 @@ class Interval:
     joints: tuple[int, ...]
     score: float
 
+    @property
+    def certainty(self) -> float:
+        """How sure it is that no noise made it, by its score alone: a half at the gate."""
+        return float(1.0 - 0.5 ** (self.score / GATE) ** 2)
+
     def inside(self, scene: Scene, margin: float = 0.0) -> Mask:
         """Samples (N,) between its start and its end, and so many seconds more."""
         t = scene.motion.t - scene.motion.t[0]

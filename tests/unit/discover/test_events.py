@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.discover.investigate import STANDS_OUT
+from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.survey.events import (
-    GATE,
     find_events,
 )
 from seqid_cli.discover.survey.rows import Rows, rows_of
@@ -121,7 +120,7 @@ def narrow(scene: Scene) -> Array:
 def test_what_recurs_is_no_event(many_rows: list[Rows], law: Callable[[Scene], Array]) -> None:
     for seed, rows in enumerate(many_rows):
         found = find_events(rows, scaled_residual(rows, seed, at_second(law)))
-        assert max((one.score for one in found), default=0.0) < STANDS_OUT * GATE
+        assert all(one.certainty < TOLD for one in found)
 
 
 def test_pushes_all_the_time_are_not_events(many_rows: list[Rows]) -> None:

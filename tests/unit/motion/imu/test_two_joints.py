@@ -12,7 +12,7 @@ from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.imu.link_acceleration import LinkReading, _solve
 from seqid_cli.motion.motion import Motion
-from seqid_cli.robot.kinematics import AngularMotion, link_angular_motion, rotation_between
+from seqid_cli.robot.kinematics import AngularMotion, forward, link_angular_motion
 from seqid_cli.robot.types import Chain, Imu, Joint, Robot
 from seqid_cli.typing import Array
 from tests.plants.robots.small import random_model
@@ -65,7 +65,8 @@ def scene(request: pytest.FixtureRequest) -> Scene:
         dq[:, j] = 3 * rng.standard_normal(SAMPLES)
         ddq[:, j] = 20 * rng.standard_normal(SAMPLES)
     motions = [link_angular_motion(chain, q, dq, ddq, link) for link in (M, L)]
-    R_lm = rotation_between(chain, q, L, M)
+    R = forward(chain, q).R
+    R_lm = R[:, L].transpose(0, 2, 1) @ R[:, M]  # Eq. 27-28
     return Scene(robot_of(chain), q, dq, ddq, motions[0], motions[1], R_lm)
 
 

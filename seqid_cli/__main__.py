@@ -38,7 +38,7 @@ def _prepare_process() -> None:
     from seqid_cli.commands.signals import answer_signals
 
     answer_signals()  # first: from here on an interrupt is answered
-    from seqid_cli.commands.streams import prepare_streams
+    from seqid_cli.commands.screen.streams import prepare_streams
 
     prepare_streams()
 

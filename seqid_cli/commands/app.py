@@ -17,12 +17,12 @@ from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
 from seqid_cli.commands.options import screen_options
-from seqid_cli.commands.streams import cannot_be_written, give_up_output
-from seqid_cli.commands.visible import visible
+from seqid_cli.commands.screen.streams import cannot_be_written, give_up_output
+from seqid_cli.commands.screen.visible import visible
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
 if TYPE_CHECKING:
-    from seqid_cli.commands.render import Screen
+    from seqid_cli.commands.screen.render import Screen
 
 EXIT_BUG = 70
 _NO_ROOM = ("cannot allocate memory", "failed to map segment")

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
-from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
 
 EXAMPLES = (

@@ -18,10 +18,10 @@ from seqid_cli.commands.options import (
     RobotPath,
     Strict,
 )
-from seqid_cli.commands.render import Screen, screen_of
-from seqid_cli.commands.show_diagnosis import show_diagnosis
-from seqid_cli.commands.show_explained import show_explained
-from seqid_cli.commands.show_motion import show_motion
+from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.commands.screen.show_diagnosis import show_diagnosis
+from seqid_cli.commands.screen.show_explained import show_explained
+from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.errors import UsageError
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 

@@ -9,7 +9,7 @@ import typer
 
 from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import RobotPath, Strict
-from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
 from seqid_cli.export.formats import FORMATS
 from seqid_cli.params.results.export import ExportFile
 

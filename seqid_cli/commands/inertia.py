@@ -20,7 +20,7 @@ from seqid_cli.commands.options import (
     SkipFailed,
     Strict,
 )
-from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (

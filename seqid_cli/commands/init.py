@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands.options import Logs
-from seqid_cli.commands.render import screen_of
+from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic

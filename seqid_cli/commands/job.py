@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from seqid_cli.commands.progress import ProgressLine
-from seqid_cli.commands.render import Screen
+from seqid_cli.commands.screen.progress import ProgressLine
+from seqid_cli.commands.screen.render import Screen
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
 from seqid_cli.params.schema import Verdict
 from seqid_cli.working import heard_by

@@ -19,8 +19,8 @@ from seqid_cli.commands.options import (
     Strict,
     positive,
 )
-from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.commands.show import show_poor, verdict_text
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.show import show_poor, verdict_text
 from seqid_cli.params.results.payload import Measured, PayloadFile
 
 EXAMPLES = (

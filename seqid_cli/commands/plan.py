@@ -10,7 +10,7 @@ import typer
 
 from seqid_cli.commands.job import any_poor, exit_code, listening
 from seqid_cli.commands.options import Output, RobotPath, Strict, positive
-from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
 from seqid_cli.plan.options import PlanOptions, What
 

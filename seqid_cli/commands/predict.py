@@ -22,9 +22,9 @@ from seqid_cli.commands.options import (
     SkipFailed,
     Strict,
 )
-from seqid_cli.commands.render import Screen, number, percent, screen_of
-from seqid_cli.commands.show import verdict_text
-from seqid_cli.commands.show_motion import show_motion
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.show import verdict_text
+from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.params.results.prediction import PredictionFile
 
 EXAMPLES = (

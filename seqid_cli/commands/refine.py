@@ -17,9 +17,9 @@ from seqid_cli.commands.options import (
     RobotPath,
     Strict,
 )
-from seqid_cli.commands.render import screen_of
-from seqid_cli.commands.show_motion import show_motion
-from seqid_cli.commands.show_refinement import show_refinement
+from seqid_cli.commands.screen.render import screen_of
+from seqid_cli.commands.screen.show_motion import show_motion
+from seqid_cli.commands.screen.show_refinement import show_refinement
 
 EXAMPLES = (
     "seqid refine sample_logs/six_joint/changed/fourier.parquet"

@@ -9,7 +9,7 @@ import typer
 
 from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import Strict
-from seqid_cli.commands.render import Screen, screen_of
+from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.params.files import By
 from seqid_cli.params.results.report import TITLES, ReportFile
 

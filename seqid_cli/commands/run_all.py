@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from seqid_cli.commands.options import Jobs, RobotPath
-from seqid_cli.commands.render import Screen, screen_of
+from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.errors import InputError, UsageError
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from seqid_cli.commands.job import Told, any_poor, tell_output, tell_remedies
-from seqid_cli.commands.show import show_stages
+from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.params.schema import ParameterFile, Stages
 
 

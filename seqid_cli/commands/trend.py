@@ -10,7 +10,7 @@ import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
 from seqid_cli.commands.options import Output
-from seqid_cli.commands.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
 from seqid_cli.params.files import By
 from seqid_cli.params.results.trend import ChangeEntry, TrendFile
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli import identify
-from seqid_cli.commands.layout import format_table
+from seqid_cli.commands.screen.layout import format_table
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.scale.executors import cores, processes

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from seqid_cli.commands.chart import text_chart
-from seqid_cli.commands.render import Screen, limits, number, percent
-from seqid_cli.commands.show import show_poor
+from seqid_cli.commands.screen.chart import text_chart
+from seqid_cli.commands.screen.render import Screen, limits, number, percent
+from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results.diagnosis import (

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from statistics import median
 
-from seqid_cli.commands.render import Screen, number
+from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.params.schema import MotionUse
 
 

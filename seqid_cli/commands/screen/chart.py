@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from seqid_cli.commands.render import number
+from seqid_cli.commands.screen.render import number
 
 _COLUMNS = 56
 _ROWS = 7

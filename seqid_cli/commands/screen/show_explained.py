@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from seqid_cli.commands.render import Screen, limits, number, percent
-from seqid_cli.commands.show import show_poor
-from seqid_cli.commands.show_diagnosis import (
+from seqid_cli.commands.screen.render import Screen, limits, number, percent
+from seqid_cli.commands.screen.show import show_poor
+from seqid_cli.commands.screen.show_diagnosis import (
     effect_at,
     parameters_text,
     quantities_text,

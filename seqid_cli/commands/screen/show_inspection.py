@@ -8,7 +8,7 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
-from seqid_cli.commands.render import Screen, number, percent
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results.inspection import (
     InspectedLog,
     InspectionFile,

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TextIO
 
-from seqid_cli.commands.layout import shortened
+from seqid_cli.commands.screen.layout import shortened
 
 _PATIENCE_S, _TICK_S = 0.5, 0.5
 _CELLS, _TEXT = 16, 30

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from seqid_cli.commands.render import Screen, number
-from seqid_cli.commands.show_motion import show_motion
+from seqid_cli.commands.screen.render import Screen, number
+from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.params.schema import FrictionStage, ImuStage, RigidStage, Stages, Verdict
 
 

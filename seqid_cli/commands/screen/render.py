@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 import typer
 
 from seqid_cli import shares
-from seqid_cli.commands.layout import Row, folded, format_table, width_of
 from seqid_cli.commands.options import screen_flag
-from seqid_cli.commands.visible import visible, visible_cell
+from seqid_cli.commands.screen.layout import Row, folded, format_table, width_of
+from seqid_cli.commands.screen.visible import visible, visible_cell
 from seqid_cli.params.encode import encode
 
 

@@ -1,0 +1,1 @@
+"""What the commands print: tables, charts, progress, and text that no terminal can mistake."""

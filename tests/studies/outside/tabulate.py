@@ -53,7 +53,8 @@ def asked_table(rows: Sequence[Row]) -> str:
     found = [[label(row, k) for k in range(len(row["kinds"]))] for row in well]
     alone = [own[0] for own in found if len(own) == 1]
     visible = [x in NAMED for x in alone if x != "little left"]
-    pairs = [[x in NAMED for x in own] for own in found if len(own) == 2]
+    pairs = [own for own in found if len(own) == 2]
+    both = [own for own in pairs if "little left" not in own]
     loud = [
         any(f["confidence"] > LOUD and finding_is(row, f) == "wrong" for f in row["findings"])
         for row in well
@@ -62,8 +63,9 @@ def asked_table(rows: Sequence[Row]) -> str:
         ("clean arm: nothing told", [silent(row) for row in well if not row["kinds"]]),
         ("one effect that shows: its name, or told as like it", visible),
         ("one effect, whether or not it shows", [x in NAMED for x in alone]),
-        ("two effects: both", [all(own) for own in pairs]),
-        ("two effects: at least one", [any(own) for own in pairs]),
+        ("two effects that both show: both", [set(own) <= set(NAMED) for own in both]),
+        ("two effects that both show: at least one", [bool({*NAMED} & {*own}) for own in both]),
+        ("two effects, whether or not they show: both", [set(own) <= set(NAMED) for own in pairs]),
         (f"a wrong name above {LOUD:g}", loud),
     ]
     lines = [[what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked]

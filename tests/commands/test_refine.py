@@ -149,9 +149,8 @@ def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.Monke
     read = reader.read_screened
 
     def digested(path: Path, robot: Robot, *, time_source: str, imus: bool) -> Screened:
-        found = read(path, robot, time_source=time_source, imus=imus)
-        digest = sha256(path.read_bytes())
-        return replace(found, recording=replace(found.recording, sha256=digest))
+        recording, findings = read(path, robot, time_source=time_source, imus=imus)
+        return replace(recording, sha256=sha256(path.read_bytes())), findings
 
     monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", digested)
     for number, name in enumerate(("a.parquet", "b.parquet", "c.parquet", "d.parquet")):

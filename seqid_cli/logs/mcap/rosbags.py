@@ -205,7 +205,7 @@ def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[_Message]:
         yield connection.id, time_ns, data
 
 
-def _as_declared(values: object, kind: object) -> None:
+def _as_declared(values: object, kind: Any) -> None:
     """Raise where SQLite, whose columns hold values of any type, holds one of another type."""
     msgspec.convert(values, kind, builtin_types=(bytes,))
 

@@ -98,8 +98,11 @@ def _check_numbers(root: ElementTree.Element, path: Path) -> None:
                 numbers = _numbers(part.attrib[key])
                 if len(numbers) != 3 or not all(abs(number) <= LARGEST for number in numbers):
                     name = f"{owner.tag} {owner.get('name')!r}"
-                    message = f"{name} has {key}={part.attrib[key]!r}, not three finite numbers"
-                    hint = f"Write three numbers of at most {LARGEST:g}."
+                    message = (
+                        f"{name} has {key}={part.attrib[key]!r}, which is not three finite numbers "
+                        f"or goes beyond {LARGEST:g}"
+                    )
+                    hint = "Write three finite numbers."
                     raise ConfigError(message, where=where, hint=hint)
 
 

@@ -77,7 +77,7 @@ def made_by(way: Way, rig: Path, out: Path) -> dict[str, str]:
 def _told(path: Path, out: Path) -> str:
     """What a file says, apart from when it and the models that it used were made."""
     document = json.loads(path.read_text("utf-8").replace(str(out), ""))
-    document = {key: value for key, value in document.items() if key not in ("created", "models")}
+    document = {key: value for key, value in document.items() if key not in ("created", "parameters")}
     return json.dumps(document)
 
 

@@ -23,6 +23,7 @@ from tests.studies.tables import placed, table
 
 SAMPLES = ROOT / "sample_logs"
 PAGE = ROOT / "docs" / "trust.md"
+_OF_THE_RUN = ("created", "parameters")
 HEADER = ("robot", "what differs", "files", "bit-equal", "`compare`")
 
 
@@ -77,8 +78,7 @@ def made_by(way: Way, rig: Path, out: Path) -> dict[str, str]:
 def _told(path: Path, out: Path) -> str:
     """What a file says, apart from when it and the models that it used were made."""
     document = json.loads(path.read_text("utf-8").replace(str(out), ""))
-    document = {key: value for key, value in document.items() if key not in ("created", "parameters")}
-    return json.dumps(document)
+    return json.dumps({key: own for key, own in document.items() if key not in _OF_THE_RUN})
 
 
 def compared(way: Way, first: Path, second: Path) -> str:

@@ -28,7 +28,7 @@ def _run(argv: Sequence[str] | None) -> int:
     if arguments == ["--version"]:  # before Typer is imported: three times as fast
         return _version()
     # Small matrices: a second BLAS thread costs many times what it gains, and changes last digits.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     from seqid_cli.commands.app import run
 
     return run(arguments)

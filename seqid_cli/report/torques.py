@@ -163,8 +163,9 @@ def _float_columns(file: pq.ParquetFile, where: str) -> set[str]:
         field.name
         for field in schema
         if pa.types.is_floating(field.type) or pa.types.is_boolean(field.type)
+        if schema.names.count(field.name) == 1
     }
-    text = "log" in schema.names and _is_text(schema.field("log").type)
+    text = schema.names.count("log") == 1 and _is_text(schema.field("log").type)
     if "t" not in found or not text:
         has = ", ".join(schema.names[:8]) or "nothing"
         message = f"is no torque file: columns t (a number) and log (text) are needed, it has {has}"

@@ -16,6 +16,7 @@ from tests.studies.faults import COMMANDS, torment
         ("trend", 1),
         pytest.param("predict", 2, marks=pytest.mark.slow),
         pytest.param("predict, MCAP", 2, marks=pytest.mark.slow),
+        pytest.param("run", 8, marks=pytest.mark.slow),
     ],
 )
 def test_old_files_stay_whole(name: str, files: int, tmp_path: Path) -> None:

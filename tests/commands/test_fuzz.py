@@ -15,6 +15,10 @@ FOUND = sorted((Path(run.__file__).parent / "found").iterdir())
 KINDS = {  # the first word of a name in the folder, and the target
     "mcap": "MCAP, CDR",
     "parameters": "parameters",
+    "parquet": "Parquet",
+    "payload": "payload",
+    "plan": "plan",
+    "sqlite": "ROS 2 bag: SQLite",
     "torques": "torques",
     "trend": "trend",
     "urdf": "URDF",

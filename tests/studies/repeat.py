@@ -21,7 +21,9 @@ from pathlib import Path
 from tests import ROOT
 from tests.studies.tables import placed, table
 
+SAMPLES = ROOT / "sample_logs"
 PAGE = ROOT / "docs" / "trust.md"
+_OF_THE_RUN = ("created", "parameters")
 HEADER = ("robot", "what differs", "files", "bit-equal", "`compare`")
 
 
@@ -48,7 +50,7 @@ def lines(rig: Path, out: Path, way: Way) -> Iterator[list[str]]:
     """Command lines from the logs of a rig to prediction and diagnosis."""
     robot, before = ["-r", str(rig / "robot.toml")], list[str]()
     stages = ("friction", "gravity", "imu-calib", "inertia", "predict", "diagnose")
-    folders = ("friction", "gravity", "imu", "inertia", "validation", "changed")
+    folders = ("friction", "gravity", "imu", "inertia", "validation", "validation")
     for stage, folder in zip(stages, folders, strict=True):
         logs = sorted(map(str, (rig / folder).glob("*.*")), reverse=way.reverse)
         if not logs:
@@ -74,10 +76,9 @@ def made_by(way: Way, rig: Path, out: Path) -> dict[str, str]:
 
 
 def _told(path: Path, out: Path) -> str:
+    """What a file says, apart from when it and the models that it used were made."""
     document = json.loads(path.read_text("utf-8").replace(str(out), ""))
-    document.pop("created")
-    document["inputs"] = sorted(document["inputs"], key=lambda each: each["path"])
-    return json.dumps(document)
+    return json.dumps({key: own for key, own in document.items() if key not in _OF_THE_RUN})
 
 
 def compared(way: Way, first: Path, second: Path) -> str:
@@ -112,7 +113,7 @@ def main(arguments: Sequence[str]) -> int:
     cells: list[tuple[str, ...]] = []
     for rig in chosen.rigs:
         with tempfile.TemporaryDirectory() as work:
-            cells += rows(ROOT / "sample_logs" / rig, (*WAYS, *others), Path(work))
+            cells += rows(SAMPLES / rig, (*WAYS, *others), Path(work))
     text = table(HEADER, cells)
     sys.stdout.write(text + "\n")
     if chosen.write:

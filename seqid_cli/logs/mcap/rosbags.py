@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import zstandard
 from mcap.writer import CompressionType, Writer
 
@@ -51,6 +52,7 @@ class Topic:
     definition: str = ""
 
 
+_Columns = tuple[int, str, str, int]
 _Message = tuple[int, int, bytes]
 
 
@@ -167,6 +169,7 @@ def _rosbag2(path: Path) -> Iterator[_Bag]:
         topics = tuple(
             Topic(c.id, c.topic, c.msgtype, c.msgcount, _definition(c)) for c in reader.connections
         )
+        _as_declared([(t.number, t.name, t.kind, t.messages) for t in topics], list[_Columns])
         others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
         if others:
             raise ValueError(f"its serialization is {', '.join(sorted(others))}, not cdr")
@@ -196,9 +199,15 @@ def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[_Message]:
     """Unpack messages that were compressed one by one."""
     unpacker = zstandard.ZstdDecompressor()
     for connection, time_ns, data in messages:
+        _as_declared((connection.id, time_ns, data), _Message)
         if data[:4] == _ZSTD:
             data = unpacker.decompress(data, max_output_size=_MESSAGE_LIMIT)
         yield connection.id, time_ns, data
+
+
+def _as_declared(values: object, kind: Any) -> None:
+    """Raise where SQLite, whose columns hold values of any type, holds one of another type."""
+    msgspec.convert(values, kind, builtin_types=(bytes,))
 
 
 def _definition(connection: Any) -> str:

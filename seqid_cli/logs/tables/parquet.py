@@ -194,8 +194,8 @@ def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
     """Return the length of the first list of a column, 0 where none can hold joints."""
     if pa.types.is_fixed_size_list(kind):
         return int(kind.list_size) if kind.list_size <= _LONGEST else 0
-    if "." in name and name not in file.schema_arrow.names:
-        return 0  # a list inside a struct
+    if file.schema_arrow.names.count(name) != 1:
+        return 0  # a list inside a struct, or two columns of one name
     for batch in file.iter_batches(batch_size=1024, columns=[name]):
         given = batch.column(0).drop_null() if batch.num_columns else []
         if len(given):

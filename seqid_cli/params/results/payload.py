@@ -32,6 +32,11 @@ class CarriedBodyEntry(Struct, kw_only=True):
     inertia_std_errors: Matrix = []
     distance: float = 0.0
 
+    def __post_init__(self) -> None:
+        shapes = [[len(row) for row in each] for each in (self.inertia, self.inertia_std_errors)]
+        if len(self.center_of_mass) != 3 or shapes not in ([[], []], [[3, 3, 3]] * 2):
+            raise ValueError("a centre of mass has 3 numbers, an inertia 3 rows of 3")
+
     def numbers(self) -> Iterator[tuple[str, Measured]]:
         """Yield all numbers by name, the inertia's upper triangle row by row where it is known."""
         yield "mass", self.mass

@@ -1,10 +1,15 @@
 """The plan file, `seqid/plan@1`: which motions to record next and what errors they will give."""
 
+import math
+
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import RobotId, Tool, Verdict
 
 PLAN_SCHEMA = "seqid/plan@1"
+HARMONICS = 5  # of a Fourier motion
+SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
+SHORTEST_S = 0.01  # of a move: from its duration follows how finely it is drawn
 
 
 class JointLimits(Struct, kw_only=True):
@@ -19,6 +24,13 @@ class JointLimits(Struct, kw_only=True):
     torque: float | None
     moves: bool
 
+    def __post_init__(self) -> None:
+        if len(self.position) != 2 or self.position[0] > self.position[1]:
+            raise ValueError("position must be two numbers, the smaller one first")
+        width = self.position[1] - self.position[0]
+        if any(0.0 < abs(size) < SMALLEST for size in (width, self.speed, self.torque or 0.0)):
+            raise ValueError(f"a limit must be 0 or at least {SMALLEST}")
+
 
 class FourierMotion(Struct, kw_only=True):
     """How one joint moves: q(t) = centre + w(t) sum_k [sine[k] sin(k W t) + cosine[k] cos(k W t)].
@@ -31,6 +43,10 @@ class FourierMotion(Struct, kw_only=True):
     sine: list[float]
     cosine: list[float]
 
+    def __post_init__(self) -> None:
+        if not len(self.sine) == len(self.cosine) == HARMONICS:
+            raise ValueError(f"sine and cosine must have {HARMONICS} numbers each")
+
 
 class Stroke(Struct, kw_only=True):
     """One way of one joint at constant speed; ends are reached and left in cosine ramps."""
@@ -39,6 +55,16 @@ class Stroke(Struct, kw_only=True):
     end: float
     speed: float
     acceleration: float
+
+    def __post_init__(self) -> None:
+        if not min(self.speed, self.acceleration) >= SMALLEST:
+            raise ValueError("speed and acceleration must be positive")
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes, s."""
+        way = abs(self.end - self.start)
+        return way / self.speed + math.pi * self.speed / (2.0 * self.acceleration)
 
 
 class PlannedMove(Struct, kw_only=True):
@@ -60,6 +86,16 @@ class PlannedMove(Struct, kw_only=True):
     torque_share: float | None = None
     torque: dict[str, list[float]] = {}
     file: str = ""
+
+    def __post_init__(self) -> None:
+        shortest = max(SHORTEST_S, sum(stroke.seconds for stroke in self.strokes))
+        if not self.duration_s >= shortest:
+            raise ValueError(f"duration_s must be at least {shortest:.3g}")
+        if self.strokes and len(self.joints) != 1:
+            raise ValueError("strokes move one joint")
+        parts = {len(torque) for torque in self.torque.values()}
+        if len(parts) > 1 or 0 in parts:
+            raise ValueError("torque must have as many parts for each joint")
 
 
 class PredictedParameter(Struct, kw_only=True):
@@ -144,3 +180,9 @@ class PlanFile(Document, kw_only=True):
     speed_scale: float = 1.0  # of the trajectories' files
     verdicts: list[Verdict] = []
     notes: list[str] = []
+
+    def __post_init__(self) -> None:
+        known = set(self.limits)
+        for index, move in enumerate(self.moves):
+            if set(move.start) != known or not {*move.joints, *move.fourier, *move.torque} <= known:
+                raise ValueError(f"moves[{index}] names other joints than limits")

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.params.results.plan import HARMONICS
 from seqid_cli.plan.limits import Limits
 from seqid_cli.robot.types import Array
 
-HARMONICS = 5
 COEFFICIENTS = 2 * HARMONICS
 COARSE_HZ = 25.0  # five samples and more to a period of the highest harmonic of a 2 s move
 SPARSE = 4  # of the coarse samples, one in so many carries the information

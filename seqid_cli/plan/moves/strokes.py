@@ -66,10 +66,7 @@ def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
 
 def seconds_of(strokes: Sequence[Stroke]) -> float:
     """Time that strokes and the rests between them take, s."""
-    moving = (
-        abs(s.end - s.start) / s.speed + np.pi * s.speed / (2.0 * s.acceleration) for s in strokes
-    )
-    return float(sum(moving) + REST_S * (len(strokes) + 1))
+    return sum(stroke.seconds for stroke in strokes) + REST_S * (len(strokes) + 1)
 
 
 def stroke_move(

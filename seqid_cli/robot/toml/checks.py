@@ -47,6 +47,7 @@ _NEEDED = {
     "pwm": ("torque_constant", "winding_resistance", "supply_voltage"),
 }
 SMALLEST, LARGEST = 1e-12, 1e9  # in SI units, of any constant of a drive, of any number
+LEAST_AXIS = 1e-9  # length of an axis; a shorter one has no direction
 MOST_JOINTS = 16  # memory grows with the third power, the time of some checks with the fourth
 
 
@@ -208,7 +209,7 @@ class _Checks:
             for i in range(3):
                 self.finite(f"{at}.position[{i}] (imu {imu.name!r})", sensor.position[i])
                 self.finite(f"{at}.axis[{i}] (imu {imu.name!r})", sensor.axis[i])
-            if not 1e-9 < math.hypot(*sensor.axis) < math.inf:
+            if not LEAST_AXIS < math.hypot(*sensor.axis) < math.inf:
                 self.fail(
                     f"{at}.axis (imu {imu.name!r}) has no direction: {list(sensor.axis)}",
                     "Give the direction in which the accelerometer senses.",

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.placement import tidy_axis, tidy_position, tidy_rotation
-from seqid_cli.robot.toml.checks import LARGEST
+from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS
 from seqid_cli.robot.types import Array, Chain
 from seqid_cli.robot.urdf.joints import readable
 from seqid_cli.robot.urdf.text import UrdfText
@@ -117,7 +117,7 @@ def _check_numbers(model: pin.Model, axes: list[Array], nominal: Array, urdf: Ur
     for k, axis in enumerate(axes):
         placement = model.jointPlacements[k + 1]
         parts = {
-            "axis": axis if axis.any() else np.full(3, np.nan),
+            "axis": axis if np.linalg.norm(axis) > LEAST_AXIS else np.full(3, np.nan),
             "origin": placement.homogeneous,
             "inertial of the link it moves": nominal[k],
         }

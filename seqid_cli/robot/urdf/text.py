@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.toml.checks import nearest
+from seqid_cli.robot.toml.checks import LARGEST, nearest
 from seqid_cli.robot.toml.read import read_limited
 
 SIZE_LIMIT = 64 * 2**20  # bytes
@@ -95,9 +95,15 @@ def _check_numbers(root: ElementTree.Element, path: Path) -> None:
     for owner in root:
         for part in (*owner.iterfind("origin"), *owner.iterfind("inertial/origin")):
             for key in {"xyz", "rpy"} & {*part.keys()}:
-                if len(_numbers(part.attrib[key])) != 3:
-                    message = f"{owner.tag} {owner.get('name')!r} has {key}={part.attrib[key]!r}"
-                    raise ConfigError(message, where=where, hint="Write three numbers.")
+                numbers = _numbers(part.attrib[key])
+                if len(numbers) != 3 or not all(abs(number) <= LARGEST for number in numbers):
+                    name = f"{owner.tag} {owner.get('name')!r}"
+                    message = (
+                        f"{name} has {key}={part.attrib[key]!r}, which is not three finite numbers "
+                        f"or goes beyond {LARGEST:g}"
+                    )
+                    hint = "Write three finite numbers."
+                    raise ConfigError(message, where=where, hint=hint)
 
 
 def _numbers(text: str) -> list[float]:

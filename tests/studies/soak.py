@@ -1,0 +1,97 @@
+"""Two hours of log in one go, with little memory and few files: `python -m tests.studies.soak`.
+
+The log is a sample trial again and again, with fresh noise and a pause between, written block by
+block. Each command has an address space of 1 GiB and 64 open files; its peak memory and CPU time
+are the system's. With --write the table goes into docs/trust.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tests import ROOT
+from tests.studies.tables import placed, table
+
+PAGE = ROOT / "docs" / "trust.md"
+SAMPLE = ROOT / "sample_logs" / "one_joint"
+TRIAL = SAMPLE / "inertia" / "joint_1.parquet"
+PAUSE_S, NOISE = 1.0, 0.01  # between two trials; of a channel's standard deviation
+HEADER = ("command", "exit code", "peak, MiB", "CPU, s")
+
+
+def write_log(path: Path, hours: float) -> int:
+    """Write a log of some hours; returns its rows."""
+    trial, rng, begun, rows = pq.read_table(TRIAL), np.random.default_rng(0), 0.0, 0
+    t, current = (trial.column(name).to_numpy() for name in ("t", "joint_1.current"))
+    with pq.ParquetWriter(path, trial.schema) as writer:
+        while begun < hours * 3600.0:
+            noise = NOISE * current.std() * rng.standard_normal(len(t))
+            block = trial.set_column(0, "t", pa.array(t - t[0] + begun))
+            place = trial.schema.names.index("joint_1.current")
+            writer.write_table(
+                block.set_column(place, "joint_1.current", pa.array(current + noise))
+            )
+            begun, rows = begun + float(t[-1] - t[0]) + PAUSE_S, rows + len(t)
+    return rows
+
+
+def lines(log: Path) -> Iterator[tuple[str, ...]]:
+    """Command lines that read the long log."""
+    out, robot = log.parent, ("-r", str(SAMPLE / "robot.toml"))
+    model = ("-p", str(SAMPLE / "golden.json"))
+    yield "inspect", str(log), *robot
+    yield "inertia", str(log), *robot, *model, "-o", str(out / "inertia.json")
+    made = ("-o", str(out / "p.json"), "--torques", str(out / "t.parquet"))
+    yield "predict", str(log), *robot, *model, *made
+    yield "diagnose", str(log), *robot, *model, "-o", str(out / "d.json")
+
+
+def measured(line: Sequence[str]) -> tuple[str, ...]:
+    """Run a command within the limits; its row of the table."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+
+    process = subprocess.Popen(
+        [sys.executable, "-m", "seqid_cli", *line],
+        preexec_fn=limit,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+    )
+    _, status, used = os.wait4(process.pid, 0)
+    code = os.waitstatus_to_exitcode(status)
+    cpu = used.ru_utime + used.ru_stime
+    return line[0], str(code), str(used.ru_maxrss >> 10), f"{cpu:.0f}"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the commands; 1 if one ended neither well nor with a poor verdict."""
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.soak", description=__doc__)
+    parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
+    chosen = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as work:
+        log = Path(work) / "long.parquet"
+        sys.stderr.write(f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n")
+        cells = [measured(line) for line in lines(log)]
+    text = table(HEADER, cells)
+    sys.stdout.write(text + "\n")
+    if chosen.write:
+        PAGE.write_text(placed(PAGE.read_text("utf-8"), "soak", text), encoding="utf-8")
+    return 1 if {code for _, code, *_ in cells} - {"0", "1"} else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

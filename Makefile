@@ -142,7 +142,7 @@ $(DOCS): pyproject.toml | $(BIN)/python
 	touch $@
 
 .PHONY: docs notebook
-docs: $(DOCS) ## make the site of the documents in out/site
+docs: $(DOCS) ## make the site of the documents in out/site (its search needs a server: python -m http.server -d out/site)
 	rm -rf out/pages && mkdir -p out/pages
 	cp --parents -r $(PAGES) out/pages
 	cp .ci/reference.md out/pages/docs

@@ -130,6 +130,27 @@ study-trust: $(DEV) ## 10,000 damaged files of each kind, kills and full disks, 
 fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)
 	$(BIN)/python -m tests.studies.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
 
+# ---- the documents as a site
+
+DOCS := $(VENV)-docs/.installed
+PAGES := README.md CONTRIBUTING.md CHANGELOG.md SECURITY.md CITATION.cff LICENSE Makefile docs sample_logs/README.md \
+	.github/workflows/seqid.yml
+
+$(DOCS): pyproject.toml | $(BIN)/python
+	$(BIN)/python -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
+
+.PHONY: docs notebook
+docs: $(DOCS) ## make the site of the documents in out/site (its search needs a server: python -m http.server -d out/site)
+	rm -rf out/pages && mkdir -p out/pages
+	cp --parents -r $(PAGES) out/pages
+	cp .ci/reference.md out/pages/docs
+	$(dir $(DOCS))bin/mkdocs build --strict --config-file .ci/mkdocs.yml
+
+notebook: $(DOCS) ## run docs/notebook.ipynb, keep its outputs
+	$(dir $(DOCS))bin/python -m tests.unit.docs.run_notebook
+
 # ---- sample logs
 
 .PHONY: samples

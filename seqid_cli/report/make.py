@@ -63,7 +63,7 @@ def make_report(
         A torque file is unreadable or belongs to another robot, other logs or another model.
     """
     collection = collect(documents)
-    tables, notes = _opened(torques, collection)
+    tables, notes = open_torques(torques, collection)
     judgement = judge(collection)
     made = [
         overview(collection, judgement),
@@ -88,7 +88,9 @@ def make_report(
     return Report(html, collection, judgement, whole, tuple(table.path for table in tables))
 
 
-def _opened(paths: Sequence[Path], collection: Collection) -> tuple[list[TorqueTable], list[str]]:
+def open_torques(
+    paths: Sequence[Path], collection: Collection
+) -> tuple[list[TorqueTable], list[str]]:
     """Open a torque table for each prediction, in their order; say which ones were found."""
     tables = [TorqueTable.open(path, collection) for path in paths]
     whose = [table.prediction for table in tables]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
+from importlib.resources import files as resources
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
+from seqid_cli.logs.given import Paths, listed
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
@@ -15,10 +17,10 @@ if TYPE_CHECKING:
     from seqid_cli.report.collection import Collection
     from seqid_cli.report.views import Figure
 
-_HEIGHT = 270  # pixels of a frame
+_WIDTH, _HEIGHT = 620, 460  # of a figure in its frame, pixels
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Drawing:
     """Figures with their legends, which a notebook shows; `svg` are their drawings alone."""
 
@@ -29,10 +31,18 @@ class Drawing:
         """The drawings as SVG, one per figure."""
         return tuple(str(figure.drawing) for figure in self.figures)
 
+    def __repr__(self) -> str:
+        """Return how many figures there are: a notebook keeps this beside them."""
+        return f"<{len(self.figures)} figures>"
+
     def _repr_html_(self) -> str:
         """Return the figures in a frame of their own, with the report's style."""
-        style = (files("seqid_cli.report") / "templates" / "style.css").read_text(encoding="utf-8")
-        page = f"<style>{style}</style>" + "".join(map(_figure, self.figures))
+        style = (resources("seqid_cli.report") / "templates" / "style.css").read_text(
+            encoding="utf-8"
+        )
+        page = f"<style>{style} figure{{max-width:{_WIDTH}px}}</style>" + "".join(
+            map(_figure, self.figures)
+        )
         height = _HEIGHT * len(self.figures)
         frame = f'width="100%" height="{height}" style="border:0"'
         return f'<iframe srcdoc="{escape(page)}" {frame}></iframe>'
@@ -67,6 +77,38 @@ def plot_evidence(file: DiagnosisFile) -> Drawing:
     return Drawing(tuple(figure for figure in figures if figure is not None))
 
 
+def plot_torques(files: Paths, torques: Paths, joint: str, *, columns: int = 200) -> Drawing:
+    """Draw measured and predicted torque of a joint over time, of one model or several.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+        Predictions, and the parameter files that they were made with.
+    torques : path or sequence of paths
+        What `predict` wrote with `torques`.
+    joint : str
+    columns : int
+        Each line has at most two points in each of so many parts of the time.
+
+    Raises
+    ------
+    UsageError
+        The torques of this joint are in none of the files.
+    """
+    from seqid_cli.params.io import read_any
+    from seqid_cli.report.collection import collect
+    from seqid_cli.report.make import open_torques
+    from seqid_cli.report.sections.torque import over_logs
+
+    collection = collect(read_any([Path(path) for path in listed(files)]))
+    tables, _ = open_torques([Path(path) for path in listed(torques)], collection)
+    _, figures = over_logs(collection, tables, joint, columns)
+    if not figures:
+        hint = f"They have: {', '.join(tables[0].joints) if tables else 'none'}."
+        raise UsageError(f"no torques of {joint!r} are in these files", hint=hint)
+    return Drawing(tuple(figures))
+
+
 def _collection(file: ParameterFile | DiagnosisFile) -> Collection:
     from seqid_cli.params.io import Source
     from seqid_cli.report.collection import collect
@@ -80,5 +122,4 @@ def _figure(figure: Figure) -> str:
 
 
 def _key(style: str, text: str) -> str:
-    line = f'<svg width="24" height="8"><line class="{style}" x1="0" y1="4" x2="24" y2="4"/></svg>'
-    return f"<span>{line} {escape(text)} </span>"
+    return f'<span><span class="key {style}"></span>{escape(text)} </span>'

@@ -93,24 +93,8 @@ def _error_on(item: Prediction, name: str, logs: frozenset[str]) -> str:
 
 def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, columns: int) -> Group:
     place = Place(name, *collection.units(name))
-    models = {
-        collection.label(table.prediction) if table.prediction else short_path(table.path): {
-            series.log: series for series in table.series(name)
-        }
-        for table in tables
-        if name in table.joints
-    }
-    series = list(next(iter(models.values()), {}).values())
-    shown = _worst(series, collection.predictions, name)
-    figures: list[Figure | None] = [
-        over_time(
-            {label: logs[log.log] for label, logs in models.items() if log.log in logs},
-            place,
-            _events(collection, log.log, name),
-            columns,
-        )
-        for log in shown
-    ]
+    series, drawn = over_logs(collection, tables, name, columns)
+    figures: list[Figure | None] = [*drawn]
     absent = []
     if series:
         figures += [
@@ -125,8 +109,8 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, col
     state, text = badge(verdicts)
     bad = [verdict.reason for verdict in verdicts if not verdict.good]
     notes = []
-    if len(shown) < len(series):
-        notes.append(f"Shown: the {len(shown)} of {len(series)} logs with the largest errors.")
+    if len(drawn) < len(series):
+        notes.append(f"Shown: the {len(drawn)} of {len(series)} logs with the largest errors.")
     return Group(
         f"torque-{collection.robot.joints.index(name) + 1}",
         name,
@@ -139,6 +123,34 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, col
         notes=notes,
         absent=absent,
     )
+
+
+def over_logs(
+    collection: Collection, tables: Sequence[TorqueTable], name: str, columns: int
+) -> tuple[list[Series], list[Figure]]:
+    """Return a joint's torques by the best model, and figures of the logs that it predicts worst.
+
+    A figure has at most two points to a line in each of its `columns`.
+    """
+    models = {
+        collection.label(table.prediction) if table.prediction else short_path(table.path): {
+            series.log: series for series in table.series(name)
+        }
+        for table in tables
+        if name in table.joints
+    }
+    series = list(next(iter(models.values()), {}).values())
+    place = Place(name, *collection.units(name))
+    figures = [
+        over_time(
+            {label: logs[log.log] for label, logs in models.items() if log.log in logs},
+            place,
+            _events(collection, log.log, name),
+            columns,
+        )
+        for log in _worst(series, collection.predictions, name)
+    ]
+    return series, figures
 
 
 def _worst(series: Sequence[Series], predictions: Sequence[Prediction], name: str) -> list[Series]:

@@ -79,7 +79,7 @@ def prepared(
     kitchen: Kitchen, name: str, own: str = "", given: dict[str, dict[str, Path]] = PREPARED
 ) -> Path:
     folder = kitchen.page_folder((own or name).replace("/", "_"))
-    if name == "docs/from_files.md" and not (folder / "arm.urdf").exists():
+    if name in ("docs/from_files.md", "docs/robots.md") and not (folder / "arm.urdf").exists():
         strangers.make(folder)
     for path, sample in given.get(name, {}).items():
         target = folder / path

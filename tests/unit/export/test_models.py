@@ -146,6 +146,28 @@ def with_effect(name: str, joint: int, settings: dict[str, float], c: list[float
     return robot, stages
 
 
+def test_mujoco_rubs_as_the_exported_friction_does(arm: Arm) -> None:
+    """With the torque of bodies and friction applied, MuJoCo's arm accelerates as it should."""
+    done = written(arm, "MJCF")
+    model = mujoco.MjModel.from_xml_string(done.text)
+    model.opt.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    )
+    data = mujoco.MjData(model)
+    fits = [fit for fit in done.model.friction if fit is not None]
+    assert len(fits) == arm[0].n
+    viscous, coulomb = np.array([(fit.viscous, fit.coulomb) for fit in fits]).T
+    q, dq, ddq = states(arm[0].n)
+    for x, v, a in zip(q, dq + 5.0 * np.sign(dq), ddq, strict=True):  # no joint about to stick
+        data.qpos[:], data.qvel[:], data.qacc[:] = x, v, a
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_rne(model, data, 1, data.qfrc_applied)
+        data.qfrc_applied[:] += viscous * v + coulomb * np.sign(v) + model.dof_armature * a
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.qacc, a, rtol=0, atol=1e-6 * np.abs(ddq).max())
+
+
 SPRINGS = {
     "linear": [30.0, -12.0],
     "counterbalance": [-20.0, 3.0],

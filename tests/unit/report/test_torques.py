@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.model.effects.spectral_lines import Signal
+from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Source
 from seqid_cli.report.collection import collect
 from seqid_cli.report.figures.torque import (
@@ -21,6 +22,7 @@ from seqid_cli.report.figures.torque import (
     spectrum,
 )
 from seqid_cli.report.make import make_report
+from seqid_cli.report.plots import plot_torques
 from seqid_cli.report.torques import Series, TorqueTable
 from tests.unit.params.documents import inertia_file
 from tests.unit.report.pages import (
@@ -225,6 +227,18 @@ def test_two_torque_files_of_one_prediction_are_refused(tmp_path: Path) -> None:
     documents, torques = of_two_models(tmp_path, told=False)
     with pytest.raises(UsageError, match=r"before\.parquet, .*after\.parquet"):
         make_report(documents, torques=torques)
+
+
+def test_a_notebook_draws_the_torques_of_both(tmp_path: Path) -> None:
+    documents, torques = of_two_models(tmp_path)
+    files = [tmp_path / Path(item.path).name for item in documents]
+    for path, item in zip(files, documents, strict=True):
+        path.write_text(encode(item.content), encoding="utf-8")
+    drawn = plot_torques(files, torques, "elbow")
+    assert repr(drawn) == "<2 figures>"
+    assert all('data-name="before: inertia.json"' in svg for svg in drawn.svg)
+    with pytest.raises(UsageError, match="no torques of 'wrist'"):
+        plot_torques(files, torques, "wrist")
 
 
 def _series(path: Path) -> list[Series]:

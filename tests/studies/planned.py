@@ -97,7 +97,7 @@ def against_all(name: str, path: Path) -> str:
     for together in (False, True):
         label = "all at once" if together else "two at a time"
         plans[label], seconds, rank = planned(stick, count, together=together)
-        rows.append((f"planned, {label}", plans[label], f"{seconds:.1f}"))
+        rows.append((f"planned, {label}, rank {rank}", plans[label], f"{seconds:.1f}"))
         chance = stick.all_judged(random_sets(stick, count, together=together))
         rows.append((f"random, {label}: median of each", np.median(chance, axis=0), ""))
         rows.append((f"random, {label}: best of each", chance.min(axis=0), ""))
@@ -115,7 +115,8 @@ def against_all(name: str, path: Path) -> str:
         for label, found, seconds in rows
     ]
     head = ["set of moves", "condition", "torque error over noise", "errors: median", "worst"]
-    return f"{name}, {rank} parameters:\n\n{table([*head, 'CPU s'], cells)}"
+    heading = f"{name}, {count * MOVE_S:.0f} s, {len(peer) - 2} parameters:"
+    return f"{heading}\n\n{table([*head, 'CPU s'], cells)}"
 
 
 def peer_robot(name: str, urdf: str, joints: Sequence[str]) -> Robot:

@@ -126,7 +126,7 @@ study-plan: $(DEV) $(PEERS) ## plans against chance, a peer and plants, into doc
 	$(PEER) $(ROBOT_DATA)/ur_description/urdf/ur10_robot.urdf $(CACHE)/peers/ur10.npz --iterations 40
 	$(PEER) $(ROBOT_DATA)/panda_description/urdf/panda.urdf $(CACHE)/peers/panda.npz --iterations 40 \
 		--lock panda_finger_joint1 panda_finger_joint2
-	$(BIN)/python -m tests.studies --only planned planned_session planned_separation --cache $(CACHE)
+	$(BIN)/python -m tests.studies --only planned planned_errors planned_session planned_separation --cache $(CACHE)
 
 .PHONY: study-outside
 study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20 s a case)

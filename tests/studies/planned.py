@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -101,6 +101,10 @@ def against_all(name: str, path: Path) -> str:
         chance = stick.all_judged(random_sets(stick, count, together=together))
         rows.append((f"random, {label}: median of each", np.median(chance, axis=0), ""))
         rows.append((f"random, {label}: best of each", chance.min(axis=0), ""))
+    limits = replace(stick.belief.limits, acceleration=np.abs(own.ddq).max(axis=(0, 1)))
+    held = replace(stick, belief=replace(stick.belief, limits=limits))
+    found, seconds, _ = planned(held, count, together=True)
+    rows.append(("planned, with the peaks of FIGAROH's acceleration", found, f"{seconds:.1f}"))
     rows.append(("FIGAROH, all at once", peer, f"{cpu:.0f}"))
     best = plans["all at once"]
     cells = [

@@ -47,6 +47,7 @@ class Outcome:
     rival: str
     imitated: float | None
     after: Sequence[str] | None
+    special: bool = False  # the effect is a special case of the rival, which always explains it
 
     @property
     def separated(self) -> bool:
@@ -59,7 +60,7 @@ def study(chosen: argparse.Namespace) -> str:
     names = NAMES[:2] if chosen.quick else NAMES
     found = list(cases(chosen.cache, seeds=(0,), names=names, joints=(1,)))
     rows = [[o.effect, o.log, ", ".join(o.before), o.rival, *_answers(o)] for o in found]
-    planned = [o for o in found if o.imitated is not None]
+    planned = [o for o in found if o.imitated is not None and not o.special]
     head = ["effect", "log", "confusable with", "planned against", "imitated", "separated"]
     text = f"{sum(o.separated for o in planned)} of {len(planned)} planned cases are separated."
     return f"{text}\n\n{table(head, rows)}"
@@ -68,6 +69,8 @@ def study(chosen: argparse.Namespace) -> str:
 def _answers(outcome: Outcome) -> tuple[str, str]:
     if outcome.imitated is None:
         return "-", "no motion can"
+    if outcome.special:
+        return f"{outcome.imitated:.0%}", "a special case"
     return f"{outcome.imitated:.0%}", "yes" if outcome.separated else "no"
 
 
@@ -125,7 +128,8 @@ def _separated(
     outcome = Outcome(effect, at, log.path.name, names, rival, told and told.imitated, None)
     if told is None:
         return outcome
+    special = told.special_case == effect
     more = recorded(built(case)[0], planned.moves, case.seed, start=LATER_S)
     after = _finding([log, *more], robot, stages, effect)
     left = None if after is None else [after.effect, *after.confusable_with]
-    return Outcome(effect, at, log.path.name, names, rival, told.imitated, left)
+    return Outcome(effect, at, log.path.name, names, rival, told.imitated, left, special)

@@ -1,24 +1,33 @@
-"""Planned moves on a plant: as references, and recorded as a robot's controller would run them."""
+"""Planned moves on a plant: as references, and recorded as a robot's controller would run them.
+
+`python -m tests.plants.planned plan.json OUT` records a plan for a sample robot, a folder a stage.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.results.plan import PlannedMove
+from seqid_cli.params.results.plan import PlanFile, PlannedMove
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.robot.types import Array
+from tests.plants import rigs
 from tests.plants.robots.lab import recording_of
 from tests.plants.simulate import Plant, simulate
 from tests.plants.trajectories import Reference, hold, join
+from tests.unit.logs.writers import write_parquet
 
 RATE_HZ = 1000.0
 REST_S = 0.5  # before and after each move
 PAUSE_S = 10.0  # between moves
+FOLDERS = {"imu-calib": "imu"}  # of stages whose name is not that of their folder
 
 
 def limits_used(
@@ -67,3 +76,22 @@ def recorded(
         logs.append(recording_of(plant, move.name, log))
         start += motion.duration + PAUSE_S
     return logs
+
+
+def record(plan: PlanFile, folder: Path, *, every: int = 4, pause_s: float = PAUSE_S) -> None:
+    """Write the logs of a plan for a sample robot as `STAGE/MOVE.parquet`."""
+    plant: Plant = getattr(rigs, plan.robot.name)()
+    start = 0.0
+    for seed, move in enumerate(plan.moves):
+        motion, imus = reference_of(move, plant), move.stage not in ("friction", "gravity")
+        log = simulate(plant, motion, seed, every=every, imus=imus, start=start)
+        start += motion.duration + pause_s
+        target = folder / FOLDERS.get(move.stage, move.stage) / f"{move.name}.parquet"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        arrays = log.accelerometers or None
+        names = plant.arm.names
+        write_parquet(target, log.t, names, log.q, current=log.current, accelerometers=arrays)
+
+
+if __name__ == "__main__":
+    record(msgspec.json.decode(Path(sys.argv[1]).read_bytes(), type=PlanFile), Path(sys.argv[2]))

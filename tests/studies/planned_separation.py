@@ -6,6 +6,7 @@ against the first rival that motion can settle, recorded on the same plant, and 
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.discriminate import plan_discriminate
 from seqid_cli.robot.types import Robot
 from tests.plants.planned import recorded
+from tests.studies.tables import table
 from tests.studies.undeclared_cases import Condition, built
 from tests.studies.undeclared_logs import logs_of, stages_of
 
@@ -45,6 +47,31 @@ class Outcome:
     rival: str
     imitated: float | None
     after: Sequence[str] | None
+    special: bool = False  # the effect is a special case of the rival, which always explains it
+
+    @property
+    def separated(self) -> bool:
+        """Whether the effect is found afterwards, and no longer confused with the rival."""
+        return self.after is not None and self.rival not in self.after
+
+
+def study(chosen: argparse.Namespace) -> str:
+    """Rivals before and after the planned motion, case by case, at the second joint."""
+    names = NAMES[:2] if chosen.quick else NAMES
+    found = list(cases(chosen.cache, seeds=(0,), names=names, joints=(1,)))
+    rows = [[o.effect, o.log, ", ".join(o.before), o.rival, *_answers(o)] for o in found]
+    planned = [o for o in found if o.imitated is not None and not o.special]
+    head = ["effect", "log", "confusable with", "planned against", "imitated", "separated"]
+    text = f"{sum(o.separated for o in planned)} of {len(planned)} planned cases are separated."
+    return f"{text}\n\n{table(head, rows)}"
+
+
+def _answers(outcome: Outcome) -> tuple[str, str]:
+    if outcome.imitated is None:
+        return "-", "no motion can"
+    if outcome.special:
+        return f"{outcome.imitated:.0%}", "a special case"
+    return f"{outcome.imitated:.0%}", "yes" if outcome.separated else "no"
 
 
 def cases(
@@ -101,7 +128,8 @@ def _separated(
     outcome = Outcome(effect, at, log.path.name, names, rival, told and told.imitated, None)
     if told is None:
         return outcome
+    special = told.special_case == effect
     more = recorded(built(case)[0], planned.moves, case.seed, start=LATER_S)
     after = _finding([log, *more], robot, stages, effect)
     left = None if after is None else [after.effect, *after.confusable_with]
-    return Outcome(effect, at, log.path.name, names, rival, told.imitated, left)
+    return Outcome(effect, at, log.path.name, names, rival, told.imitated, left, special)

@@ -336,7 +336,11 @@ def _jackknife(
         _add_blocks(A, s[k], joints[k].blocks, np.append(-theta, 1.0), sigma[k])
         white = np.trace(bread @ A.sum(axis=0)) - before
         designs[k] = np.sum((s[k] @ bread) * s[k]) / max(white, 1e-300)
-    return _downdated(normal, A, bread, s.sum(axis=0)), designs
+    scores = s.sum(axis=0)
+    moves, plain = _downdated(normal, A, bread, scores), scores @ bread
+    # Few blocks: what the fit itself has taken of their residuals.
+    leverage = np.sum((moves @ normal) * moves) / max(np.sum(plain * scores), 1e-300)
+    return moves, designs * leverage
 
 
 def spread_of(moves: Array) -> Array:

@@ -12,7 +12,7 @@ share in [0, 1] of the room that is left. So every set of coefficients is a move
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,10 @@ class Moves:
         """One sample in `step`."""
         some = slice(None, None, step)
         return Moves(self.t[some], self.q[:, some], self.dq[:, some], self.ddq[:, some])
+
+    def singly(self) -> Iterator[Moves]:
+        """One move at a time."""
+        return (self[k : k + 1] for k in range(len(self.q)))
 
     def __getitem__(self, which: slice | NDArray[np.intp]) -> Moves:
         """Some of the moves."""

@@ -11,13 +11,12 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import FourierMotion, PlannedMove, PlannedStage
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
-from seqid_cli.plan.moves.fourier import COARSE_HZ, SPARSE, Drawn, Moves, Shapes
+from seqid_cli.plan.moves.fourier import COARSE_HZ, Drawn, Moves, Shapes
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import (
     REDUCTION,
     Goal,
     Pool,
-    assess,
     choose,
     draw_pool,
     groups_of,
@@ -63,8 +62,8 @@ def plan_inertia(
     """
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
-    moves, coarse, each = optimised(belief, goal, options, known, "inertia")
-    stage = predicted_stage(belief, goal, stages, coarse.every(SPARSE), each, known)
+    moves, dense, each = optimised(belief, goal, options, known, "inertia")
+    stage = predicted_stage(belief, goal, stages, dense, each, known)
     return Planned(moves, stage)
 
 
@@ -76,8 +75,8 @@ def optimised(
     Returns
     -------
     moves : list of PlannedMove
-    coarse : Moves
-        The same on few samples.
+    dense : Moves
+        The same as samples: errors of friction cancel over a move, which few samples do not show.
     each : (M, b, b) array
         Their scaled information.
     """
@@ -90,9 +89,9 @@ def optimised(
     chosen = pool.drawn[choose(goal, pool, count, known)]
     refined = refine(belief, goal, shapes, chosen, known, sweeps=options.sweeps)
     drawn, moves = within_limits(belief, refined, options)
-    coarse = shapes.moves(drawn, belief.limits)
-    each, _ = assess(belief, goal, coarse)
-    return described(belief, drawn, moves, options, stage), coarse, each
+    dense = moves.every(2)
+    each = [belief.information(one, belief.regressor(one))[0] for one in dense.singly()]
+    return described(belief, drawn, moves, options, stage), dense, goal.scaled(np.array(each))
 
 
 def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
@@ -145,8 +144,7 @@ def _dense_faults(belief: Belief, moves: Moves) -> NDArray[np.bool_]:
 
 def _dense_overload(belief: Belief, moves: Moves) -> Array:
     """Largest torque over its limit, one move at a time."""
-    one = [moves[k : k + 1] for k in range(len(moves.q))]
-    return np.array([belief.overload(move, belief.regressor(move))[0] for move in one])
+    return np.array([belief.overload(one, belief.regressor(one))[0] for one in moves.singly()])
 
 
 def described(

@@ -16,7 +16,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.payload.options import PayloadOptions
 from seqid_cli.payload.rows import FRICTION_TERMS
 from seqid_cli.plan.belief import Belief
-from seqid_cli.plan.moves.fourier import SPARSE, Moves
+from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import VAGUE, Goal
 from seqid_cli.plan.stages.inertia import Planned, optimised
@@ -96,10 +96,10 @@ def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
     W[PER_LINK:] = W[:, PER_LINK:] = 0.0
     goal = replace(goal, W=W)
     nothing = np.zeros_like(W)
-    moves, coarse, each = optimised(whole, goal, options, nothing, "payload")
+    moves, dense, each = optimised(whole, goal, options, nothing, "payload")
     total = each.sum(axis=0)
     C = goal.covariance(total)
-    spread = C + loaded(belief, 0.0).passed_on(coarse.every(SPARSE), C)
+    spread = C + loaded(belief, 0.0).passed_on(dense, C)
     known = goal.prior - np.eye(len(W)) / VAGUE**2
     body = slice(0, PER_LINK)
     rank, condition = rank_and_condition((total + known)[body, body])

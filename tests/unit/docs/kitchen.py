@@ -130,6 +130,8 @@ def rig_of(words: Sequence[str], default: str = "one_joint") -> str:
 def is_dear(words: Sequence[str]) -> bool:
     """Return whether a command takes long: it is run by `make docs-test` alone."""
     rig = rig_of(words)
+    if words[0] == "run":
+        return rig == "six_joint"
     if words[0] in IDENTIFY:
         return rig != "one_joint"
     if words[0] == "diagnose":

@@ -44,6 +44,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 SIX = SAMPLES / "six_joint"
 # What stands for the files that a page takes for granted: their names in the page, and the samples.
 PREPARED: dict[str, dict[str, Path]] = {
+    "docs/afternoon.md": {"recorded": SIX},  # the simulated arm records the plan for minutes
     "docs/own_robot.md": {
         "logs/friction": SIX / "friction",
         "logs/gravity": SIX / "gravity",

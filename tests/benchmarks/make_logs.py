@@ -6,25 +6,25 @@ of it with other stamps and numbers, because writing a million of them one by on
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 from numpy.typing import NDArray
 
+from tests.unit.logs.format_writers import Data, mcap_foxglove_protobuf
 from tests.unit.logs.writers import (
     COMPRESSIONS,
     DEFINITIONS,
     IMU,
     JOINT_STATE,
     Message,
-    header,
     imu_messages,
     joint_messages,
+    write_mcap,
     write_messages,
 )
 
@@ -108,52 +108,20 @@ def _put_doubles(rows: NDArray[np.uint8], places: list[int], values: Array) -> N
 
 def write_json(path: Path, messages: int) -> Path:
     """JointState as JSON."""
-    rng = np.random.default_rng(2)
-    with path.open("wb") as out:
-        writer = Writer(out, chunk_size=CHUNK, compression=CompressionType.ZSTD)
-        writer.start()
-        schema = writer.register_schema(JOINT_STATE, "jsonschema", b'{"type":"object"}')
-        channel = writer.register_channel("/joint_states", "json", schema)
-        for i, row in enumerate(joint_values(messages, rng).tolist()):
-            content = {
-                "header": {
-                    "stamp": dict(vars(header(T0 + PERIOD_NS * i).stamp)),
-                    "frame_id": "base_link",
-                },
-                "name": JOINTS,
-                "position": row[:N],
-                "velocity": row[N : 2 * N],
-                "effort": row[2 * N :],
-            }
-            stamp = T0 + PERIOD_NS * i
-            writer.add_message(channel, stamp, json.dumps(content).encode(), stamp)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
+    d = made(messages, 2)
+    more = {"dq": d.dq, "effort": d.torque, "chunk_size": CHUNK}
+    return write_mcap(path, d.t, d.joints, d.q, encoding="json", **more)  # type: ignore[arg-type]
 
 
 def write_protobuf(path: Path, messages: int) -> Path:
     """`foxglove.JointStates`, written by its own library."""
-    from foxglove_schemas_protobuf.JointState_pb2 import JointState
-    from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-    from mcap_protobuf.writer import Writer as ProtobufWriter
+    return mcap_foxglove_protobuf(path, made(messages, 3), chunk_size=CHUNK)
 
-    rng = np.random.default_rng(3)
-    with path.open("wb") as out:
-        writer = ProtobufWriter(out, chunk_size=CHUNK)
-        for i, row in enumerate(joint_values(messages, rng).tolist()):
-            stamp = T0 + PERIOD_NS * i
-            content = JointStates(
-                joints=[
-                    JointState(name=name, position=q, velocity=dq, effort=tau)
-                    for name, q, dq, tau in zip(
-                        JOINTS, row[:N], row[N : 2 * N], row[2 * N :], strict=True
-                    )
-                ]
-            )
-            content.timestamp.FromNanoseconds(stamp)
-            writer.write_message("/joint_states", content, stamp, stamp)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
+
+def made(messages: int, seed: int) -> Data:
+    """Samples of `messages` rows, the torque in place of the current."""
+    q, dq, tau = np.split(joint_values(messages, np.random.default_rng(seed)), 3, axis=1)
+    return Data(np.arange(messages) * PERIOD_NS * 1e-9, JOINTS, q, dq, tau, tau)
 
 
 def write_columns(path: Path, rows: int) -> Path:

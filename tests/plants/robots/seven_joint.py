@@ -14,9 +14,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from seqid_cli.identify.rigid.simultaneous import surface_entries
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, Stages
+from seqid_cli.params.schema import FrictionStage, Stages
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.made import friction_joint
 
 Array = NDArray[np.float64]
 
@@ -80,17 +81,11 @@ def known_friction() -> Stages:
     ahead, back = surface_entries(FASTEST, 2)
     values = np.array([COULOMB, VISCOUS])
     covariance = ahead @ np.diag([1e-4, 1e-4]) @ ahead.T
-    joint = FrictionJoint(
-        position_order=0,
-        velocity_order=1,
-        max_error=0.0,
-        rmse=0.0,
-        position_range=[-3.0, 3.0],
+    joint = friction_joint(
+        [(ahead @ values).tolist()],
+        [(back @ values).tolist()],
         speed_range=[0.0, FASTEST],
         sign_width=SIGN_WIDTH,
-        directional=False,
-        positive=[(ahead @ values).tolist()],
-        negative=[(back @ values).tolist()],
         covariance=covariance.tolist(),
     )
     return Stages(friction=FrictionStage(joints=dict.fromkeys(JOINTS, joint)))

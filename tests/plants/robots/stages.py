@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.model.bodies.pseudo_inertia import Body
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
+from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Array, Robot
 from tests import ROOT
+from tests.plants.robots.made import friction_joint
 from tests.plants.robots.small import joint, link, urdf
 
 SAMPLES = ROOT / "sample_logs"
@@ -103,9 +104,9 @@ def friction_stage(robot: Robot, *, directional: bool = False, log: bool = False
         forward[0, :2] += [2.0, 0.5]
         backward = forward + 0.1 * rng.normal(size=(3, 4)) * directional
         count = 12 * (1 + directional)
-        joints[name] = FrictionJoint(
-            position_order=2,
-            velocity_order=3,
+        joints[name] = friction_joint(
+            forward,
+            backward,
             max_error=0.1,
             rmse=0.1,
             position_range=[-2.0, 2.5],
@@ -113,8 +114,6 @@ def friction_stage(robot: Robot, *, directional: bool = False, log: bool = False
             speed_scale="log" if log else "linear",
             sign_width=0.005,
             directional=directional,
-            positive=forward.tolist(),
-            negative=backward.tolist(),
             covariance=(1e-4 * np.eye(count)).tolist(),
         )
     return FrictionStage(joints=joints)

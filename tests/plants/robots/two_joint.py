@@ -8,9 +8,9 @@ import numpy as np
 
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.robot.placement import DhRow, chain_from_dh
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.made import friction_joint
 from tests.plants.robots.small import random_inertia, robot_from_chain
 
 SIGN_WIDTH = 0.006  # rad/s
@@ -51,17 +51,10 @@ def friction_surface(
     """Coulomb [N m] and viscous [N m s/rad] friction up to `top` rad/s, of some order in speed."""
     half = 0.5 * viscous * top
     entries = [coulomb + half, half, *np.zeros(order - 1)]
-    entry = FrictionJoint(
-        position_order=0,
-        velocity_order=order,
-        max_error=0.0,
-        rmse=0.0,
-        position_range=[-3.0, 3.0],
+    entry = friction_joint(
+        [entries],
         speed_range=[0.0, top],
         sign_width=SIGN_WIDTH,
-        directional=False,
-        positive=[entries],
-        negative=[entries],
         covariance=(variance * np.eye(len(entries))).tolist(),
     )
     return FrictionSurface.from_stage(entry)

@@ -13,6 +13,7 @@ from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis, standard_names
+from tests.plants.robots.made import friction_joint
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS
 from tests.unit.discover.arms import arm_scenes
 
@@ -88,26 +89,19 @@ def test_priors_are_the_files_covariances(scenes: list[Scene]) -> None:
     assert not P[rest].any()
 
 
-def friction_joint(*, covariance: Array, parameters: tuple[Parameter, ...] = ()) -> FrictionJoint:
+def joint_friction(*, covariance: Array, parameters: tuple[Parameter, ...] = ()) -> FrictionJoint:
     half = 0.5 * VISCOUS[0] * TOP
-    return FrictionJoint(
-        position_order=0,
-        velocity_order=1,
-        max_error=0.0,
-        rmse=0.0,
-        position_range=[-3.0, 3.0],
+    return friction_joint(
+        [[COULOMB[0] + half, half]],
         speed_range=[0.0, TOP],
         sign_width=SIGN_WIDTH,
-        directional=False,
-        positive=[[COULOMB[0] + half, half]],
-        negative=[[COULOMB[0] + half, half]],
         covariance=covariance.tolist(),
         parameters=list(parameters),
     )
 
 
 def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scene]) -> None:
-    joint = friction_joint(covariance=np.diag([0.04, 0.25]))
+    joint = joint_friction(covariance=np.diag([0.04, 0.25]))
     stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
     base = base_of(rows_of(scenes), stages)
     P = base.prior_friction[0].T @ base.prior_friction[0]
@@ -129,7 +123,7 @@ def test_friction_of_a_simultaneous_fit_has_as_many_terms_as_that(scenes: list[S
         parameters = tuple(
             Parameter(name=name, value=1.0, std_error=0.5, unit="N m") for name in names
         )
-        joint = friction_joint(covariance=np.eye(2), parameters=parameters)
+        joint = joint_friction(covariance=np.eye(2), parameters=parameters)
         stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
         base = base_of(rows_of(scenes), stages)
         assert base.friction[1].shape[1] == count

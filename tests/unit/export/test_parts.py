@@ -20,8 +20,9 @@ from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, Stages
+from seqid_cli.params.schema import EffectOfJoint, Stages
 from seqid_cli.robot.regressor import inverse_dynamics
+from tests.plants.robots.made import friction_joint
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, joint, link, urdf, urdf_6r
 from tests.plants.robots.stages import random_bodies, save_robot, stages_of
@@ -61,20 +62,16 @@ def test_the_solution_is_the_minimum_of_the_divergence() -> None:
 
 def surface(forward: list[list[float]], backward: list[list[float]]) -> FrictionSurface:
     directional = forward != backward
-    count = len(forward) * len(forward[0]) * (1 + directional)
     return FrictionSurface.from_stage(
-        FrictionJoint(
-            position_order=len(forward) - 1,
-            velocity_order=len(forward[0]) - 1,
+        friction_joint(
+            forward,
+            backward,
             max_error=0.1,
             rmse=0.1,
             position_range=[-1.0, 1.0],
             speed_range=[0.1, 2.1],
             sign_width=0.001,
             directional=directional,
-            positive=forward,
-            negative=backward,
-            covariance=np.eye(count).tolist(),
         )
     )
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r
 
 RATE = 100.0
@@ -22,16 +22,7 @@ RATE = 100.0
 def recording(samples: int) -> Recording:
     t = np.arange(samples) / RATE
     q = np.column_stack([np.sin(1.7 * t), 1.2 * np.sin(2.9 * t + 0.4)])
-    return Recording(
-        path=Path("log.parquet"),
-        sha256="",
-        format="parquet",
-        t=t,
-        q=q,
-        valid=np.ones(samples, dtype=bool),
-        health=Health(rate_hz=RATE, jitter=0.0),
-        tau=np.cos(q),
-    )
+    return made_recording(q, np.cos(q), rate_hz=RATE)
 
 
 def motion_of(log: Recording) -> Motion:

@@ -103,3 +103,11 @@ def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None
     assert not np.delete(prior.A, own, axis=1).any()
     expected = np.linalg.inv(np.array(stage.covariance))
     np.testing.assert_allclose((prior.A.T @ prior.A)[np.ix_(own, own)], expected, rtol=1e-6)
+
+
+def test_trials_of_joints_without_friction_are_left_out() -> None:
+    robot = robot_of("one", one_joint())
+    rows, joints = GravityRows(robot, base_parameters(robot, rotor=()), [None]), [Accumulator(2)]
+    rows.add_joint(trials(np.random.default_rng(0)), joints)
+    assert rows.used == joints[0].samples == 0
+    assert rows.skipped == ["joint_1"] * 8

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, predict
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import EffectOfJoint, FrictionJoint, FrictionStage, Stages
+from seqid_cli.params.schema import EffectOfJoint, FrictionStage, Stages
+from tests.plants.robots.made import friction_joint, made_recording
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
 from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, wander
 
@@ -32,18 +31,8 @@ def friction() -> FrictionStage:
     joints = {}
     for name, coulomb, viscous in zip(ROBOT.joint_names, COULOMB, VISCOUS, strict=True):
         half = 0.5 * viscous * TOP
-        joints[name] = FrictionJoint(
-            position_order=0,
-            velocity_order=1,
-            max_error=0.0,
-            rmse=0.0,
-            position_range=[-3.0, 3.0],
-            speed_range=[0.0, TOP],
-            sign_width=SIGN_WIDTH,
-            directional=False,
-            positive=[[coulomb + half, half]],
-            negative=[[coulomb + half, half]],
-            covariance=np.eye(2).tolist(),
+        joints[name] = friction_joint(
+            [[coulomb + half, half]], speed_range=[0.0, TOP], sign_width=SIGN_WIDTH
         )
     return FrictionStage(joints=joints)
 
@@ -60,16 +49,7 @@ def recording() -> Recording:
     t = np.arange(len(q)) / RATE_HZ
     resting = (t > 5.3) & (t < 6.7)
     tau[resting, 0] = COULOMB[0] + 0.95 * HUMP
-    return Recording(
-        path=Path("log.parquet"),
-        sha256="a",
-        format="parquet",
-        t=t,
-        q=q,
-        valid=np.ones(len(q), dtype=bool),
-        health=Health(rate_hz=RATE_HZ, jitter=0.0),
-        tau=tau,
-    )
+    return made_recording(q, tau, rate_hz=RATE_HZ)
 
 
 def predicted(recording: Recording, *effects: EffectOfJoint) -> LogPrediction:

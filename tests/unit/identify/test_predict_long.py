@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -148,3 +149,14 @@ def test_effects_are_told_part_by_part(
     assert_same(parts, held)
     bare = held_of(path, robot, stages, options)
     assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
+
+
+def test_it_can_be_sent_elsewhere(folder: Path, robot: Robot, stages: Stages) -> None:
+    options = InertiaOptions(source="encoder")
+    path = folder / "log.parquet"
+    long = long_of(path, robot, stages, options)
+    sent = pickle.dumps(long)
+    assert len(sent) < 100_000
+    parts = list(pickle.loads(sent).parts())
+    for part, other in zip(parts, long.parts(), strict=True):
+        np.testing.assert_array_equal(part.predicted, other.predicted)

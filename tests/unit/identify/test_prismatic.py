@@ -15,10 +15,11 @@ from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Chain, Joint, Robot
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import rmse
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import Reference, hold, join, sweeps, together, zigzag
@@ -71,15 +72,11 @@ def load(reference: Reference) -> Array:
 
 def record(name: str, reference: Reference, rng: np.random.Generator) -> Recording:
     samples = len(reference.q)
-    return Recording(
-        path=Path(name),
-        sha256="",
-        format="simulated",
-        t=np.arange(samples) / RATE,
-        q=quantise(reference.q, STEPS),
-        valid=np.ones(samples, dtype=bool),
-        health=Health(rate_hz=RATE, jitter=0.0),
-        tau=load(reference) + NOISE * rng.standard_normal((samples, 2)),
+    return made_recording(
+        quantise(reference.q, STEPS),
+        load(reference) + NOISE * rng.standard_normal((samples, 2)),
+        rate_hz=RATE,
+        path=name,
     )
 
 

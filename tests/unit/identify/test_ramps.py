@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +10,10 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial, collect_trials
-from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import sweeps
@@ -43,16 +42,7 @@ def trials_of(robot: Robot, *, wobble: float = 0.0, seed: int = 0) -> list[Trial
     tau = np.zeros_like(path)
     tau[:, 1] = INERTIA * a + (COULOMB + VISCOUS * np.abs(v)) * np.sign(v)
     tau[:, 1] += 0.05 * rng.standard_normal(len(fine))
-    log = Recording(
-        path=Path("sweeps.parquet"),
-        sha256="",
-        format="parquet",
-        t=np.arange(len(fine)) / RATE,
-        q=quantise(path, 1e-4),
-        valid=np.ones(len(fine), dtype=bool),
-        health=Health(rate_hz=RATE, jitter=0.0),
-        tau=tau,
-    )
+    log = made_recording(quantise(path, 1e-4), tau, rate_hz=RATE, path="sweeps.parquet")
     return collect_trials([log], robot)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.inertia import identify_inertia
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
+from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.controller import gains_for
 from tests.plants.experiments import inertia_trials
@@ -18,6 +18,7 @@ from tests.plants.friction import Frictionless
 from tests.plants.rigid import Arm
 from tests.plants.rigs import standard_parameters
 from tests.plants.robots.lab import recording_of, robot_of, true_standard, true_value
+from tests.plants.robots.made import friction_joint
 from tests.plants.simulate import Plant, simulate
 
 Array = NDArray[np.float64]
@@ -58,19 +59,7 @@ def plant_of(alpha: float, *, coupled: bool) -> Plant:
 
 
 def no_friction(robot: Robot) -> FrictionStage:
-    joint = FrictionJoint(
-        position_order=0,
-        velocity_order=0,
-        max_error=0.0,
-        rmse=0.0,
-        position_range=[-3.0, 3.0],
-        speed_range=[0.05, 5.0],
-        sign_width=0.005,
-        directional=False,
-        positive=[[0.0]],
-        negative=[[0.0]],
-        covariance=[[1e-12]],
-    )
+    joint = friction_joint([[0.0]], speed_range=[0.05, 5.0], sign_width=0.005, covariance=[[1e-12]])
     return FrictionStage(joints=dict.fromkeys(robot.joint_names, joint))
 
 

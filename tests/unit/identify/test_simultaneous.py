@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +10,14 @@ import pytest
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import PHI_NAMES
 from tests.plants.rigs import six_joint
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import rmse
 from tests.plants.robots.small import arm_6r
 from tests.plants.trajectories import fourier
@@ -41,16 +41,8 @@ def record(seed: int, seconds: float = 60.0) -> Recording:
     arm = robot()
     tau = inverse_dynamics(arm.chain, arm.gravity, PHI, motion.q, motion.dq, motion.ddq)
     tau += COULOMB * np.sign(motion.dq) + VISCOUS * motion.dq + OFFSET
-    samples = len(tau)
-    return Recording(
-        path=Path(f"log_{seed}"),
-        sha256="",
-        format="simulated",
-        t=np.arange(samples) / RATE,
-        q=motion.q,
-        valid=np.ones(samples, dtype=bool),
-        health=Health(rate_hz=RATE, jitter=0.0),
-        tau=tau + NOISE * rng.standard_normal(tau.shape),
+    return made_recording(
+        motion.q, tau + NOISE * rng.standard_normal(tau.shape), rate_hz=RATE, path=f"log_{seed}"
     )
 
 

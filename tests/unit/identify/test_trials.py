@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,11 +23,12 @@ from seqid_cli.identify.friction_surface.trials import (
 )
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.long import Block
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r, random_model, robot_from_chain
 from tests.plants.sensors import quantise
 from tests.plants.trajectories import sweeps
@@ -112,16 +112,7 @@ def test_half_sums_take_friction_out() -> None:
 
 
 def recording(q: Array, tau: Array | None) -> Recording:
-    return Recording(
-        path=Path("moves.parquet"),
-        sha256="",
-        format="parquet",
-        t=np.arange(len(q)) / 250.0,
-        q=q,
-        valid=np.ones(len(q), dtype=bool),
-        health=Health(rate_hz=250.0, jitter=0.0),
-        tau=tau,
-    )
+    return made_recording(q, tau, rate_hz=250.0, path="moves.parquet")
 
 
 def test_slices_average_position_and_torque() -> None:

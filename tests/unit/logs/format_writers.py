@@ -24,18 +24,16 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from tests.unit.logs.writers import header, write_mcap, write_parquet
+from tests.unit.logs.writers import HEADER, LINE, TIME, header, write_mcap, write_parquet
 
 Array = NDArray[np.float64]
 T0_NS = 1_700_000_000_000_000_000
 DYNAMIC = "control_msgs/msg/DynamicJointState"
-_LINE = "=" * 80
 DYNAMIC_DEFINITION = (
     "# Generic form of joint states\nstd_msgs/Header header\n\nstring[] joint_names\n"
     "InterfaceValue[] interface_values\n"
-    f"{_LINE}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
-    f"{_LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    f"{_LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    f"{LINE}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+    f"{HEADER}{TIME}"
 )
 
 
@@ -195,10 +193,12 @@ def mcap_dynamic(path: Path, data: Data) -> Path:
     return path
 
 
-def mcap_foxglove_protobuf(path: Path, data: Data, topic: str = "/joint_states") -> Path:
+def mcap_foxglove_protobuf(
+    path: Path, data: Data, topic: str = "/joint_states", chunk_size: int = 1024 * 1024
+) -> Path:
     """foxglove.JointStates by the generated classes."""
     path = path.with_suffix(".mcap")
-    with path.open("wb") as out, ProtobufWriter(out) as writer:
+    with path.open("wb") as out, ProtobufWriter(out, chunk_size=chunk_size) as writer:
         for i, stamp in enumerate(data.stamps_ns):
             message = JointStates()
             message.timestamp.FromNanoseconds(stamp)

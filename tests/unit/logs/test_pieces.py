@@ -130,3 +130,11 @@ def test_rows_that_are_gone(tmp_path: Path) -> None:
     moved = replace(whole, start=whole.start + 15.0)
     with pytest.raises(InputError):
         read_pieces(path, ROBOT, moved, [(4.95, 9.0)], kind="parquet")
+
+
+def test_pieces_of_other_formats_are_cut(tmp_path: Path) -> None:
+    path = written(tmp_path, "parquet")
+    held = read_recording(path, ROBOT)
+    found = read_pieces(path, ROBOT, whole_of(held), RANGES)
+    for one, other in zip(found, cut(held, RANGES), strict=True):
+        assert_same(one, other)

@@ -22,22 +22,22 @@ Message = tuple[str, int, SimpleNamespace]  # topic, log time in ns, content
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
 
-_LINE = "=" * 80
-_TIME = f"{_LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_HEADER = f"{_LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+LINE = "=" * 80
+TIME = f"{LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+HEADER = f"{LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
 DEFINITIONS = {
     JOINT_STATE: (
         "std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
-        f"float64[] effort\n{_HEADER}{_TIME}"
+        f"float64[] effort\n{HEADER}{TIME}"
     ),
     IMU: (
         "std_msgs/Header header\n\n"
         "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\n"
         "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\n"
         "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
-        f"{_LINE}\nMSG: geometry_msgs/Quaternion\n"
+        f"{LINE}\nMSG: geometry_msgs/Quaternion\n"
         "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
-        f"{_LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}{_TIME}"
+        f"{LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{HEADER}{TIME}"
     ),
 }
 COMPRESSIONS = {

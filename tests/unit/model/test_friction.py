@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling, tensor
 from seqid_cli.params.schema import FrictionJoint, Parameter
+from tests.plants.robots.made import friction_joint
 
 Array = NDArray[np.float64]
 
@@ -203,18 +204,14 @@ def test_the_papers_orders_are_well_conditioned(logarithmic: bool) -> None:
 
 def test_from_the_parameter_file_and_back(any_surface: FrictionSurface) -> None:
     low, high = any_surface.scaling.position
-    joint = FrictionJoint(
-        position_order=3,
-        velocity_order=2,
-        max_error=0.0,
-        rmse=0.0,
+    joint = friction_joint(
+        any_surface.positive,
+        any_surface.negative,
         position_range=[low, high],
         speed_range=list(any_surface.scaling.speed),
         speed_scale="log" if any_surface.scaling.logarithmic else "linear",
         sign_width=any_surface.sign_width,
         directional=any_surface.directional,
-        positive=any_surface.positive.tolist(),
-        negative=any_surface.negative.tolist(),
         covariance=any_surface.covariance.tolist(),
     )
     back = FrictionSurface.from_stage(joint)
@@ -250,17 +247,12 @@ def law(coulomb: float, viscous: float, fast: float) -> FrictionJoint:
         Parameter(name=name, value=value, std_error=0.01, unit=unit)
         for name, value, unit in (("coulomb", coulomb, "N m"), ("viscous", viscous, "N m s/rad"))
     ]
-    return FrictionJoint(
-        position_order=0,
-        velocity_order=1,
-        max_error=0.0,
+    return friction_joint(
+        [[coulomb + half, half]],
         rmse=0.1,
         position_range=list(POSITION),
         speed_range=[0.0, fast],
         sign_width=WIDTH,
-        directional=False,
-        positive=[[coulomb + half, half]],
-        negative=[[coulomb + half, half]],
         covariance=[[1e-4, 0.0], [0.0, 1e-4]],
         parameters=known,
     )

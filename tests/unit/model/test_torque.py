@@ -23,6 +23,7 @@ from seqid_cli.robot.base_parameters import base_parameters, base_regressor, sta
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import six_joint
+from tests.plants.robots.made import friction_joint
 from tests.plants.robots.small import arm_6r
 
 Array = NDArray[np.float64]
@@ -75,25 +76,18 @@ def rigid_stage(phi: Array, rotor: Array, coupling: str = "diagonal") -> RigidSt
     )
 
 
-def friction_joint(level: float) -> FrictionJoint:
-    return FrictionJoint(
-        position_order=1,
-        velocity_order=1,
-        max_error=0.0,
-        rmse=0.0,
+def joint_friction(level: float) -> FrictionJoint:
+    return friction_joint(
+        [[level, 0.3 * level], [0.1 * level, 0.0]],
         position_range=[-1.0, 1.0],
         speed_range=[0.1, 4.0],
         sign_width=0.01,
-        directional=False,
-        positive=[[level, 0.3 * level], [0.1 * level, 0.0]],
-        negative=[[level, 0.3 * level], [0.1 * level, 0.0]],
-        covariance=np.eye(4).tolist(),
     )
 
 
 def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
     arm = six_joint().arm
-    joints = {name: friction_joint(3.0 / (j + 1)) for j, name in enumerate(robot.joint_names)}
+    joints = {name: joint_friction(3.0 / (j + 1)) for j, name in enumerate(robot.joint_names)}
     inertia = rigid_stage(arm.phi, arm.rotor_inertia, coupling)
     return Stages(friction=FrictionStage(joints=joints), inertia=inertia)
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r
 from tests.plants.sensors import quantise
 
@@ -35,17 +35,7 @@ def curves(samples: int = 6000) -> tuple[Array, Array, Array, Array]:
 
 
 def recording(q: Array, tau: Array | None = None) -> Recording:
-    count = len(q)
-    return Recording(
-        path=Path("log.parquet"),
-        sha256="",
-        format="parquet",
-        t=np.arange(count) / RATE,
-        q=q,
-        valid=np.ones(count, dtype=bool),
-        health=Health(rate_hz=RATE, jitter=0.0),
-        tau=tau,
-    )
+    return made_recording(q, tau, rate_hz=RATE)
 
 
 def test_velocity_and_acceleration_are_the_true_ones(robot: Robot) -> None:

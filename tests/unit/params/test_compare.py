@@ -193,3 +193,10 @@ def test_false_alarms_are_as_rare_as_the_rule_says() -> None:
             ]
         alarms += bool(compared(a, b).changed)
     assert alarms <= 5
+
+
+def test_surfaces_without_a_common_range_differ() -> None:
+    a, b = inertia_file(), inertia_file()
+    assert b.stages.friction is not None
+    b.stages.friction.joints["elbow"].speed_range = [2.0, 3.0]
+    assert "range of both" in only(compared(a, b)).remark

@@ -18,6 +18,7 @@ from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import simulate
 from tests.plants.trajectories import single, sweeps, trapezoid
 from tests.studies import recorded
+from tests.studies.__main__ import DOCUMENTS, MEASURED, STUDIES
 from tests.studies.bound import (
     Knowledge,
     bounds,
@@ -135,3 +136,9 @@ def test_true_value_follows_the_expression() -> None:
 def test_recorded_robots_are_left_out_where_they_are_missing(tmp_path: Path) -> None:
     text = recorded.study(tmp_path)
     assert text.count("left out") == len(recorded.CASES)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_has_its_place_in_its_document(name: str) -> None:
+    text = DOCUMENTS.get(name, MEASURED).read_text(encoding="utf-8")
+    assert "| new |" in placed(text, name, "| new |")

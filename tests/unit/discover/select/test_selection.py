@@ -13,7 +13,7 @@ from seqid_cli.discover.select import terms
 from seqid_cli.discover.select.model import FREE, HELD, Model
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.results import Options, Selected
-from seqid_cli.discover.select.selection import select
+from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
@@ -196,3 +196,26 @@ def test_one_lag_of_all_drives_is_no_skew_of_the_log(extra: Extra, name: str) ->
     term = found.taken[0].term
     assert term.key == (name, None)
     assert found.model.coefficients(term)[0] == pytest.approx(LATE_S, rel=0.1)
+
+
+def creeping(scene: Scene) -> Array:
+    """An offset of the second joint's torque that drifts."""
+    return np.asarray(0.8 + 0.01 * scene.time)
+
+
+def test_one_effect_goes_before_two_that_explain_as_much() -> None:
+    ground = ground_of(arm_scenes(at_joint(1, creeping)))
+    drift = Candidate(CATALOGUE["drift"], 1, {"duration": 100.0})
+    bias = Candidate(CATALOGUE["torque_bias"], 1, {})
+    one, of_two = terms.effects(ground.stage, [drift, bias], ground.size)
+    time = [t for t in terms.smooth_terms(ground.stage.rows, ground.size) if t.joint == 1]
+    rest = next(t for t in time if t.name == "time of all logs")
+    model = Model(ground, HELD)
+    model.terms = [of_two, rest]
+    model.settle()
+    found = Selection(model, Options(), [])
+    found.merge()
+    assert model.terms == [of_two, rest]
+    found._tied = {of_two.key: [one]}
+    found.merge()
+    assert [term.name for term in model.terms] == ["drift"]

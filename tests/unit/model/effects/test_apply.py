@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import (
     added_torque,
     effect_torque,
@@ -35,10 +34,10 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import (
     EffectOfJoint,
     EffectSession,
-    FrictionJoint,
     FrictionStage,
     Stages,
 )
+from tests.plants.robots.made import friction_joint, made_recording
 from tests.plants.robots.two_joint import SIGN_WIDTH, two_joint_robot
 from tests.unit.model.effects.scenes import (
     CUTOFF_HZ,
@@ -68,17 +67,7 @@ def stribeck(level: float = 1.0) -> FittedEffect:
 
 
 def recording_of(q: Array, tau: Array | None, sha256: str = "a", start: float = 0.0) -> Recording:
-    return Recording(
-        path=Path("log.parquet"),
-        sha256=sha256,
-        format="parquet",
-        t=np.arange(len(q)) / RATE_HZ,
-        q=q,
-        valid=np.ones(len(q), dtype=bool),
-        health=Health(rate_hz=RATE_HZ, jitter=0.0),
-        tau=tau,
-        start=start,
-    )
+    return made_recording(q, tau, rate_hz=RATE_HZ, sha256=sha256, start=start)
 
 
 def through_a_file(effects: list[EffectOfJoint]) -> Stages:
@@ -223,17 +212,11 @@ def stages_of(scene: Scene) -> Stages:
     joints = {}
     for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True):
         assert surface is not None
-        joints[name] = FrictionJoint(
-            position_order=0,
-            velocity_order=1,
-            max_error=0.0,
-            rmse=0.0,
-            position_range=[-3.0, 3.0],
+        joints[name] = friction_joint(
+            surface.positive,
+            surface.negative,
             speed_range=[0.0, 4.0],
             sign_width=surface.sign_width,
-            directional=False,
-            positive=surface.positive.tolist(),
-            negative=surface.negative.tolist(),
             covariance=surface.covariance.tolist(),
         )
     return Stages(friction=FrictionStage(joints=joints))

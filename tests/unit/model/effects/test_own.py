@@ -127,3 +127,11 @@ def test_an_effect_that_nobody_offers_is_said() -> None:
     with pytest.raises(ConfigError, match="nobodys") as caught:
         catalogue_of(robot)
     assert "torque =" in str(caught.value.hint)
+
+
+def test_it_asks_for_the_temperature_that_it_names() -> None:
+    place, effect = scene(), effect_of(asked("c*(temperature - 25)*dq"))
+    assert not effect.available([place], 1)
+    warm = replace(place, temperature=np.full_like(place.motion.q, 30.0))
+    assert effect.available([warm], 1)
+    assert effect.columns(warm, 1, {})[1][:, 0] == pytest.approx(5.0 * warm.motion.dq[:, 1])

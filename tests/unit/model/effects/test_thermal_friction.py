@@ -9,6 +9,7 @@ import pytest
 
 from seqid_cli.model.effects.thermal_friction import ThermalFriction
 from tests.unit.model.effects.fitting import Array, Trial, direction, fit, trial
+from tests.unit.model.effects.scenes import scene_of, wander
 
 AMBIENT, CAPACITY, LOSS, POWER = 22.0, 600.0, 2.0, 40.0  # degC, J/K, W/K, W
 TIME_CONSTANT = CAPACITY / LOSS
@@ -102,3 +103,16 @@ def test_damaged_temperature_is_not_used(trials: list[Trial]) -> None:
         assert {point["logged"] for point in grid} == {0.0}
         hot = {"warm_up_time": 100.0, "logged": 1.0, "reference_temperature": 25.0}
         assert np.all(np.isfinite(effect.columns(scenes[0], 0, hot)[0]))
+
+
+def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
+    """Where file and logs know the temperature, and it is the same, it can."""
+    short = scene_of(wander(10.0))
+    assert ThermalFriction().possible([short], 0)
+    known = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
+    surface = short.model.surfaces[0]
+    assert surface is not None
+    surfaces = [replace(surface, temperature=AMBIENT), short.model.surfaces[1]]
+    assert ThermalFriction().possible([known], 0)
+    same = replace(known, model=replace(known.model, surfaces=surfaces))
+    assert not ThermalFriction().possible([same], 0)

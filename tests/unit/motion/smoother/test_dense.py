@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.smoother import solve as smoother_solve
 from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Mounted
 from seqid_cli.motion.smoother.encoder import encoder_view
@@ -31,6 +29,7 @@ from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.typing import Array
 from tests.plants.rigs import two_joint
 from tests.plants.robots.lab import robot_of
+from tests.plants.robots.made import made_recording
 from tests.plants.sensors import quantise
 
 pytestmark = pytest.mark.slow
@@ -132,17 +131,7 @@ def scene(encoder: str) -> Scene:
         )
     step = STEPS[encoder]
     q = true_motion(t)[0] + (0.0 if step else 1e-4) * rng.standard_normal((SAMPLES, 2))
-    recording = Recording(
-        sha256="0" * 64,
-        path=Path("log"),
-        format="simulated",
-        t=t,
-        start=0.0,
-        q=quantise(q, step),
-        valid=np.ones(SAMPLES, dtype=bool),
-        health=Health(rate_hz=1.0 / DT, jitter=0.0),
-        accelerometers=accelerometers,
-    )
+    recording = made_recording(quantise(q, step), rate_hz=1.0 / DT, accelerometers=accelerometers)
     known = mounted_imus(recording, robot, ImuStage(imus=calibrations))
     imus = tuple(read(x, recording, slice(None)) for x in known)
     views = tuple(encoder_view(recording.q[:, j], step) for j in range(2))

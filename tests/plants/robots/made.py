@@ -1,0 +1,48 @@
+"""Logs and friction that a test makes up: what it does not care about is filled in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.params.schema import FrictionJoint
+
+Array = NDArray[np.float64]
+
+
+def made_recording(
+    q: Array, tau: Array | None = None, *, rate_hz: float, path: str = "log.parquet", **further: Any
+) -> Recording:
+    """Wrap samples (N, n) at an even rate as a log, all of them valid unless `further` says."""
+    usual = {
+        "sha256": "0" * 64,
+        "format": "simulated",
+        "t": np.arange(len(q)) / rate_hz,
+        "valid": np.ones(len(q), dtype=bool),
+        "health": Health(rate_hz=rate_hz, jitter=0.0),
+    }
+    return Recording(path=Path(path), q=q, tau=tau, **(usual | further))
+
+
+def friction_joint(positive: Any, negative: Any = None, **further: Any) -> FrictionJoint:
+    """Friction of a joint; the coefficients of forward motion are those of both unless given."""
+    forward = np.asarray(positive, dtype=np.float64)
+    count = forward.size * (1 + bool(further.get("directional")))
+    usual = {
+        "max_error": 0.0,
+        "rmse": 0.0,
+        "position_range": [-3.0, 3.0],
+        "directional": False,
+        "covariance": np.eye(count).tolist(),
+    }
+    return FrictionJoint(
+        position_order=forward.shape[0] - 1,
+        velocity_order=forward.shape[1] - 1,
+        positive=forward.tolist(),
+        negative=np.array(positive if negative is None else negative, float).tolist(),
+        **(usual | further),
+    )

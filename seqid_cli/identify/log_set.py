@@ -5,8 +5,6 @@ in one binary tree whose shape depends on the number of logs alone; the result i
 last bit, whoever made the parts.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -73,7 +71,7 @@ class LogSet:
     read: list[LogNote] = field(default_factory=list)
 
     @classmethod
-    def of(cls, inputs: Inputs, *, imus: bool | None = None) -> LogSet:
+    def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
         """The logs of a function; `imus` where the stages before do not say it."""
         options = inputs.options
         logs = cls(
@@ -169,7 +167,7 @@ class LogSet:
             raise InputError(f"none of the {len(items)} logs can be used: {first}", hint=hint)
 
     def _replies(
-        self, part: PartOf[Any, P], items: Sequence[_Item]
+        self, part: PartOf[Any, P], items: "Sequence[_Item]"
     ) -> Iterator[Reply[tuple[LogNote, P]]]:
         task = _Task(self.robot, self.time_source, part, self.imus, Path.cwd())
         if self.executor is not None:
@@ -180,7 +178,7 @@ class LogSet:
 
         return (answer(here, i) if self.skip_failed else Reply(here(i)) for i in items)
 
-    def _items(self) -> list[_Item]:
+    def _items(self) -> "list[_Item]":
         return [_Item(number, log) for number, log in enumerate(self.logs)]
 
     def _next(self) -> None:

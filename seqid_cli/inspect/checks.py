@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 
-from seqid_cli.inspect.channels.clock import clock_findings
-from seqid_cli.inspect.channels.holes import hole_findings
+from seqid_cli.inspect.channels.clock import clock_findings, hole_findings
 from seqid_cli.inspect.channels.positions import (
     Break,
     breaks_of,

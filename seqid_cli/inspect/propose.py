@@ -210,9 +210,7 @@ def _joint(
     if joint.lower is not None and joint.upper is not None:
         limits = (joint.lower, joint.upper)
     remark = "" if joint.name == log_name else f"{log_name} in the log"
-    return JointTemplate(
-        joint.name, limits, joint.velocity, joint.effort, seen.encoder_step, seen.moves, remark
-    )
+    return JointTemplate(joint.name, limits, joint.velocity, seen.encoder_step, seen.moves, remark)
 
 
 def _channels(

@@ -7,8 +7,6 @@ joint; `open_long` returns None for others, and for logs in which samples come i
 lost without the stamps showing it (`lost_samples`): these have to be read as a whole.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -50,7 +48,7 @@ class Block:
         """Number of samples."""
         return len(self.q)
 
-    def part(self, where: slice) -> Block:
+    def part(self, where: slice) -> "Block":
         """Some samples, counted from the first of these."""
         return Block(self.start + where.start, self.q[where], self.tau[where], self.valid[where])
 

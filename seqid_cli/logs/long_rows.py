@@ -1,7 +1,5 @@
 """What the first pass over a long log remembers of its stamps, and the time base that follows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,7 +26,7 @@ class Rows:
     partial: str = ""
     warnings: tuple[str, ...] = ()
 
-    def followed_by(self, other: Rows) -> Rows:
+    def followed_by(self, other: "Rows") -> "Rows":
         """These rows and the next."""
         if not len(self.stamps):
             return other
@@ -36,12 +34,12 @@ class Rows:
             np.concatenate([self.stamps, other.stamps]), np.concatenate([self.values, other.values])
         )
 
-    def after(self, stamp: int) -> Rows:
+    def after(self, stamp: int) -> "Rows":
         """Rows from a little before a stamp on."""
         low = max(0, int(np.searchsorted(self.stamps, stamp)) - MARGIN)
         return Rows(self.stamps[low:], self.values[low:])
 
-    def around(self, first: int, last: int) -> Rows:
+    def around(self, first: int, last: int) -> "Rows":
         """Rows from a little before a stamp to a little after another."""
         low = max(0, int(np.searchsorted(self.stamps, first)) - MARGIN)
         high = int(np.searchsorted(self.stamps, last, side="right")) + MARGIN

@@ -4,8 +4,6 @@ A log that is held is cut; one that is too long for that is passed over once mor
 of the pieces are kept. A piece holds all that the log has: temperatures and IMUs as well.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -131,7 +129,7 @@ class _Gathered:
     prefer_current: bool = False
 
     @classmethod
-    def of(cls, whole: Whole, first: float, last: float) -> _Gathered:
+    def of(cls, whole: Whole, first: float, last: float) -> "_Gathered":
         return cls(int((whole.start + first) * 1e9), int((whole.start + last) * 1e9))
 
     def push(self, raw: RawLog, *, around_s: float = 0.1) -> None:

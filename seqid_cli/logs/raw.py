@@ -1,7 +1,5 @@
 """What a reader hands over: samples as they were logged, each stream with its own stamps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -37,7 +35,7 @@ class Stream:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
-    def take(self, rows: Rows | Mask | slice) -> Stream:
+    def take(self, rows: Rows | Mask | slice) -> "Stream":
         """Select rows (indices, mask or slice)."""
         channels = {name: values[rows] for name, values in self.channels.items()}
         return replace(self, stamp_ns=self.stamp_ns[rows], channels=channels)

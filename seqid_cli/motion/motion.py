@@ -1,7 +1,5 @@
 """Joint motion and torque of one log, filtered alike and ready for regression."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -74,7 +72,7 @@ class Motion:
             return 1.0
         return min(1.0, 2 * NOISE_BANDWIDTH * self.lowpass.cutoff_hz / self.rate_hz)
 
-    def part(self, where: slice) -> Motion:
+    def part(self, where: slice) -> "Motion":
         """Some samples; the filter stays."""
         values = {name: getattr(self, name) for name in self.PER_SAMPLE}
         own: dict[str, Any] = {n: None if v is None else v[where] for n, v in values.items()}

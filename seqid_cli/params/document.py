@@ -1,7 +1,5 @@
 """Build, extend and join parameter files, which grow by a stage at a time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -33,7 +31,7 @@ def tool() -> schema.Tool:
     return schema.Tool(version=__version__)
 
 
-def robot_id(robot: Robot) -> schema.RobotId:
+def robot_id(robot: "Robot") -> schema.RobotId:
     """Return the identity of a robot in the form of documents."""
     return schema.RobotId(name=robot.name, joints=list(robot.joint_names), sha256=robot.sha256)
 

@@ -1,7 +1,5 @@
 """Read and write documents. A fault is reported with its place in the file."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -84,7 +82,7 @@ def _parameters(
     return file
 
 
-def check_robot(file: ParameterFile, robot: Robot, *, where: str = "") -> tuple[str, ...]:
+def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
     """Compare the robot of a parameter file with the robot file in use; returns warnings.
 
     Raises ConfigError: the joints differ: these are parameters of another robot.

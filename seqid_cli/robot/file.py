@@ -1,7 +1,5 @@
 """`robot.toml` to a checked Robot. Imports numpy and Pinocchio only once the text is in order."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +14,7 @@ if TYPE_CHECKING:
     from seqid_cli.robot.types import Array, Chain, Imu, Robot
 
 
-def load_robot(path: Path) -> Robot:
+def load_robot(path: Path) -> "Robot":
     """Read a robot file, and the URDF that it names, and check both.
 
     Parameters
@@ -47,7 +45,7 @@ def _urdf_of(read: ReadRobotFile) -> UrdfText | None:
     return urdf
 
 
-def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> Robot:
+def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> "Robot":
     import numpy as np
 
     from seqid_cli.robot.types import Joint, OwnEffect, Robot
@@ -91,7 +89,7 @@ def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> Robot:
     )
 
 
-def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> tuple[Chain, Array | None]:
+def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> "tuple[Chain, Array | None]":
     if urdf is None:
         from seqid_cli.robot.placement import DhRow, chain_from_dh
 
@@ -113,7 +111,7 @@ def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> tuple[Chain, Array 
     return chain, nominal
 
 
-def _imu(entry: ImuEntry, joints: list[str]) -> Imu:
+def _imu(entry: "ImuEntry", joints: list[str]) -> "Imu":
     import numpy as np
 
     from seqid_cli.robot.types import Imu

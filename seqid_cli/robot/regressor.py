@@ -13,8 +13,6 @@ joint-link pairs with j <= i are formed. Inside, samples are the last axis: of t
 each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -221,7 +219,7 @@ class _Walk:
     screws: Array  # (2, 6, n N)
 
     @classmethod
-    def along(cls, chain: Chain, samples: int) -> _Walk:
+    def along(cls, chain: Chain, samples: int) -> "_Walk":
         """Make room for so many samples at a time."""
         places = zip(chain.rotation, chain.position, strict=True)
         carriers = [_carriers(C, p) for C, p in places]

@@ -6,8 +6,6 @@ orders (10, 11) and does not swing between the speeds (Runge). Those that are ke
 with which it stays the same: within `DEVIATION` of its standard errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,7 +37,7 @@ class SurfaceFit:
     sizes: Sizes
 
     @classmethod
-    def of(cls, reduced: Reduced, sizes: Sizes, highest: Orders) -> SurfaceFit:
+    def of(cls, reduced: Reduced, sizes: Sizes, highest: Orders) -> "SurfaceFit":
         """Set up; `highest` are the orders of the surface that is taken as the whole one."""
         prior = sizes.prior(reduced.scaling, reduced.size, highest)
         return cls(reduced, prior, Normal.of(reduced, sizes, highest.velocity), sizes)

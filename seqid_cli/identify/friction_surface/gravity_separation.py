@@ -9,8 +9,6 @@ that Eq. 15 takes to be zero. Both are fitted, the second as an offset and a slo
 and kept only where the data speak for it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -213,7 +211,7 @@ class Clustered:
     moves: Array
 
     @classmethod
-    def of(cls, A: Array, y: Array, cluster: Index) -> Clustered:
+    def of(cls, A: Array, y: Array, cluster: Index) -> "Clustered":
         """Solve rows A (N, p), y (N,) of clusters (N,), numbered from 0."""
         theta = np.asarray(np.linalg.lstsq(A, y, rcond=1e-10)[0], dtype=np.float64)
         left = y - A @ theta

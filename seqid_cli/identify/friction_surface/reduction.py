@@ -16,8 +16,6 @@ distance in their trial. Before there is a surface, medians stand in: of each tr
 positions, of each position over the trials. What all trials have at one position is friction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,7 +27,7 @@ from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array, Mask
 
 
-def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
+def around_medians(data: "Sequence[SpeedData]", *, bins: int = 24) -> list[Array]:
     """Distances (K,) N m of slices from medians over positions and over trials."""
     middles = [item.friction - np.median(item.friction) for item in data]
     q, values = np.concatenate([item.q for item in data]), np.concatenate(middles)
@@ -44,8 +42,8 @@ def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
 
 
 def weighted(
-    data: Sequence[SpeedData], distances: Sequence[Array], *, min_scatter: float = 1e-9
-) -> list[SpeedData]:
+    data: "Sequence[SpeedData]", distances: Sequence[Array], *, min_scatter: float = 1e-9
+) -> "list[SpeedData]":
     """Weight the slices anew.
 
     `distances` (K,): of every slice from the surface, N m. `min_scatter`: of the usual friction,
@@ -138,7 +136,7 @@ class Reduced:
         """Chebyshev values (T, order + 1) at the trials' speeds."""
         return np.asarray(chebvander(self.u, order), dtype=np.float64)
 
-    def subset(self, kept: Mask) -> Reduced:
+    def subset(self, kept: Mask) -> "Reduced":
         """Some of the trials."""
         parts = (self.speeds, self.u, self.R, self.z, self.rest, self.total, self.slices)
         return Reduced(self.scaling, *(part[kept] for part in parts))

@@ -5,8 +5,6 @@ inner speeds by a surface that was fitted to the others, of the slowest and the 
 which nothing was seen, by the surface itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -61,7 +59,7 @@ class Errors:
         """Whether Eq. 11 holds."""
         return self.relative <= beta
 
-    def at(self, u: float) -> Errors:
+    def at(self, u: float) -> "Errors":
         """Those of one speed."""
         own = self.u == u
         return Errors(self.u[own], self.error[own], self.friction[own], self.noise[own])

@@ -4,8 +4,6 @@ A stretch of constant velocity is cut into equal slices of time, hence of positi
 slice replace a low-pass. The log may be too long to be held.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -95,7 +93,7 @@ class Ramps:
     weight: float = 0.0
 
     @classmethod
-    def none(cls) -> Ramps:
+    def none(cls) -> "Ramps":
         """No window."""
         return cls(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
 

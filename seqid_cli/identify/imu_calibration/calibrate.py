@@ -8,8 +8,6 @@ distance apart, or a single one that is not vertical, settle the angle about the
 leave open is named and never written as a number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -45,7 +43,7 @@ class Gathered:
     pairs: list[Pair] = field(default_factory=list)
     densities: list[float] = field(default_factory=list)
 
-    def __add__(self, other: Gathered) -> Gathered:
+    def __add__(self, other: "Gathered") -> "Gathered":
         names = ("segments", "pairs", "densities")
         return Gathered(*(getattr(self, name) + getattr(other, name) for name in names))
 

@@ -7,8 +7,6 @@ the gain g_k, the unit axis s_k and the place r_k in the IMU's frame, R the moun
     y_k = g_k (R s_k)'(f + H (l + R r_k)) + b_k,        gyro:  y_k = g_k (R s_k)'w + b_k.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +43,7 @@ def prior_of(widths: Widths, *, lever: float = 1.0, delay: float = 0.3, bias: fl
     return np.concatenate([[np.pi] * 3, [lever] * 3, [delay], *wide])
 
 
-def values_of(c: Constants) -> Array:
+def values_of(c: "Constants") -> Array:
     """Constants as a vector (p,), the rotation's part zero."""
     return np.concatenate([np.zeros(3), c.lever, [c.delay], c.bias, c.log_gain, c.tilt.ravel()])
 
@@ -95,7 +93,7 @@ class Constants:
     log_gain: Array
     tilt: Array
 
-    def moved(self, step: Array) -> Constants:
+    def moved(self, step: Array) -> "Constants":
         """Constants after a step of `names_of` order: turn, lever, delay, bias, gain, tilt."""
         c = len(self.bias)
         turn, rest = step[:3], step[7:]

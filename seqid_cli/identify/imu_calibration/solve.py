@@ -9,8 +9,6 @@ of the scores' long-run variance, summed over blocks of time within which residu
 each other as they like.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -82,7 +80,7 @@ class _State:
     widths: Widths
 
     @classmethod
-    def first(cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> _State:
+    def first(cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> "_State":
         count = len(start.bias)
         locals_ = [Local(s.start, np.zeros(count), np.zeros(len(s.locked))) for s in segments]
         return cls(segments, robot, imu, start, locals_, first_widths(count))
@@ -111,10 +109,10 @@ class _State:
         step: Array,
         share: float,
         reductions: list[Reduced],
-        inner: list[_Inner],
+        inner: "list[_Inner]",
         *,
         max_factor: float = 10.0,
-    ) -> _State:
+    ) -> "_State":
         """The state after a step of the constants.
 
         Raises QualityError if a gain is off by more than `max_factor`, or no number.

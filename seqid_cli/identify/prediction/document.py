@@ -1,7 +1,5 @@
 """Predicted torques as a document: errors added up log by log, with a verdict for each joint."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Iterable, Sequence

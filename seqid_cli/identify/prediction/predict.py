@@ -5,8 +5,6 @@ worked on with so many samples more on either side that the filters have forgott
 so that the parts together are what the log as a whole gives.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -226,7 +224,7 @@ class LongPrediction:
         stages: Stages,
         options: InertiaOptions,
         effects: Sequence[Fitted] = (),
-    ) -> LongPrediction:
+    ) -> "LongPrediction":
         """Choose how the log is filtered; the effects must be `local_effects`."""
         cutoff, step = chosen_cutoff(log, model.robot, options.motion)
         plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
@@ -337,10 +335,10 @@ class _Counts:
     used: bool  # any sample counts
 
     @classmethod
-    def none(cls, n: int) -> _Counts:
+    def none(cls, n: int) -> "_Counts":
         return cls(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), False)
 
-    def plus(self, part: LogPrediction, motion: Motion) -> _Counts:
+    def plus(self, part: LogPrediction, motion: Motion) -> "_Counts":
         assert part.outside is not None
         return _Counts(
             self.sliding + part.sliding.sum(axis=0),

@@ -9,8 +9,6 @@ metadata record `seqid.logs` says where each log went.
 Every message of one log has the same layout, so that messages are filled in as rows of bytes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 from collections.abc import Iterator, Sequence
@@ -54,7 +52,7 @@ class McapTorqueWriter:
 
     @classmethod
     @contextlib.contextmanager
-    def open(cls, path: Path, joints: Sequence[str]) -> Iterator[McapTorqueWriter]:
+    def open(cls, path: Path, joints: Sequence[str]) -> "Iterator[McapTorqueWriter]":
         """Write to `path` in one step: an interrupted run leaves the old file or none."""
         with replacing(path) as temporary:
             with writing(path):
@@ -69,7 +67,7 @@ class McapTorqueWriter:
                     writer.add_metadata("seqid.logs", torques._places)
                     writer.finish()  # type: ignore[no-untyped-call]
 
-    def write(self, log: LogPrediction) -> None:
+    def write(self, log: "LogPrediction") -> None:
         """Append a log, or the next part of one, all its samples."""
         stamps = self._stamps(log)
         tables = [
@@ -85,7 +83,7 @@ class McapTorqueWriter:
         self._count += len(stamps)
 
     def _stamps(
-        self, log: LogPrediction, *, pause_s: float = 1.0, latest_s: float = 2.0**31
+        self, log: "LogPrediction", *, pause_s: float = 1.0, latest_s: float = 2.0**31
     ) -> NDArray[np.int64]:
         """Time stamps (N,) ns of a log's samples."""
         if log.part == 0:

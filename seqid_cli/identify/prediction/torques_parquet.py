@@ -1,7 +1,5 @@
 """Measured, predicted and residual torque as Parquet, with position and velocity."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -36,7 +34,7 @@ class TorqueWriter:
     @contextlib.contextmanager
     def open(
         cls, path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
-    ) -> Iterator[TorqueWriter]:
+    ) -> "Iterator[TorqueWriter]":
         """Write to `path` in one step: an interrupted run leaves the old file or none.
 
         `parameters`: the SHA-256 of the files that the model is from, kept as metadata.

@@ -15,8 +15,6 @@ standard errors that hold for autocorrelated residuals, where the white-noise fo
 small. The factors are made by Householder reflections (LAPACK's `dtpqrt`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -137,7 +135,7 @@ class Accumulator:
         self.filled = 1
         self._bound()
 
-    def __add__(self, other: Accumulator) -> Accumulator:
+    def __add__(self, other: "Accumulator") -> "Accumulator":
         span = max(self.span, other.span)
         both = Accumulator(
             self.size, self.blocks + other.blocks, self.rows + other.rows, span, span
@@ -166,7 +164,7 @@ class Accumulator:
         """Number of rows added."""
         return sum(self.rows)
 
-    def with_fixed(self, column: int, value: float) -> Accumulator:
+    def with_fixed(self, column: int, value: float) -> "Accumulator":
         """The same rows with one parameter held at a value and taken out."""
         total = _without(self.total[None], column, value)[0]
         blocks = list(_without(np.stack(self.blocks), column, value)) if self.blocks else []

@@ -5,8 +5,6 @@ torque lies anywhere within its stiction. Friction comes from the friction stage
 with the direction while gravity does not, so trials in both directions keep it out of the estimate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -109,7 +107,7 @@ class GravityRows:
         self.used += len(parts)
         self._add_white(trials[0].joint, parts, [g.std_error for g in groups], joints)
 
-    def _rows(self, trial: Trial, surface: FrictionSurface, group: int) -> _TrialRows | None:
+    def _rows(self, trial: Trial, surface: FrictionSurface, group: int) -> "_TrialRows | None":
         """Rows of one trial, where friction is known."""
         v = np.full(len(trial.q), trial.velocity)
         inside = ~surface.outside(trial.q, v)
@@ -126,7 +124,7 @@ class GravityRows:
         return _TrialRows(means, float(inside.sum()) / count, trial, group)
 
     def _add_white(
-        self, j: int, parts: list[_TrialRows], errors: list[float], joints: list[Accumulator]
+        self, j: int, parts: "list[_TrialRows]", errors: list[float], joints: list[Accumulator]
     ) -> None:
         """Whiten the rows of one joint; each trial is a block."""
         rows = _joined(parts, self.size)

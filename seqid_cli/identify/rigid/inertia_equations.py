@@ -7,8 +7,6 @@ uncertainties end up in the standard errors. Only joints that slide contribute r
 a locked joint lies anywhere within its stiction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass, replace
@@ -57,12 +55,12 @@ class InertiaRows:
     counts: Array  # (2,): samples that count as independent, and all
 
     @classmethod
-    def none(cls, size: int, n: int) -> InertiaRows:
+    def none(cls, size: int, n: int) -> "InertiaRows":
         """No equation of n joints with so many parameters."""
         joints = [Accumulator(size) for _ in range(n)]
         return cls(joints, np.zeros(n), {}, [], [], np.zeros(2))
 
-    def __add__(self, other: InertiaRows) -> InertiaRows:
+    def __add__(self, other: "InertiaRows") -> "InertiaRows":
         cross = dict(self.cross)
         for j, crossed in other.cross.items():
             cross[j] = cross[j] + crossed if j in cross else crossed
@@ -103,14 +101,14 @@ class InertiaEquations:
         fresh.rows.uses.append(motion_use(log.path, self.robot, motion))
         return fresh.rows
 
-    def at_cutoff(self, cutoff_hz: float) -> InertiaEquations:
+    def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
         """The same equations, to take rows that are filtered at another cut-off."""
         other = copy(self)
         motion = replace(self.options.motion, cutoff_hz=cutoff_hz)
         other.options = replace(self.options, motion=motion)
         return other
 
-    def with_rows(self, rows: InertiaRows) -> InertiaEquations:
+    def with_rows(self, rows: InertiaRows) -> "InertiaEquations":
         """The same equations with rows."""
         full = copy(self)
         full.rows = rows

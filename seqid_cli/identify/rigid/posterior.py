@@ -23,8 +23,6 @@ one common error for all stages. It cancels in the torque of the same drive, so 
 that torque uses cov(theta), and what is stated of physical values adds M.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -109,7 +107,7 @@ class Posterior:
         direct: Sensitivity,
         gain: Array,
         through: Sensitivity,
-    ) -> Posterior:
+    ) -> "Posterior":
         """Join a solution's own errors with those that it inherits.
 
         `solution`: its covariance counts the prior's rows as independent of friction. `direct`: of
@@ -124,7 +122,7 @@ class Posterior:
         covariance += friction_covariance(total, surfaces, len(covariance))
         return cls((covariance + covariance.T) / 2, total)
 
-    def with_error(self, directions: Array) -> Posterior:
+    def with_error(self, directions: Array) -> "Posterior":
         """Add an error along directions (p, d), one standard deviation each."""
         return replace(self, covariance=self.covariance + directions @ directions.T)
 

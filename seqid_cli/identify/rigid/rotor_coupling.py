@@ -13,8 +13,6 @@ joints alone), and what the other one would change counts as an error of the par
 likely as not, or more where the logs favour it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,7 +35,7 @@ class Coupling:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def none(cls, size: int) -> Coupling:
+    def none(cls, size: int) -> "Coupling":
         """Nothing to decide for `size` parameters: no known rotor, or both models are the same."""
         return cls(False, np.zeros((size, 0)))
 

@@ -1,7 +1,5 @@
 """MCAP logs: which topics carry what, and their messages as streams of numbers."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterator
 from pathlib import Path
@@ -92,7 +90,7 @@ class _Log:
         self.scan = Scan(path, self._wanted)
 
     @classmethod
-    def of(cls, path: Path, robot: Robot) -> _Log:
+    def of(cls, path: Path, robot: Robot) -> "_Log":
         """Gather what a robot needs."""
         names = NameMap(robot.joint_names, robot.channels.effort or "torque")
         kinds: dict[str, Kind] = {JOINT_STATES: "joint_state", **imu_topics(robot)}

@@ -1,7 +1,5 @@
 """Batches of messages: payloads that lie in one buffer, and the rows of numbers made of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -31,7 +29,7 @@ class Payloads:
     lengths: NDArray[np.int64]  # (M,)
 
     @classmethod
-    def of(cls, batch: Sequence[bytes]) -> Payloads:
+    def of(cls, batch: Sequence[bytes]) -> "Payloads":
         """Lay payloads one behind the other."""
         lengths = np.fromiter(map(len, batch), np.int64, len(batch))
         buffer = np.frombuffer(b"".join([bytes(FRONT), *batch]), np.uint8)
@@ -45,7 +43,7 @@ class Payloads:
         spans = zip(self.starts.tolist(), ends.tolist(), strict=True)
         return (bytes(view[start:end]) for start, end in spans)
 
-    def take(self, rows: Rows | Mask | slice) -> Payloads:
+    def take(self, rows: Rows | Mask | slice) -> "Payloads":
         """Select payloads (indices, mask or slice) without a copy."""
         return Payloads(self.buffer, self.starts[rows], self.lengths[rows])
 
@@ -77,19 +75,19 @@ class Decoded:
     good: Mask
 
     @classmethod
-    def empty(cls, count: int, width: int) -> Decoded:
+    def empty(cls, count: int, width: int) -> "Decoded":
         """Make a batch in which nothing is decoded yet."""
         return cls(
             np.zeros(count, np.int64), np.full((count, width), np.nan), np.zeros(count, np.bool_)
         )
 
-    def put(self, rows: Rows, part: Decoded) -> None:
+    def put(self, rows: Rows, part: "Decoded") -> None:
         """Put messages decoded by themselves into their rows of the batch."""
         self.stamp_ns[rows] = part.stamp_ns
         self.values[rows] = part.values
         self.good[rows] = part.good
 
-    def take(self, rows: Mask) -> Decoded:
+    def take(self, rows: Mask) -> "Decoded":
         """Select messages."""
         return Decoded(self.stamp_ns[rows], self.values[rows], self.good[rows])
 

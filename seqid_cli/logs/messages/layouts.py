@@ -10,8 +10,6 @@ doubles come to lie aligned in this way. Only the pieces of a message that carry
 numbers are copied out of the buffer.
 """
 
-from __future__ import annotations
-
 import struct
 import sys
 from collections.abc import Callable, Sequence
@@ -98,7 +96,7 @@ class Form:
     stamp: tuple[int, int]  # piece, byte in it
 
     @classmethod
-    def of(cls, layout: Layout, width: int) -> Form:
+    def of(cls, layout: Layout, width: int) -> "Form":
         """Prepare a layout."""
         pad = -len(layout.mask) % WORD
         front = np.zeros(pad, np.uint8)

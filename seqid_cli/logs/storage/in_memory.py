@@ -5,8 +5,6 @@ a local copy, a Parquet file, which is removed afterwards. So it is read, checke
 like any other log, in this process or in others.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ class TableLog(StoredLog):
     content: Any
 
     @classmethod
-    def of(cls, data: object, name: str) -> TableLog:
+    def of(cls, data: object, name: str) -> "TableLog":
         """Take a table under the name that results give it.
 
         Raises InputError: it is no table.

@@ -6,8 +6,6 @@ log at a time (per process) lies on the disk. Access is configured as the store'
 environment and profile; nothing of it passes through here.
 """
 
-from __future__ import annotations
-
 import contextlib
 import glob
 import re

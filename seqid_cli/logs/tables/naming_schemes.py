@@ -9,8 +9,6 @@ rtde/csv_writer.py); libfranka, `state.q[0]` ... and time in ms (src/logging/rob
 LeRobot datasets, list columns `observation.state` and others.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -142,7 +140,7 @@ SCHEMES = (
 )
 
 
-def column_name(pattern: Columns, joint: str, index0: int) -> str:
+def column_name(pattern: "Columns", joint: str, index0: int) -> str:
     """Fill a pattern: {name}, {index} (from 1), {index0} (from 0); or look up a joint's column."""
     if not isinstance(pattern, str):
         return str(pattern[index0])

@@ -19,8 +19,6 @@ backward; its zeros follow from the spectral factorisation of the numerator. Bot
 only by what lies above half of the kept rate, 3e-6 at ten samples per period of the cut-off.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -46,7 +44,7 @@ class StateSpace:
     D: float
     steady: Array  # (m,): the state at x = 1
 
-    def twice(self) -> StateSpace:
+    def twice(self) -> "StateSpace":
         """Two passes in the same direction."""
         A = np.block([[self.A, np.zeros_like(self.A)], [np.outer(self.B, self.C), self.A]])
         B = np.concatenate([self.B, self.B * self.D])

@@ -5,8 +5,6 @@ come; which joints move follows from the largest travel over each time scale; an
 from the levels it was seen at. A short log is one block.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -86,7 +84,7 @@ class Survey:
         self._tail: Array | None = None
 
     @classmethod
-    def of(cls, q: Array, rate_hz: float) -> Survey:
+    def of(cls, q: Array, rate_hz: float) -> "Survey":
         """Look at all positions (N, n) of a log."""
         survey = cls(q.shape[1], rate_hz, len(q))
         survey.push(q)

@@ -1,7 +1,5 @@
 """What one stretch of a log holds, and its motion as cubic splines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,7 +107,7 @@ class Chunk:
         """First interval of each cell."""
         return np.arange(0, self.intervals, self.cell)
 
-    def gathered(self) -> Chunk:
+    def gathered(self) -> "Chunk":
         """The same with all readings where their clocks' offsets have them."""
         return replace(self, imus=tuple(_gathered(x, self) for x in self.imus))
 

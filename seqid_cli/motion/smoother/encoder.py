@@ -1,7 +1,5 @@
 """What an encoder's codes say of a joint's position: the edges it crosses, and the codes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,14 +30,14 @@ class EncoderView:
         """Positions (N,) of the edges, zero where there are none."""
         return np.asarray(np.nan_to_num(self.edge))
 
-    def part(self, start: int, stop: int) -> EncoderView:
+    def part(self, start: int, stop: int) -> "EncoderView":
         """What lies between two places."""
         own = slice(start, stop)
         return replace(
             self, q=self.q[own], edge=self.edge[own], dwell=self.dwell[own], known=self.known[own]
         )
 
-    def refined(self, stride: int) -> EncoderView:
+    def refined(self, stride: int) -> "EncoderView":
         """The same with `stride` places per sample; edges lie between samples."""
         edge = np.full(len(self.q) * stride, np.nan)
         edge[(stride - 1) // 2 :: stride] = self.edge

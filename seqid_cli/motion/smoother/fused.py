@@ -6,8 +6,6 @@ encoder does (Berkson's errors, not the classical ones). What it leaves out of t
 above its own bandwidth the low-pass takes from torque and motion alike.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -138,7 +136,7 @@ class _Task:
     digest: bytes
 
     @classmethod
-    def of(cls, recording: Recording, robot: Robot, stage: ImuStage | None) -> _Task:
+    def of(cls, recording: Recording, robot: Robot, stage: ImuStage | None) -> "_Task":
         found = hashlib.sha256(
             f"{robot.sha256} {robot.joints!r} {robot.imus!r} {recording.rate_hz!r}".encode()
         )

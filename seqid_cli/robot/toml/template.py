@@ -14,7 +14,6 @@ class JointTemplate:
     name: str
     limits: tuple[float, float] | None = None
     velocity: float | None = None
-    effort: float | None = None
     encoder_step: float | None = None
     moves: bool = True
     remark: str = ""
@@ -37,7 +36,7 @@ class RobotTemplate:
 
     `urdf` is the path to write (None for a DH stub), `effort` what the log carries ("torque",
     "current", "effort" where it does not say which, or empty), `left_out` are joints of the URDF
-    that are not in the log, `remarks` lines for the head of the file.
+    that are not in the log.
     """
 
     name: str
@@ -47,13 +46,11 @@ class RobotTemplate:
     imus: tuple[ImuTemplate, ...] = ()
     channels: Mapping[str, Columns] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
 
 
 def robot_toml(template: RobotTemplate) -> str:
     """Write the text of a robot file."""
     lines = [f'schema = "{SCHEMA}"']
-    lines += [f"# {remark}" for remark in template.remarks]
     lines.append(f"name = {_text(template.name)}")
     if template.urdf is not None:
         lines.append(f"urdf = {_text(template.urdf)}  # beside this file")
@@ -90,23 +87,20 @@ def _joint(joint: JointTemplate, template: RobotTemplate) -> list[str]:
     if servo or template.effort in ("current", "effort"):
         lines += _drive(joint)
         lines.append("# rotor_inertia = 1.0e-4  # kg m^2, motor side; leave out to identify it")
-    if joint.encoder_step is not None:
-        step = f"{joint.encoder_step:.6g}"
-        lines.append(
-            f"encoder_resolution = {_float(step)}  # per count at the joint, seen in the log"
-        )
-    else:
-        lines.append("# encoder_resolution = 1.0e-4  # rad per count at the joint; none was seen")
-    if joint.limits is not None:
-        low, high = (_float(f"{value:.10g}") for value in joint.limits)
-        lines.append(f"position_limits = [{low}, {high}]")
-    else:
-        lines.append("# position_limits = [-3.1, 3.1]  # rad")
-    if joint.velocity is not None:
-        lines.append(f"velocity_limit = {_float(f'{joint.velocity:.10g}')}")
-    else:
-        lines.append("# velocity_limit = 2.0  # rad/s")
-    return lines
+    step, limits, velocity = joint.encoder_step, joint.limits, joint.velocity
+    return [
+        *lines,
+        "# encoder_resolution = 1.0e-4  # rad per count at the joint; none was seen"
+        if step is None
+        else f"encoder_resolution = {_float(f'{step:.6g}')}  "
+        "# per count at the joint, seen in the log",
+        "# position_limits = [-3.1, 3.1]  # rad"
+        if limits is None
+        else f"position_limits = [{', '.join(_float(f'{value:.10g}') for value in limits)}]",
+        "# velocity_limit = 2.0  # rad/s"
+        if velocity is None
+        else f"velocity_limit = {_float(f'{velocity:.10g}')}",
+    ]
 
 
 def _drive(joint: JointTemplate) -> list[str]:

@@ -141,9 +141,11 @@ fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $
 	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS) --seed $$RANDOM --keep $(OUT)/fuzz
 
 .PHONY: study-trust
-study-trust: $(DEV) ## 10,000 damaged files of each kind, kills and full disks, into docs/trust.md (an hour)
+study-trust: $(DEV) ## damaged files, kills, full disks, repeats, two hours of log, into docs/trust.md (hours)
 	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
 	$(BIN)/python -m tests.studies.faults --write
+	$(BIN)/python -m tests.studies.repeat --write
+	$(BIN)/python -m tests.studies.soak --write
 
 .PHONY: fleet
 fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)

@@ -61,9 +61,10 @@ def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = Fal
     `paths`: files (taken whatever their suffix), folders (searched at any depth for the suffixes of
     logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth). CSV
     files met in a folder that are no logs are left out. `note`: told what was left out, and why.
-    `stored`: whether URLs of object storage are welcome as well. Returns: in the order of the
-    arguments, within each in natural order (`run2` before `run10`); a file that is meant twice
-    comes once. Raises InputError: an argument stands for no file at all.
+    `stored`: whether URLs of object storage are welcome as well. Returns: in the
+    natural order of their paths (`run2` before `run10`), whatever that of the arguments, so that
+    results repeat bit by bit; a file that is meant twice comes once. Raises InputError: an argument
+    stands for no file at all.
     """
     found: dict[Path, Path] = {}
     for argument in paths:
@@ -77,7 +78,7 @@ def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = Fal
             raise InputError(f"cannot be looked up ({error})", where=str(argument)) from error
         for path in matches:
             found.setdefault(path.resolve(), path)
-    return list(found.values())
+    return natural_order(found.values())
 
 
 def _stored(url: str, *, welcome: bool) -> list[Path]:

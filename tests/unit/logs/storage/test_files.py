@@ -32,11 +32,11 @@ def test_folder_gives_logs_in_natural_order(folder: Path) -> None:
     ]
 
 
-def test_duplicates_are_removed_and_order_of_arguments_stays(folder: Path) -> None:
+def test_duplicates_are_removed_and_the_order_is_that_of_names(folder: Path) -> None:
     found = expand(
         [str(folder / "run10.parquet"), str(folder), str(folder / "sub/../run2.parquet")]
     )
-    assert names(found, folder) == ["run10.parquet", "run2.parquet", "sub/run1.MCAP"]
+    assert names(found, folder) == ["run2.parquet", "run10.parquet", "sub/run1.MCAP"]
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.discriminate import plan_discriminate
 from seqid_cli.robot.types import Robot
 from tests.plants.planned import recorded
+from tests.plants.undeclared import REGISTRY
 from tests.studies.tables import table
 from tests.studies.undeclared_cases import Condition, built
 from tests.studies.undeclared_logs import logs_of, stages_of
@@ -32,7 +33,9 @@ MOVE_S = 8.0
 LATER_S = 2000.0  # s since power-on, when the planned moves are recorded
 EARLIER = 50  # added to the seed: the model is of logs without the effect
 NAMES = tuple(
-    name for name, effect in CATALOGUE.items() if effect.by_motion and name != "rotor_inertia"
+    name
+    for name, effect in CATALOGUE.items()
+    if effect.by_motion and name in REGISTRY and name != "rotor_inertia"
 )
 
 

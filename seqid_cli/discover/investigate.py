@@ -19,7 +19,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.discover.select.naming import TOLD
-from seqid_cli.discover.select.results import Selected
+from seqid_cli.discover.select.results import Options, Selected
 from seqid_cli.discover.select.selection import select, select_again
 from seqid_cli.discover.survey.events import Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
@@ -66,10 +66,11 @@ def investigate(
     options: DiscoverOptions,
     *,
     least: float = TOLD,
+    selection: Options | None = None,
 ) -> Investigation:
     """Select what a model lacks, and find events in what is left.
 
-    What is less likely than `least` is not told.
+    What is less likely than `least` is not told; `selection` says what decides.
 
     Raises
     ------
@@ -79,7 +80,7 @@ def investigate(
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)
-    found = select(_ground(rows, stages))
+    found = select(_ground(rows, stages), selection)
     step("looking for events", 8, 10)
     events = events_of(found.model)
     gone = [

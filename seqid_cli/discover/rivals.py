@@ -70,4 +70,7 @@ def _lacking(one: Ranked) -> str:
     if one.gained.evidence <= options.chance:
         evidence = one.gained.evidence
         return f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked at least"
+    if told.share <= options.improvement:
+        share, least = percent(told.share), percent(options.improvement)
+        return f"takes away {share} of the squared error; {least} is asked at least"
     return "was taken, and removed again: not worth it once all was fitted together"

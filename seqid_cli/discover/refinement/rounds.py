@@ -28,7 +28,7 @@ from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_mode
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.select.naming import named
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import Options, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
@@ -145,8 +145,8 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 
 def _investigated(material: Material, model: Refitted) -> Investigation:
     """Find what the model, with its effects, may lack: candidates that are tried, not reported."""
-    logs = material.now(model)
-    return investigate(logs, material.robot, model.stages, material.options, least=0.0)
+    logs, stages, tried = material.now(model), model.stages, Options(improvement=LEAST_GAIN)
+    return investigate(logs, material.robot, stages, material.options, least=0.0, selection=tried)
 
 
 def _add_effects(loop: Loop, found: Investigation) -> None:

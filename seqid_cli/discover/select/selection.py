@@ -1,9 +1,9 @@
 """Forward and backward selection of what a model lacks.
 
 A term is taken if it surely predicts blocks of time that were left out better than the model
-without it. Of terms that do so equally well, the one of the fewest parameters is taken, and of
-these the one of the largest evidence; smooth functions have many. What does not hold beside terms
-that came later is taken back.
+without it, by so much of their squared error that it matters. Of terms that do so equally well, the
+one of the fewest parameters is taken, and of these the one of the largest evidence; smooth
+functions have many. What does not hold beside terms that came later is taken back.
 
 The base is held to the file in one of two ways to begin with: as the file says, or loosely, as
 files need it that have taken up an effect. Of each finished model the evidence says how loosely the
@@ -195,7 +195,8 @@ class Selection:
     def _passes(self, one: Ranked) -> bool:
         """Whether a term is worth it."""
         options, told = self.options, one.predicted
-        return one.gained.evidence > options.chance and told.doubt < options.doubt
+        sure = one.gained.evidence > options.chance and told.doubt < options.doubt
+        return sure and told.share > options.improvement
 
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""

@@ -25,4 +25,4 @@ def test_old_files_stay_whole(name: str, files: int, tmp_path: Path) -> None:
     assert len(forks.sizes) == files
     assert forks.killed >= 10
     assert forks.inside
-    assert forks.full == 6
+    assert forks.full >= 6  # one a file at least

@@ -117,7 +117,7 @@ def test_a_fault_of_many_logs_is_told_once(rig: Rig) -> None:
 
 def test_the_same_log_twice_is_told(rig: Rig) -> None:
     first = copy(rig.folder, "validation/point_to_point.parquet")
-    second = copy(rig.folder, "validation/point_to_point.parquet", "again.parquet")
+    second = copy(rig.folder, "validation/point_to_point.parquet", "point_to_point_again.parquet")
     done = rig.run("inspect", first, second, "-r", "robot.toml", "--json")
     (finding,) = json.loads(done.out)["findings"]
     assert (finding["code"], finding["log"]) == ("duplicate_log", second)

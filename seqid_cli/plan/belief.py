@@ -224,7 +224,8 @@ def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tup
             noise[j] = inertia.rmse[name] ** 2 / inertia.cutoff_hz
         if name in friction:
             noise[j] += friction[name].rmse ** 2 / friction_hz
-        noise[j] = measured.get(name, noise[j] ** 0.5) ** 2
+        if name in measured:
+            noise[j] = measured[name] ** 2
     known = measured or (inertia and inertia.cutoff_hz)
     return 2.0 / noise, "what the stages left of the torque" if known else origin
 

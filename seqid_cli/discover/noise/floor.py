@@ -61,7 +61,7 @@ NYQUIST_SHARE = 0.9
 BAND = (0.45, 0.95)  # cut-offs, between which what is left of the torque is taken for noise
 FEWEST_STRETCHES = 2
 # Bins of a tapered spectrum that count as one, times the variance of a median over that of a mean.
-ALIKE = 1.5 * 2.08
+HANN_MEDIAN = 1.5 * 2.08
 ENCODER_ERROR = 0.25  # relative standard error of the encoder's part
 ENCODER_SPREAD = np.exp(ENCODER_ERROR * np.array([0.0, -1.96, 1.96]))  # estimate and its ends
 AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
@@ -287,7 +287,7 @@ def _top_of_band(
     )
     density = np.maximum(whole - heard, LEAST_SHARE * whole)
     density = density / power_gain(motion.lowpass, frequency[kept], 2)
-    averaged = np.full(int(kept.sum()), len(starts) / ALIKE)
+    averaged = np.full(int(kept.sum()), len(starts) / HANN_MEDIAN)
     return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))
 
 
@@ -307,5 +307,5 @@ def _slid(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
     if not starts or kept.sum() < FEWEST_FREQUENCIES:
         return None
     density = median_spectrum(recording.tau[:, joint], starts, length, rate)[kept]
-    averaged = np.full(int(kept.sum()), len(starts) / ALIKE)
+    averaged = np.full(int(kept.sum()), len(starts) / HANN_MEDIAN)
     return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from seqid_cli.discover.select.model import Model, rms_of_rows
 from seqid_cli.discover.select.rows import Gained, Predicted
@@ -33,6 +35,11 @@ class Options:
     law: float = 0.03
     tie: float = 0.04
     most: int = 8
+
+    @cached_property
+    def behind(self) -> float:
+        """Standard errors by which a term is behind another with no more than `doubt`."""
+        return -float(ndtri(self.doubt))
 
 
 @dataclass(frozen=True)

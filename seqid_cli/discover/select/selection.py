@@ -22,7 +22,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
 from seqid_cli.discover.select.linear import Linear
@@ -201,8 +200,7 @@ class Selection:
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, behind = self.options, best.predicted.density - one.predicted.density
-        chance = float(norm.isf(options.doubt)) * scatter(behind)
-        least = max(chance, options.tie * best.predicted.total, 1.0)
+        least = max(options.behind * scatter(behind), options.tie * best.predicted.total, 1.0)
         less = best.predicted.total - one.predicted.total
         return bool(one.term.channels & best.term.channels) and less <= least
 

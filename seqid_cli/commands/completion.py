@@ -1,16 +1,10 @@
-"""`seqid completion`: scripts that complete commands, options and files without starting Python.
-
-What the commands offer ships in `completion.json`, so that not all of them have to be imported. It
-is made from their parsers by `python -m seqid_cli.commands.completion`.
-"""
+"""`seqid completion`: scripts, made from the parsers, that complete without starting Python."""
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import typer
@@ -23,9 +17,6 @@ EXAMPLES = (
 Shell = Annotated[
     Literal["bash", "zsh", "fish"], typer.Argument(metavar="bash|zsh|fish", help="Which shell.")
 ]
-
-
-SHIPPED = Path(__file__).with_suffix(".json")
 
 
 class Flag(NamedTuple):
@@ -53,14 +44,6 @@ def run(shell: Shell) -> int:
 
 
 def all_words() -> dict[str, Words]:
-    """Return what every command offers, as shipped."""
-    return {
-        name: Words(text, tuple(_flag_of(*flag) for flag in flags), tuple(choices))
-        for name, (text, flags, choices) in json.loads(SHIPPED.read_text("utf-8")).items()
-    }
-
-
-def parser_words() -> dict[str, Words]:
     """Return what every command offers, asked of its parser."""
     from seqid_cli.commands.app import COMMANDS, load_command
 
@@ -146,10 +129,6 @@ def fish_script(words: Mapping[str, Words]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _flag_of(spellings: list[str], text: str, takes_value: bool, choices: list[str]) -> Flag:
-    return Flag(tuple(spellings), text, takes_value, tuple(choices))
-
-
 def _flag_from(option: typer.core.TyperOption) -> Flag:
     return Flag(
         spellings=tuple(option.opts),
@@ -186,14 +165,3 @@ def _fish_spelling(word: str) -> str:
 
 def _quote(text: str) -> str:
     return "'" + text.replace("'", "'\\''") + "'"
-
-
-def main() -> None:
-    """Write what ships."""
-    from seqid_cli.params.files import write_text_atomic
-
-    write_text_atomic(SHIPPED, json.dumps(parser_words(), indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()

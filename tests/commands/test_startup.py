@@ -57,7 +57,7 @@ def test_completion_is_light(tmp_path: Path, shell: str) -> None:
     code, out, modules = run(tmp_path, "completion", shell)
     assert code == 0
     assert "friction" in out
-    assert not modules & (HEAVY | {"msgspec"})  # which the commands themselves import
+    assert not modules & HEAVY
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """One log as the checks see it: samples as they were logged, and on one time base."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -117,10 +117,8 @@ def _motion(
     *,
     min_hz: float = 3.0,
     min_share: float = 0.1,
-    rate_hz: float = 100.0,
 ) -> Motion | None:
     """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
-    recording = averaged(recording, rate_hz)
     lowest = min(min_hz, min_share * recording.rate_hz)
     try:
         motion = estimate_motion(recording, robot, MotionOptions())
@@ -129,42 +127,6 @@ def _motion(
     except SeqidError:
         return None
     return motion
-
-
-def averaged(recording: Recording, rate_hz: float) -> Recording:
-    """Average a log over groups of samples, so that no more than needed are filtered.
-
-    `rate_hz`: what is left is at least that fast [Hz]. Returns: position and torque alone, both
-    averaged alike; a group is valid if all of it is. The same recording where its rate is not twice
-    as high, or where its IMUs are wanted.
-    """
-    size = int(recording.rate_hz / rate_hz)
-    if size < 2 or recording.accelerometers or recording.gyros:
-        return recording
-    count = len(recording.t) // size
-
-    def mean(values: Array) -> Array:
-        groups = values[: count * size].reshape(count, size, -1)
-        total = groups[:, 0].copy()
-        for k in range(1, size):  # several times as fast as `mean` over a short axis
-            total += groups[:, k]
-        return np.asarray(total / size)
-
-    return replace(
-        recording,
-        t=mean(recording.t)[:, 0],
-        q=mean(recording.q),
-        valid=np.asarray(recording.valid[: count * size].reshape(count, size).all(axis=1)),
-        health=replace(recording.health, rate_hz=recording.rate_hz / size),
-        dq=None,
-        tau=None if recording.tau is None else mean(recording.tau),
-        temperature=None,
-        load=None,
-        link_position=None,
-        bridged=None
-        if recording.bridged is None
-        else mean(recording.bridged.astype(np.float64))[:, 0] > 0.0,
-    )
 
 
 def _on_true_time(joints: Stream, recording: Recording) -> Stream:

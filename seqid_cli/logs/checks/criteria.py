@@ -19,7 +19,7 @@ class LossCriteria:
     sudden_noise: float = 5.0
     counts: float = 4.0
     uneven: float = 0.15  # of that motion, at a single step
-    uneven_means: float = 0.5  # of it, where means or the usual time tell the loss
+    uneven_means: float = 0.5  # of it, where the usual time tells the loss
     returned: float = 0.5  # of a step, that the increments around it may take back
     counted: float = 0.3  # of an interval, by which stamps that count rows differ from even ones
     many: float = 0.2  # of the increments: steps as frequent are noise or a slower channel
@@ -29,7 +29,6 @@ class LossCriteria:
     held_least: int = 2  # increments of nothing before a joint catches up
     smallest: float = 1e-3  # of the increments that make a count of the encoder or less ...
     most: int = 20_000  # ... of so many of them
-    edge_s: float = 0.1  # of the means before and behind a loss of less than a count
     recurs: float = 0.5  # of the distances between losses that are one and the same ...
     least_losses: int = 4  # ... and losses that tell it
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.bridging import Losses, cubic, with_losses
 from seqid_cli.logs.checks.criteria import LOSSES, LossCriteria
-from seqid_cli.logs.checks.recurring_losses import below_counts, joined, recurring
+from seqid_cli.logs.checks.recurring_losses import joined, recurring
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import gaussian_spread
 
@@ -237,13 +237,9 @@ def _slope(t: Array, values: Array, rows: slice) -> float:
 
 
 def _all_losses(motion: _Motion, steps: Rows) -> Losses:
-    """Losses that increments show, and those that they do not show by themselves."""
+    """Losses that increments show, and those that recur at slow motion."""
     losses, criteria = _losses(motion, steps), motion.criteria
-    if motion.dq is None:
-        return losses
-    more = below_counts(motion.t, motion.q, motion.dq, motion.count, losses, criteria)
-    losses = joined(losses, more)
-    if len(losses) < criteria.least_losses:
+    if motion.dq is None or len(losses) < criteria.least_losses:
         return losses
     v = 0.5 * (motion.dq[1:] + motion.dq[:-1])
     return joined(losses, recurring(motion.t, motion.q, v, motion.noise, losses, criteria))

@@ -117,24 +117,6 @@ def test_sound_logs_are_left_alone(rate_hz: float, kind: str) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
-def test_losses_of_a_count_are_found_by_the_velocity(rate_hz: float) -> None:
-    """An encoder of 400 counts: a joint loses about one of them."""
-    full = arm(0, rate_hz, 1, count=2.0 * np.pi / 400)
-    gap = round(0.03 * rate_hz)
-    kept = np.arange(len(full.t)) % round(rate_hz) >= gap
-    left = full.rows(kept)
-    found = mended(left.stream(full.t[: len(left.t)])).losses
-    places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
-    sped = places[np.abs(left.dq[places, 0]) > 0.9]
-    near = np.abs(found.rows[:, None] - places).min(axis=1)
-    assert (near < 0.02 * rate_hz).all()  # a loss is somewhere within a count
-    assert len(sped) == 5
-    assert (np.abs(found.rows - sped[:, None]).min(axis=1) < 0.02 * rate_hz).all()
-    assert np.median(found.seconds) == pytest.approx(0.03, rel=0.2)
-    assert not len(mended(left.stream(full.t[: len(left.t)], velocity=False)).losses)
-
-
-@pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
 def test_losses_that_recur_are_found_where_the_joint_turns_back(rate_hz: float) -> None:
     for seed in SEEDS:
         full = arm(seed, rate_hz, 1)

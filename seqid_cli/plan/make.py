@@ -157,7 +157,14 @@ def _verdicts(what: str, stage: PlannedStage, *, most_imitated: float = 0.95) ->
     if told is not None:
         most = percent(told.imitated, 0)
         reason = f"{' and '.join(told.between)}: either imitates up to {most} of the other"
-        return [Verdict(good=told.imitated <= most_imitated, reason=reason)]
+        if told.special_case:
+            general = next(name for name in told.between if name != told.special_case)
+            reason += (
+                f"; {told.special_case} is a special case of {general} on every motion: where it is"
+                " the true one, both names stay"
+            )
+        good = told.imitated <= most_imitated and told.special_case is None
+        return [Verdict(good=good, reason=reason)]
     if what == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]
     if stage.rank is None or stage.structural_rank is None:

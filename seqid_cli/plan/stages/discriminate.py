@@ -81,7 +81,12 @@ def plan_discriminate(
         msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)
     ]
-    return Planned(moves, PlannedStage(duration_s=seconds, separation=separation))
+    notes = []
+    if separation.special_case:
+        special = effects[1 - found.ways[0]]
+        notes = [f"where it is {special.name}, no motion settles it: record {special.separate_by}"]
+    stage = PlannedStage(duration_s=seconds, separation=separation, notes=notes)
+    return Planned(moves, stage)
 
 
 def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], int | None]:

@@ -63,11 +63,26 @@ class Question:
 def _settings(
     effect: Effect, joint: int | None, scenes: Sequence[Scene], *, most: int = 8
 ) -> list[dict[str, float]]:
-    """At most so many settings of the grid, evenly; shapes are looked for in white noise."""
+    """At most so many settings of the grid, evenly; shapes are looked for in white noise.
+
+    A diagnosis refines a continuous setting between the points of its grid. `2 * most` values
+    over its bounds therefore stand for the grid of an effect that has this setting alone.
+    """
     rng = np.random.default_rng(0)
     white = [rng.normal(size=scene.motion.q.shape) for scene in scenes]
     grid = list(effect.grid(scenes, joint, white))
+    one = effect.settings[0] if len(effect.settings) == 1 else None
+    if one and one.continuous and not one.logarithmic and np.isfinite([one.low, one.high]).all():
+        fine = [{one.name: float(x)} for x in np.linspace(one.low, one.high, 2 * most)]
+        return [s for s in fine if _plausible(effect, joint, scenes, s)]
     return [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, most).round().astype(int))]
+
+
+def _plausible(
+    effect: Effect, joint: int | None, scenes: Sequence[Scene], settings: dict[str, float]
+) -> bool:
+    """Whether the effect goes by its own name with these settings."""
+    return effect.plausible(scenes, joint, settings, np.ones(len(effect.coefficients(settings))))
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from seqid_cli.errors import UsageError
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.discriminate import asked, plan_discriminate
 from seqid_cli.plan.stages.separation import Question, scenes_of, separation_of
@@ -80,11 +81,29 @@ def test_a_special_case_and_a_pair_beyond_motion_are_named(belief: Belief, stage
     told = plan_discriminate(belief, stages, nested).stage.separation
     assert told is not None
     assert told.special_case == "torque_bias"
+    file = make_plan("discriminate", belief.robot, belief.limits, stages, nested)
+    assert not file.verdicts[0].good
+    assert "torque_bias is a special case of spring" in file.verdicts[0].reason
+    assert "brakes on" in file.stages["discriminate"].notes[0]
     same = plan_discriminate(
         belief, stages, replace(OPTIONS, between=("time_skew", "actuator_lag"))
     )
     assert not same.moves
     assert "no motion tells time_skew from actuator_lag" in same.stage.notes[0]
+
+
+def test_a_rival_has_the_settings_that_a_diagnosis_may_refine(
+    belief: Belief, stages: Stages
+) -> None:
+    pair = replace(OPTIONS, between=("quadratic_drag", "nonlinear_viscous"), duration_s=12.0)
+    moves = plan_discriminate(belief, stages, replace(OPTIONS, duration_s=12.0)).moves
+    both, joint = asked(belief.robot, pair)
+    settings = Question.of(both, joint, scenes_of(belief, stages, moves)).settings[1]
+    exponents = [one["exponent"] for one in settings]
+    near = min(abs(x - 2.0) for x in exponents)
+    assert 0.2 <= near < 0.3  # nearer ones go by the other's name
+    assert min(exponents) == 0.3
+    assert max(exponents) == 4.0
 
 
 @pytest.mark.parametrize(

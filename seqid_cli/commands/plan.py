@@ -237,5 +237,3 @@ def _show_separation(screen: Screen, told: EffectSeparation) -> None:
         f" probability {percent(told.power)}; 95 % need {number(told.seconds_needed)} s"
     )
     screen.result(f"either imitates up to {percent(told.imitated)} of the other on these moves")
-    if told.special_case:
-        screen.remark(f"{told.special_case} is a special case of the other: it can be refuted only")

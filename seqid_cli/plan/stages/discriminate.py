@@ -67,6 +67,7 @@ def plan_discriminate(
     total = found.of[chosen].sum(axis=0)
     T = size**2 * float(found.value(total))
     level = NormalDist().inv_cdf(1.0 - alpha)
+    special = effects[1 - found.ways[0]] if len(found.ways) == 1 else None
     separation = EffectSeparation(
         between=names,
         joint=None if joint is None else belief.robot.joint_names[joint],
@@ -75,18 +76,16 @@ def plan_discriminate(
         power=NormalDist().cdf(float(np.sqrt(T)) - level),
         seconds_needed=seconds * (2.0 * level) ** 2 / T if T > 0.0 else None,
         imitated=found.imitated(total),
-        special_case=None if len(found.ways) == 2 else names[1 - found.ways[0]],
+        special_case=special.name if special else None,
     )
     moves = [
         msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)
     ]
     notes = []
-    if separation.special_case:
-        special = effects[1 - found.ways[0]]
+    if special:
         notes = [f"where it is {special.name}, no motion settles it: record {special.separate_by}"]
-    stage = PlannedStage(duration_s=seconds, separation=separation, notes=notes)
-    return Planned(moves, stage)
+    return Planned(moves, PlannedStage(duration_s=seconds, separation=separation, notes=notes))
 
 
 def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], int | None]:

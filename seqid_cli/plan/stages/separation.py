@@ -26,7 +26,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.effect import Effect, Setting
 from seqid_cli.model.effects.scene import Scene, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
@@ -65,24 +65,24 @@ def _settings(
 ) -> list[dict[str, float]]:
     """At most so many settings of the grid, evenly; shapes are looked for in white noise.
 
-    A diagnosis refines a continuous setting between the points of its grid. `2 * most` values
-    over its bounds therefore stand for the grid of an effect that has this setting alone.
+    A diagnosis refines a continuous setting between the grid's values. Of an effect that has this
+    setting alone, twice as many values between its bounds are taken, at which it is plausible.
     """
+    if len(effect.settings) == 1 and _evenly_continuous(one := effect.settings[0]):
+        fine = [{one.name: float(x)} for x in np.linspace(one.low, one.high, 2 * most)]
+        ones = np.ones(len(effect.coefficients(fine[0])))
+        if plausible := [x for x in fine if effect.plausible(scenes, joint, x, ones)]:
+            return plausible
     rng = np.random.default_rng(0)
     white = [rng.normal(size=scene.motion.q.shape) for scene in scenes]
     grid = list(effect.grid(scenes, joint, white))
-    one = effect.settings[0] if len(effect.settings) == 1 else None
-    if one and one.continuous and not one.logarithmic and np.isfinite([one.low, one.high]).all():
-        fine = [{one.name: float(x)} for x in np.linspace(one.low, one.high, 2 * most)]
-        return [s for s in fine if _plausible(effect, joint, scenes, s)]
     return [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, most).round().astype(int))]
 
 
-def _plausible(
-    effect: Effect, joint: int | None, scenes: Sequence[Scene], settings: dict[str, float]
-) -> bool:
-    """Whether the effect goes by its own name with these settings."""
-    return effect.plausible(scenes, joint, settings, np.ones(len(effect.coefficients(settings))))
+def _evenly_continuous(setting: Setting) -> bool:
+    """Whether a setting is searched between two bounds, and not by ratio."""
+    bounded = np.isfinite([setting.low, setting.high]).all()
+    return bool(setting.continuous and not setting.logarithmic and bounded)
 
 
 @dataclass(frozen=True)

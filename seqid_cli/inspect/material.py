@@ -112,11 +112,7 @@ def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool)
 
 
 def _motion(
-    recording: Recording,
-    robot: Robot,
-    *,
-    min_hz: float = 3.0,
-    min_share: float = 0.1,
+    recording: Recording, robot: Robot, *, min_hz: float = 3.0, min_share: float = 0.1
 ) -> Motion | None:
     """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
     lowest = min(min_hz, min_share * recording.rate_hz)

@@ -19,7 +19,7 @@ class LossCriteria:
     sudden_noise: float = 5.0
     counts: float = 4.0
     uneven: float = 0.15  # of that motion, at a single step
-    uneven_means: float = 0.5  # of it, where the usual time tells the loss
+    uneven_usual: float = 0.5  # of it, where the usual time tells the loss
     returned: float = 0.5  # of a step, that the increments around it may take back
     counted: float = 0.3  # of an interval, by which stamps that count rows differ from even ones
     many: float = 0.2  # of the increments: steps as frequent are noise or a slower channel

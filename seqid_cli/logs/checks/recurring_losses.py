@@ -40,7 +40,7 @@ def recurring(
     motion = v * usual
     without, left = (np.sum((x / noise) ** 2, axis=1) for x in (step, step - motion))
     uneven = np.sum(
-        ((step - motion) / (noise + criteria.uneven_means * np.abs(motion))) ** 2, axis=1
+        ((step - motion) / (noise + criteria.uneven_usual * np.abs(motion))) ** 2, axis=1
     )
     likely = (left < without) & (without > criteria.sure**2) & (uneven < criteria.sure**2)
     rows = [row for row in _places(known.rows, period, len(v)) if likely[row]]

@@ -12,7 +12,7 @@ from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.figures.row_chart import RowChart
 from seqid_cli.report.judgement import Judgement, Level, judge
 from seqid_cli.report.page import render
-from seqid_cli.report.views import Column, Figure, Group, Key, Section, Table
+from seqid_cli.report.views import Figure, Group, Key, Section, Table, numbers, texts
 from seqid_cli.report.words import DASH, listed, number, percent, plural, unit_text
 
 _WORST: tuple[Level, ...] = ("poor", "not_judged", "reservations", "good")
@@ -70,11 +70,10 @@ def _errors(found: Collection) -> dict[str, tuple[float, float]]:
 
 def _overview(robots: Sequence[Judged], whole: Judgement) -> Section:
     columns = (
-        Column("robot"),
-        Column("verdict"),
-        Column("largest error", numeric=True, unit="of RMS torque"),
-        Column("at"),
-        Column("open points", numeric=True),
+        *texts("robot", "verdict"),
+        *numbers("largest error", unit="of RMS torque"),
+        *texts("at"),
+        *numbers("open points"),
     )
     rows = []
     for place, (name, found, judgement) in enumerate(robots):
@@ -117,12 +116,7 @@ def _robots(robots: Sequence[Judged]) -> Section:
 
 
 def _robot(place: int, name: str, found: Collection, judgement: Judgement) -> Group:
-    columns = (
-        Column("joint"),
-        Column("RMS error", numeric=True),
-        Column("unit"),
-        Column("of RMS torque", numeric=True),
-    )
+    columns = (*texts("joint"), *numbers("RMS error"), *texts("unit"), *numbers("of RMS torque"))
     rows = [
         (joint, number(rmse), unit_text(found.units(joint)[0]), percent(share))
         for joint, (rmse, share) in _errors(found).items()

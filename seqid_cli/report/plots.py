@@ -49,7 +49,7 @@ class Drawing:
 
 
 def plot_friction(file: ParameterFile, joint: str) -> Drawing:
-    """Draw the friction of a joint: the surface, and cuts over velocity and over position.
+    """Draw the friction of a joint: a map, and cuts over velocity and over position.
 
     Raises
     ------

@@ -10,7 +10,7 @@ from seqid_cli.report.figures.chart import Box, Panel, drawing
 from seqid_cli.report.figures.svg import line, padded
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.page import render
-from seqid_cli.report.views import Column, Figure, Group, Section, Table
+from seqid_cli.report.views import Figure, Group, Section, Table, numbers, texts
 from seqid_cli.report.words import DASH, number, percent, plural
 
 _WIDTH, _HEIGHT = 640.0, 170.0
@@ -64,15 +64,8 @@ def _overview(file: TrendFile, judgement: Judgement) -> Section:
 
 def _changes(entries: Sequence[ChangeEntry]) -> Table:
     columns = (
-        Column("robot"),
-        Column("joint"),
-        Column("quantity"),
-        Column("how"),
-        Column("since"),
-        Column("before", numeric=True),
-        Column("after", numeric=True),
-        Column("change", numeric=True),
-        Column("std errors", numeric=True),
+        *texts("robot", "joint", "quantity", "how", "since"),
+        *numbers("before", "after", "change", "std errors"),
     )
     rows = [
         (
@@ -126,11 +119,7 @@ def _figure(series: SeriesEntry) -> Figure:
     what = " ".join(part for part in (series.joint, series.stage, series.name) if part)
     panel.line([(day, value) for day, value, _ in pairs], "predicted", name=what, unit=series.unit)
     text = f"{what} from {number(series.values[0])} to {number(series.values[-1])} {series.unit}"
-    columns = (
-        Column("date"),
-        Column("value", numeric=True, unit=series.unit),
-        Column("std error", numeric=True),
-    )
+    columns = (*texts("date"), *numbers("value", unit=series.unit), *numbers("std error"))
     rows = [
         (date[:10], number(value, 5), number(error, 2))
         for date, value, error in zip(series.dates, series.values, series.std_errors, strict=True)

@@ -21,23 +21,33 @@ class Column:
     unit: str = ""
 
 
-VALUE_COLUMNS = (
-    Column("parameter"),
-    Column("value", numeric=True),
-    Column("std error", numeric=True),
-    Column("95 % interval", numeric=True),
-    Column("unit"),
-)
+def texts(*titles: str) -> list[Column]:
+    """Return columns of text."""
+    return [Column(title) for title in titles]
+
+
+def numbers(*titles: str, unit: str = "") -> list[Column]:
+    """Return columns of numbers in one unit."""
+    return [Column(title, numeric=True, unit=unit) for title in titles]
+
+
+VALUE_COLUMNS = [
+    *texts("parameter"),
+    *numbers("value", "std error", "95 % interval"),
+    *texts("unit"),
+]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of finished text; `caption` names them."""
+    """Rows of finished text; `caption` names them, `style` is the class of the table."""
 
     caption: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]]
     note: str = ""
+    folded: bool = False
+    style: str = ""
 
 
 @dataclass(frozen=True)
@@ -84,7 +94,6 @@ class Group:
     notes: Sequence[str] = ()
     absent: Sequence[Absent] = ()
     unfolded: bool = False  # tables stand open
-    beside: bool = False  # tables stand beside the figures
 
 
 def badge(verdicts: Sequence[Verdict]) -> tuple[str, str]:
@@ -93,6 +102,11 @@ def badge(verdicts: Sequence[Verdict]) -> tuple[str, str]:
         return "", ""
     state = "good" if all(verdict.good for verdict in verdicts) else "poor"
     return state, state
+
+
+def badge_text(state: str, text: str) -> Markup:
+    """Return a badge with its text for a cell of a table."""
+    return Markup('<span class="badge {}">{}</span>').format(state or "none", text)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import Box, Panel, drawing
 from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.figures.torque import SMALL
-from seqid_cli.report.views import Column, Figure, Key, Table
+from seqid_cli.report.views import Figure, Key, Table, numbers, texts
 from seqid_cli.report.words import effect_words, number, unit_text
 
 
@@ -54,12 +54,9 @@ def evidence_figure(
 
 def _bins(shown: EvidenceEntry, title: str, quantity: str, unit: str) -> Table:
     heads = (
-        Column(quantity, numeric=True, unit=unit_text(shown.unit)),
-        Column("samples", numeric=True),
-        Column("before", numeric=True, unit=unit),
-        Column("spread", numeric=True, unit=unit),
-        Column("after", numeric=True, unit=unit),
-        Column("spread", numeric=True, unit=unit),
+        *numbers(quantity, unit=unit_text(shown.unit)),
+        *numbers("samples"),
+        *numbers("before", "spread", "after", "spread", unit=unit),
     )
     none = [float("nan")] * len(shown.x)
     after, spread = shown.after or none, shown.after_spread or none
@@ -74,10 +71,9 @@ def _bins(shown: EvidenceEntry, title: str, quantity: str, unit: str) -> Table:
 def rivals_table(title: str, rivals: Sequence[RivalEntry]) -> Table:
     """Return the terms that were tried, each with the reason why it was not taken."""
     columns = (
-        Column("tried"),
-        Column("joint"),
-        Column("gain", numeric=True, unit="nats"),
-        Column("why it was not taken"),
+        *texts("tried", "joint"),
+        *numbers("gain", unit="nats"),
+        *texts("why it was not taken"),
     )
     rows = [
         (
@@ -88,4 +84,4 @@ def rivals_table(title: str, rivals: Sequence[RivalEntry]) -> Table:
         )
         for one in rivals
     ]
-    return Table(title, columns, rows)
+    return Table(title, columns, rows, folded=True)

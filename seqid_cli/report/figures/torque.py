@@ -20,7 +20,7 @@ from seqid_cli.report.figures.chart import Box, Panel, drawing
 from seqid_cli.report.figures.downsample import extremes, pieces
 from seqid_cli.report.figures.svg import Point, padded
 from seqid_cli.report.torques import Series
-from seqid_cli.report.views import Column, Figure, Key, Table
+from seqid_cli.report.views import Figure, Key, Table, numbers
 from seqid_cli.report.words import number, plural, short_path, unit_text
 from seqid_cli.robot.types import Array
 
@@ -155,8 +155,7 @@ def _described(series: Series, shown: Mask, unit: str) -> str:
 
 def _time_table(t: Array, series: Series, good: Mask, unit: str, title: str) -> Table:
     heads = ("measured, least", "most", "predicted, least", "most", "residual RMS", "largest")
-    columns = [Column("from", numeric=True, unit="s")]
-    columns += [Column(head, numeric=True, unit=unit) for head in heads]
+    columns = (*numbers("from", unit="s"), *numbers(*heads, unit=unit))
     rows = []
     edges = np.linspace(0.0, float(t[-1]), min(_ROWS, len(t)) + 1)
     starts = np.searchsorted(t, edges[:-1])
@@ -210,11 +209,8 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     )
     svg = drawing(SMALL, 220, title, text, [panel])
     legend = [Key("residual", "median"), Key("band-residual", "90 %"), Key("faint", "extremes")]
-    heads = (quantity, "least", "5 %", "median", "95 %", "most")
-    columns = [
-        Column(head, numeric=True, unit=unit_text(unit) if not i else torque_unit)
-        for i, head in enumerate(heads)
-    ]
+    heads = ("least", "5 %", "median", "95 %", "most")
+    columns = (*numbers(quantity, unit=unit_text(unit)), *numbers(*heads, unit=torque_unit))
     rows = [tuple(number(value) for value in row) for row in bins]
     return Figure(f"Residual over {quantity}", svg, legend, Table(title, columns, rows))
 
@@ -334,8 +330,8 @@ def _density(signal: Signal) -> tuple[Array, Array]:
 
 def _lines_table(signals: Sequence[Signal], lines: Sequence[float], place: Place) -> Table:
     columns = (
-        Column("frequency", numeric=True, unit="Hz"),
-        Column("amplitude", numeric=True, unit=unit_text(place.torque_unit)),
+        *numbers("frequency", unit="Hz"),
+        *numbers("amplitude", unit=unit_text(place.torque_unit)),
     )
     longest = max(signals, key=lambda signal: signal.length_s)
     rows = [(f"{line:.3f}", number(amplitude(longest, line))) for line in sorted(lines)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
@@ -17,7 +16,7 @@ from seqid_cli.report.figures.diagnosis import against_floor, timeline
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.judgement import known_effects
 from seqid_cli.report.sections.parameters import value_rows
-from seqid_cli.report.views import VALUE_COLUMNS, Absent, Column, Figure, Group, Section, Table
+from seqid_cli.report.views import VALUE_COLUMNS, Absent, Group, Section, Table, numbers, texts
 from seqid_cli.report.words import (
     command,
     effect_at,
@@ -39,25 +38,6 @@ _VERDICTS = {
 }
 
 
-@dataclass(frozen=True)
-class FindingView:
-    """One finding as a card."""
-
-    title: str
-    about: str
-    confidence: float
-    confidence_text: str
-    explains: float
-    explains_text: str
-    parameters: Table | None
-    confusable: str
-    separate: str
-    note: str
-    known: bool
-    figure: Figure | None
-    rivals: Table
-
-
 def diagnosis(collection: Collection) -> Section:
     """Return the section on effects that the model lacks."""
     title = "Diagnosis: what the model lacks"
@@ -73,14 +53,12 @@ def diagnosis(collection: Collection) -> Section:
         "predicts it on held-out data. Confidence is a probability; the share explained is of the "
         "residual's variance above the noise floor."
     )
-    groups = [_group(place, item, collection) for place, item in enumerate(collection.diagnoses)]
-    cards = {
-        group.id: [_finding(finding, collection) for finding in item.file.findings]
-        for group, item in zip(groups, collection.diagnoses, strict=True)
-    }
-    return Section(
-        "diagnosis", title, lead, groups, template="findings.html.j2", data={"cards": cards}
-    )
+    groups = [
+        group
+        for place, item in enumerate(collection.diagnoses)
+        for group in (_group(place, item, collection), *_findings(place, item, collection))
+    ]
+    return Section("diagnosis", title, lead, groups)
 
 
 def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
@@ -118,22 +96,43 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
     )
 
 
-def _finding(item: FindingEntry, collection: Collection) -> FindingView:
-    known = (item.effect, item.joint) in known_effects(collection)
-    return FindingView(
-        title=effect_at(item.effect, item.joint or "the whole arm"),
-        about=_about(item.effect),
-        confidence=min(max(item.confidence, 0.0), 1.0),
-        confidence_text=percent(item.confidence, 0),
-        explains=min(max(item.explains, 0.0), 1.0),
-        explains_text=percent(item.explains, 0),
-        parameters=_parameters(item),
-        confusable=listed([effect_words(name) for name in item.confusable_with], 12),
-        separate=item.separate_by,
-        note=item.note,
-        known=known,
-        figure=evidence_figure(item.evidence, collection) if item.evidence else None,
-        rivals=rivals_table("Tried in its place", item.rivals),
+def _findings(place: int, item: Diagnosed, collection: Collection) -> list[Group]:
+    known = known_effects(collection)
+    return [
+        _finding(f"finding-{place + 1}-{k + 1}", one, (one.effect, one.joint) in known, collection)
+        for k, one in enumerate(item.file.findings)
+    ]
+
+
+def _finding(key: str, item: FindingEntry, known: bool, collection: Collection) -> Group:
+    title = effect_at(item.effect, item.joint or "the whole arm")
+    figure = evidence_figure(item.evidence, collection) if item.evidence else None
+    rows = value_rows(item)
+    notes = [] if rows else ["These logs do not determine its parameters."]
+    if item.confusable_with:
+        others = listed([effect_words(name) for name in item.confusable_with], 12)
+        notes.append(f"Could also be {others}.")
+    if item.separate_by:
+        aim = "To tell them apart" if item.confusable_with else "To make sure"
+        notes.append(f"{aim}, record {item.separate_by}.")
+    return Group(
+        key,
+        title,
+        _about(item.effect),
+        joint=item.joint or "",
+        badge="good" if known else "open",
+        badge_text="in the refined model" if known else "not in the model",
+        facts=[
+            ("confidence", percent(item.confidence, 0)),
+            ("explains", percent(item.explains, 0)),
+        ],
+        figures=[figure] if figure else [],
+        tables=[
+            Table(f"Parameters of {title}", VALUE_COLUMNS, rows),
+            rivals_table("Tried in its place", item.rivals),
+        ],
+        notes=[*notes, *([item.note] if item.note else [])],
+        unfolded=True,
     )
 
 
@@ -148,13 +147,6 @@ def _about(effect: str) -> str:
     return (known.__doc__ or "").strip().partition("\n")[0] if known else ""
 
 
-def _parameters(item: FindingEntry) -> Table | None:
-    rows = value_rows(item)
-    if not rows:
-        return None
-    return Table(f"Parameters of {effect_at(item.effect, item.joint)}", VALUE_COLUMNS, rows)
-
-
 def _unexplained(parts: Sequence[UnexplainedPart]) -> list[str]:
     return [
         f"{part.joint}: {percent(part.share, 0)} of the residual above the noise floor depends on "
@@ -165,14 +157,10 @@ def _unexplained(parts: Sequence[UnexplainedPart]) -> list[str]:
 
 def _joints(file: DiagnosisFile, collection: Collection) -> Table:
     columns = (
-        Column("joint"),
-        Column("RMS residual", numeric=True),
-        Column("noise floor", numeric=True),
-        Column("95 % interval", numeric=True),
-        Column("with findings", numeric=True),
-        Column("unit"),
-        Column("only noise left"),
-        Column("samples", numeric=True),
+        *texts("joint"),
+        *numbers("RMS residual", "noise floor", "95 % interval", "with findings"),
+        *texts("unit", "only noise left"),
+        *numbers("samples"),
     )
     rows = [
         (
@@ -191,12 +179,7 @@ def _joints(file: DiagnosisFile, collection: Collection) -> Table:
 
 
 def _events(events: Sequence[EventEntry]) -> Table:
-    columns = (
-        Column("log"),
-        Column("from", numeric=True, unit="s"),
-        Column("to", numeric=True, unit="s"),
-        Column("joints"),
-    )
+    columns = (*texts("log"), *numbers("from", "to", unit="s"), *texts("joints"))
     rows = [
         (short_path(event.log), f"{event.start:.2f}", f"{event.end:.2f}", ", ".join(event.joints))
         for event in events[:_MOST_EVENTS]
@@ -206,7 +189,7 @@ def _events(events: Sequence[EventEntry]) -> Table:
 
 
 def _hidden(file: DiagnosisFile) -> Table:
-    columns = (Column("effect"), Column("joint"), Column("visible", numeric=True))
+    columns = (*texts("effect", "joint"), *numbers("visible"))
     rows = [
         (effect_words(item.effect), item.joint or "whole arm", percent(item.visible))
         for item in file.hidden

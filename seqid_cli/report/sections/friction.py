@@ -6,15 +6,7 @@ from seqid_cli.params.schema import FrictionJoint, FrictionStage
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.friction import FIGURES, drawable
 from seqid_cli.report.figures.torque import Place
-from seqid_cli.report.views import (
-    VALUE_COLUMNS,
-    Absent,
-    Column,
-    Group,
-    Section,
-    Table,
-    badge,
-)
+from seqid_cli.report.views import VALUE_COLUMNS, Absent, Group, Section, Table, badge, numbers
 from seqid_cli.report.words import interval, number, percent, unit_text, with_error
 
 _CALL = "seqid friction LOG... -r robot.toml -o friction.json"
@@ -75,10 +67,9 @@ def _joint(
 
 def _speeds(name: str, joint: FrictionJoint, place: Place) -> Table:
     columns = (
-        Column("speed", numeric=True, unit=f"{unit_text(place.position_unit)}/s"),
-        Column("moves forward", numeric=True),
-        Column("backward", numeric=True),
-        Column("RMS error", numeric=True, unit=unit_text(place.torque_unit)),
+        *numbers("speed", unit=f"{unit_text(place.position_unit)}/s"),
+        *numbers("moves forward", "backward"),
+        *numbers("RMS error", unit=unit_text(place.torque_unit)),
     )
     rows = [
         (number(item.speed), str(item.forward), str(item.backward), number(item.rmse))

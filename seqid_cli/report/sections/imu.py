@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from markupsafe import Markup
-
 from seqid_cli.params.schema import ImuCalibration, RigidStage, Verdict
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.figures.chart import drawing
-from seqid_cli.report.figures.svg import circle, label, line
-from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table, badge
+from seqid_cli.report.views import Absent, Group, Section, Table, badge, numbers, texts
 from seqid_cli.report.words import number, short_path, with_error
 
 _CALL = "seqid imu-calib LOG... -r robot.toml -p gravity.json -o imu.json"
-_AXES = ("x", "y", "z")
 
 
 def imu(collection: Collection) -> Section:
@@ -58,38 +53,24 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
         badge=state,
         badge_text=text,
         facts=facts,
-        figures=[_triad(name, item)],
-        tables=[_references(name, item)],
+        tables=[_rotation(name, item), _references(name, item)],
         notes=[f"Not determined: {what}" for what in item.not_determined],
-        unfolded=True,
-        beside=True,
     )
 
 
-def _triad(name: str, item: ImuCalibration) -> Figure:
-    centre = (186.0, 98.0)
-    marks = []
-    for i in range(3):
-        link = tuple(float(i == k) for k in range(3))
-        marks += _arrow(centre, link, "link", i)
-    for i in range(3):
-        own = tuple(row[i] for row in item.rotation)
-        marks += _arrow(centre, own, "imu", i)
-    text = "; ".join(
-        f"IMU {axis} points along ({', '.join(f'{row[i]:.2f}' for row in item.rotation)})"
-        for i, axis in enumerate(_AXES)
+def _rotation(name: str, item: ImuCalibration) -> Table:
+    axes = ("x", "y", "z")
+    columns = (
+        *texts("link axis"),
+        *numbers(*(f"IMU {axis}" for axis in axes)),
+        *numbers("std error", unit="\u00b0"),
     )
-    text += " of the link."
-    svg = drawing(372, 200, f"Mounting of {name}", text, [Markup("").join(marks)])
-    columns = [Column("link axis")] + [Column(f"IMU {axis}", numeric=True) for axis in _AXES]
-    columns.append(Column("std error", numeric=True, unit="\u00b0"))
     errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
     rows = [
         (axis, *(f"{value:.4f}".replace("-", "\u2212") for value in row), number(error, 2))
-        for axis, row, error in zip(_AXES, item.rotation, errors, strict=True)
+        for axis, row, error in zip(axes, item.rotation, errors, strict=True)
     ]
-    legend = [Key("link-axis", "link"), Key("imu-axis", "IMU")]
-    return Figure("Mounting", svg, legend, Table(f"Rotation of {name}", columns, rows), _turn(item))
+    return Table(f"Rotation of {name}", columns, rows, _turn(item))
 
 
 def _turn(item: ImuCalibration) -> str:
@@ -98,33 +79,8 @@ def _turn(item: ImuCalibration) -> str:
     return f"Turned by {angle:.1f}\u00b0 in all."
 
 
-def _arrow(
-    centre: tuple[float, float], axis: Sequence[float], whose: str, index: int
-) -> list[Markup]:
-    x, y, z = axis
-    across = 62.0 * (x * math.cos(0.5) - y * math.cos(0.65))
-    down = 62.0 * (x * math.sin(0.5) + y * math.sin(0.65)) - 66.0 * z
-    end = (centre[0] + across, centre[1] + down)
-    word = label(
-        centre[0] + 1.17 * across,
-        centre[1] + 1.17 * down + 4.0,
-        _AXES[index],
-        "middle",
-        f"word {whose}-word",
-    )
-    shown = [line(f"{whose}-axis a{index}", *centre, *end), word]
-    return [*shown, circle(f"tip a{index}", *end, 2.5)] if whose == "imu" else shown
-
-
 def _references(name: str, item: ImuCalibration) -> Table:
-    columns = (
-        Column("joint"),
-        Column("gain", numeric=True),
-        Column("std error", numeric=True),
-        Column("axis x", numeric=True),
-        Column("y", numeric=True),
-        Column("z", numeric=True),
-    )
+    columns = (*texts("joint"), *numbers("gain", "std error", "axis x", "y", "z"))
     rows = []
     for joint, reference in item.references.items():
         axis = [f"{value:.3f}".replace("-", "\u2212") for value in (reference.axis + [0.0] * 3)[:3]]
@@ -143,12 +99,8 @@ def _warnings(stage: RigidStage) -> list[str]:
 
 def _motion(stage: RigidStage) -> Table:
     columns = (
-        Column("log"),
-        Column("motion from"),
-        Column("IMUs"),
-        Column("joint"),
-        Column("std error of acceleration", numeric=True, unit="rad/s\u00b2"),
-        Column("by encoders alone", numeric=True, unit="rad/s\u00b2"),
+        *texts("log", "motion from", "IMUs", "joint"),
+        *numbers("std error of acceleration", "by encoders alone", unit="rad/s\u00b2"),
     )
     rows = [
         (

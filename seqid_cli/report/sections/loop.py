@@ -8,7 +8,7 @@ from seqid_cli.params.schema import ClosedLoop, RefinementRound
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.figures.row_chart import RowChart
-from seqid_cli.report.views import Absent, Column, Figure, Group, Key, Section, Table
+from seqid_cli.report.views import Absent, Figure, Group, Key, Section, Table, numbers, texts
 from seqid_cli.report.words import (
     DASH,
     command,
@@ -119,16 +119,10 @@ def _both(loop: ClosedLoop, name: str) -> list[float]:
 
 def _errors(collection: Collection, loop: ClosedLoop) -> Table:
     columns = (
-        Column("joint"),
-        Column("before", numeric=True),
-        Column("after", numeric=True),
-        Column("noise floor", numeric=True),
-        Column("its 95 % interval", numeric=True),
-        Column("unit"),
-        Column("gain", numeric=True),
-        Column("95 % interval", numeric=True),
-        Column("outside", numeric=True),
-        Column("before, after there", numeric=True),
+        *texts("joint"),
+        *numbers("before", "after", "noise floor", "its 95 % interval"),
+        *texts("unit"),
+        *numbers("gain", "95 % interval", "outside", "before, after there"),
     )
     rows = []
     for name, error in loop.before.items():
@@ -160,12 +154,9 @@ def _outside(loop: ClosedLoop, name: str) -> str:
 
 def _rounds(loop: ClosedLoop) -> Table:
     columns = (
-        Column("effect"),
-        Column("joint"),
-        Column("gain on left-out blocks", numeric=True),
-        Column("on held-out logs", numeric=True),
-        Column("95 % interval", numeric=True),
-        Column("outcome"),
+        *texts("effect", "joint"),
+        *numbers("gain on left-out blocks", "on held-out logs", "95 % interval"),
+        *texts("outcome"),
     )
     rows = [_round(item) for item in (*loop.rounds, *loop.refused)]
     return Table("What was tried", columns, rows)

@@ -2,73 +2,62 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from markupsafe import Markup
 
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import rect
 from seqid_cli.report.judgement import Judgement
-from seqid_cli.report.views import Section
+from seqid_cli.report.views import Section, Table, badge_text, numbers, texts
 from seqid_cli.report.words import number, percent, short_path, unit_text
-
-
-@dataclass(frozen=True)
-class JointRow:
-    """One joint at a glance."""
-
-    name: str
-    link: str
-    error: str
-    relative: str
-    bar: Markup | None
-    floor: str
-    badge: str
-    badge_text: str
 
 
 def overview(collection: Collection, judgement: Judgement) -> Section:
     """Return the section with the verdict."""
-    rows = _rows(collection)
-    used = collection.predictions[0] if collection.predictions else None
-    caption = ""
-    if used is not None:
-        made = ", ".join(short_path(item.path) for item in used.file.parameters)
-        caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
-    data: dict[str, object] = {"judgement": judgement, "rows": rows, "caption": caption}
+    data: dict[str, object] = {"judgement": judgement, "table": _glance(collection)}
     return Section("verdict", "Verdict", template="verdict.html.j2", data=data)
 
 
-def _rows(collection: Collection) -> list[JointRow]:
+def _glance(collection: Collection) -> Table | None:
     if not collection.predictions:
-        return []
-    errors = collection.predictions[0].file.joints
-    verdicts = {v.joint: v for v in collection.predictions[0].file.verdicts}
-    shares = [error.relative_rmse or 0.0 for error in errors.values()]
-    largest = max([*shares, 0.01])
+        return None
+    used = collection.predictions[0]
+    made = ", ".join(short_path(item.path) for item in used.file.parameters)
+    caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
+    errors, verdicts = used.file.joints, {v.joint: v for v in used.file.verdicts}
+    largest = max([0.01, *(error.relative_rmse or 0.0 for error in errors.values())])
     rows = []
-    for name in collection.robot.joints:
-        error = errors.get(name)
-        if error is None:
+    for place, name in enumerate(collection.robot.joints):
+        if name not in errors:
             continue
-        unit = unit_text(collection.units(name)[0])
-        verdict, share = verdicts.get(name), error.relative_rmse
+        share, verdict = errors[name].relative_rmse, verdicts.get(name)
         state = "" if verdict is None else ("good" if verdict.good else "poor")
-        floor = collection.noise_floor(collection.predictions[0], name)
         rows.append(
-            JointRow(
-                name=name,
-                link=f"torque-{collection.robot.joints.index(name) + 1}",
-                error=f"{number(error.rmse)} {unit}" if error.rmse is not None else number(None),
-                relative=percent(share),
-                bar=None if share is None else _bar(name, share, largest, state),
-                floor=f"{number(floor)} {unit}" if floor is not None else number(None),
-                badge=state,
-                badge_text=state or "not judged",
+            (
+                Markup('<a href="#torque-{}">{}</a>').format(place + 1, name),
+                _with_unit(errors[name].rmse, collection, name),
+                percent(share),
+                "" if share is None else _bar(name, share, largest, state),
+                _with_unit(collection.noise_floor(used, name), collection, name),
+                badge_text(state, state or "not judged"),
             )
         )
-    return rows
+    columns = (
+        *texts("joint"),
+        *numbers("RMS error", "of RMS torque"),
+        *texts("drawn"),
+        *numbers("noise floor"),
+        *texts("verdict"),
+    )
+    return Table(caption, columns, rows, style="glance")
+
+
+def _with_unit(value: float | None, collection: Collection, joint: str) -> str:
+    return (
+        number(None)
+        if value is None
+        else f"{number(value)} {unit_text(collection.units(joint)[0])}"
+    )
 
 
 def _bar(name: str, share: float, largest: float, state: str) -> Markup:

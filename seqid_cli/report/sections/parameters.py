@@ -12,7 +12,17 @@ from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
 from seqid_cli.report.collection import Collection, Model
 from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import Scale, circle, line
-from seqid_cli.report.views import VALUE_COLUMNS, Absent, Cell, Column, Group, Section, Table, badge
+from seqid_cli.report.views import (
+    VALUE_COLUMNS,
+    Absent,
+    Cell,
+    Group,
+    Section,
+    Table,
+    badge,
+    numbers,
+    texts,
+)
 from seqid_cli.report.words import (
     Z95,
     effect_at,
@@ -103,15 +113,11 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
     earlier = [(model, known) for model, known in earlier if _differs(stage, known)]
     alone = stage.encoder_std_errors
     columns = [
-        Column("parameter"),
-        Column("value", numeric=True),
-        Column("std error", numeric=True),
-        Column("95 % interval", numeric=True),
-        Column("unit"),
-        Column("interval beside zero"),
-        Column("stands for"),
-        *([Column("std error, encoders alone", numeric=True)] if alone else []),
-        *(Column(f"in {short_path(model.path)}", numeric=True) for model, _ in earlier),
+        *texts("parameter"),
+        *numbers("value", "std error", "95 % interval"),
+        *texts("unit", "interval beside zero", "stands for"),
+        *(numbers("std error, encoders alone") if alone else ()),
+        *numbers(*(f"in {short_path(model.path)}" for model, _ in earlier)),
     ]
     rows = [
         (
@@ -169,12 +175,7 @@ def _glyph(item: Parameter) -> Cell:
 
 def _per_joint(name: str, stage: RigidStage, collection: Collection) -> Table:
     reasons = {verdict.joint: verdict.reason for verdict in stage.verdicts}
-    columns = (
-        Column("joint"),
-        Column("RMS error", numeric=True),
-        Column("unit"),
-        Column("verdict"),
-    )
+    columns = (*texts("joint"), *numbers("RMS error"), *texts("unit", "verdict"))
     rows = [
         (joint, number(rmse), unit_text(collection.units(joint)[0]), reasons.get(joint, ""))
         for joint, rmse in stage.rmse.items()
@@ -188,7 +189,7 @@ def _effects(effects: Sequence[EffectOfJoint]) -> Group:
         for item in effects
         for row in value_rows(item)
     ]
-    columns = (Column("effect"), *VALUE_COLUMNS)
+    columns = (*texts("effect"), *VALUE_COLUMNS)
     table = Table("Effects that refinement added", columns, rows)
     return Group("effects", "Effects", tables=[table])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from seqid_cli.params.results.payload import CarriedBodyEntry, Measured, PayloadFile
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.views import VALUE_COLUMNS, Column, Group, Section, Table
+from seqid_cli.report.views import VALUE_COLUMNS, Group, Section, Table, numbers, texts
 from seqid_cli.report.words import DASH, interval, number, percent, with_error
 
 
@@ -47,16 +47,14 @@ def _row(name: str, own: Measured) -> tuple[str, ...]:
 
 def _settings(file: PayloadFile) -> Table:
     rows = [(name, text) for name, text in file.settings.items()]
-    return Table("As controllers take it", (Column("for"), Column("setting")), rows)
+    return Table("As controllers take it", texts("for", "setting"), rows)
 
 
 def _joints(file: PayloadFile) -> Table:
     columns = (
-        Column("joint"),
-        Column("RMS error without", numeric=True, unit="N m"),
-        Column("RMS error with", numeric=True, unit="N m"),
-        Column("of the torque", numeric=True),
-        Column("friction differs by", numeric=True),
+        *texts("joint"),
+        *numbers("RMS error without", "RMS error with", unit="N m"),
+        *numbers("of the torque", "friction differs by"),
     )
     rows = [
         (

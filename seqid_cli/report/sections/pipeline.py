@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from seqid_cli.params.document import present
 from seqid_cli.params.results.plan import PlanFile
@@ -11,7 +10,7 @@ from seqid_cli.params.schema import InputLog, ParameterFile
 from seqid_cli.report.collection import WRITTEN_BY, Collection, Model, models_of
 from seqid_cli.report.judgement import stage_verdicts
 from seqid_cli.report.torques import TorqueTable
-from seqid_cli.report.views import Column, Section, Table
+from seqid_cli.report.views import Cell, Group, Section, Table, badge_text, numbers, texts
 from seqid_cli.report.words import effect_at, file_name, listed, plural
 
 _COMMANDS = {
@@ -21,74 +20,69 @@ _COMMANDS = {
     "inertia": "inertia",
     "effects": "refine",
 }
-_STATES = {"good": "good", "poor": "poor", "empty": "nothing to identify", "none": "not given"}
 _MOST_LOGS = 500
-
-
-@dataclass(frozen=True)
-class Step:
-    """One command of the pipeline: its inputs, its output, its verdicts."""
-
-    command: str
-    reads: str
-    writes: str
-    state: str
-    state_text: str
 
 
 def pipeline(collection: Collection, tables: Sequence[TorqueTable]) -> Section:
     """Return the section on files and commands."""
+    columns = texts("command", "read", "wrote", "verdict")
+    steps = Table("Commands in their order", columns, list(_steps(collection, tables)))
     return Section(
         "pipeline",
         "Pipeline and files",
         lead="Each step builds on the one before. Hashes are SHA-256; two files with the same hash "
         "are the same to the last bit.",
+        groups=[Group("steps", "Step by step", tables=[steps])],
         tables=[_files(collection), _logs(collection)],
-        template="pipeline.html.j2",
-        data={"steps": list(_steps(collection, tables))},
     )
 
 
-def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Step]:
+def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Sequence[Cell]]:
     model = collection.model
     if model is not None:
         yield from _stage_steps(collection, model)
     if not collection.predictions:
-        yield Step("predict", "", "", "none", _STATES["none"])
+        yield _step("predict")
     for prediction in collection.predictions:
         good = all(verdict.good for verdict in prediction.file.verdicts)
         state = "good" if good else "poor"
         torques = [table.path for table in tables if table.prediction == prediction]
         made = ", ".join(map(file_name, (prediction.path, *torques)))
-        yield Step("predict", _logs_text(prediction.file.inputs), made, state, state)
+        yield _step("predict", _logs_text(prediction.file.inputs), made, state, state)
     if not collection.diagnoses:
-        yield Step("diagnose", "", "", "none", _STATES["none"])
+        yield _step("diagnose")
     for item in collection.diagnoses:
         found = item.file.verdict
         state = "good" if found == "nothing_missing" else "open"
         text = found.replace("_", " ")
-        yield Step("diagnose", _logs_text(item.file.inputs), file_name(item.path), state, text)
+        yield _step("diagnose", _logs_text(item.file.inputs), file_name(item.path), state, text)
     yield from _refine_steps(collection)
 
 
-def _stage_steps(collection: Collection, model: Model) -> Iterator[Step]:
+def _step(
+    name: str, reads: str = "", writes: str = "", state: str = "", text: str = "not given"
+) -> Sequence[Cell]:
+    return f"seqid {name}", reads, writes, badge_text(state, text)
+
+
+def _stage_steps(collection: Collection, model: Model) -> Iterator[Sequence[Cell]]:
     if model.kind == "simultaneous":
-        state = _state("inertia", model)
         reads = _logs_text(model.file.inputs)
-        yield Step("simultaneous", reads, file_name(model.path), state, _STATES[state])
+        state = _state("inertia", model)
+        yield _step("simultaneous", reads, file_name(model.path), *state)
         return
     for name in ("friction", "gravity", "imu", "inertia"):
         stage = getattr(model.stages, name)
         if stage is None:
-            yield Step(_COMMANDS[name], "", "", "none", _STATES["none"])
+            yield _step(_COMMANDS[name])
             continue
         logs = [log for log in model.file.inputs if log.stage == name]
         made = _first_file(collection, name) or model.path
         state = _state(name, model)
-        yield Step(_COMMANDS[name], _logs_text(logs), file_name(made), state, _STATES[state])
+        yield _step(_COMMANDS[name], _logs_text(logs), file_name(made), *state)
 
 
-def _refine_steps(collection: Collection) -> Iterator[Step]:
+def _refine_steps(collection: Collection) -> Iterator[Sequence[Cell]]:
     for model in collection.models:
         if model.kind != "refined":
             continue
@@ -99,7 +93,7 @@ def _refine_steps(collection: Collection) -> Iterator[Step]:
         text = listed([effect_at(item.effect, item.joint) for item in effects]) or "nothing added"
         loop = model.file.closed_loop
         state = "poor" if loop is not None and loop.verdict == "poor" else "good"
-        yield Step("refine", _logs_text(logs), file_name(model.path), state, text)
+        yield _step("refine", _logs_text(logs), file_name(model.path), state, text)
 
 
 def _first_file(collection: Collection, stage: str) -> str:
@@ -113,12 +107,13 @@ def _first_file(collection: Collection, stage: str) -> str:
     return min(holding)[2] if holding else ""
 
 
-def _state(name: str, model: Model) -> str:
-    stage = getattr(model.stages, name)
-    if stage is not None and getattr(stage, "parameters", None) == []:
-        return "empty"
+def _state(name: str, model: Model) -> tuple[str, str]:
+    """Return the verdict on a stage as its badge and its text."""
+    if getattr(getattr(model.stages, name), "parameters", None) == []:
+        return "", "nothing to identify"
     mine = [verdict for stage, verdict in stage_verdicts(model.stages) if stage == name]
-    return "good" if all(verdict.good for verdict in mine) else "poor"
+    state = "good" if all(verdict.good for verdict in mine) else "poor"
+    return state, state
 
 
 def _logs_text(logs: Sequence[InputLog]) -> str:
@@ -133,14 +128,7 @@ def _thousands(count: int) -> str:
 
 
 def _files(collection: Collection) -> Table:
-    columns = (
-        Column("file"),
-        Column("kind"),
-        Column("holds"),
-        Column("written"),
-        Column("by"),
-        Column("SHA-256"),
-    )
+    columns = texts("file", "kind", "holds", "written", "by", "SHA-256")
     rows = []
     for item in collection.sources:
         content = item.content
@@ -157,12 +145,7 @@ def _files(collection: Collection) -> Table:
 
 
 def _logs(collection: Collection) -> Table:
-    columns = (
-        Column("read by"),
-        Column("log"),
-        Column("samples", numeric=True),
-        Column("SHA-256"),
-    )
+    columns = (*texts("read by", "log"), *numbers("samples"), *texts("SHA-256"))
     found: dict[tuple[str, str, str], InputLog] = {}
     for item in collection.sources:
         content = item.content

@@ -5,7 +5,7 @@ from __future__ import annotations
 from seqid_cli.params.results.plan import PlanFile, PlannedStage
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.plan import move_figure
-from seqid_cli.report.views import Column, Group, Section, Table
+from seqid_cli.report.views import Group, Section, Table, numbers, texts
 from seqid_cli.report.words import number, percent
 
 
@@ -47,10 +47,9 @@ def _group(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
 
 def _moves(name: str, file: PlanFile) -> Table:
     columns = (
-        Column("move"),
-        Column("joints"),
-        Column("duration", numeric=True, unit="s"),
-        Column("largest torque of the limit", numeric=True),
+        *texts("move", "joints"),
+        *numbers("duration", unit="s"),
+        *numbers("largest torque of the limit"),
     )
     rows = [
         (
@@ -66,12 +65,7 @@ def _moves(name: str, file: PlanFile) -> Table:
 
 
 def _errors(stage: PlannedStage) -> Table:
-    columns = (
-        Column("parameter"),
-        Column("std error after", numeric=True),
-        Column("value so far", numeric=True),
-        Column("unit"),
-    )
+    columns = (*texts("parameter"), *numbers("std error after", "value so far"), *texts("unit"))
     rows = [
         (own.name, number(own.std_error), number(own.value), own.unit) for own in stage.parameters
     ]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.report.figures.torque import Event, Place, over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
-from seqid_cli.report.views import Absent, Column, Figure, Group, Section, Table, badge
+from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, numbers, texts
 from seqid_cli.report.words import command, limits, number, percent, plural, short_path, unit_text
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
@@ -65,8 +65,8 @@ def _side_by_side(collection: Collection) -> Group:
     """Errors of the models on the logs that all of them predict."""
     logs = [{log.sha256 for log in item.file.logs} for item in collection.predictions]
     common = frozenset.intersection(*map(frozenset, logs))
-    columns = [Column("joint"), Column("unit")]
-    columns += [Column(collection.label(p), numeric=True) for p in collection.predictions]
+    models = map(collection.label, collection.predictions)
+    columns = (*texts("joint", "unit"), *numbers(*models))
     rows = [
         (
             name,
@@ -202,15 +202,15 @@ def _errors(collection: Collection, name: str, place: Place) -> Table:
     unit = unit_text(place.torque_unit)
     several = len(collection.predictions) > 1
     columns = (
-        Column("log"),
-        *([Column("model")] if several else []),
-        Column("RMS error", numeric=True, unit=unit),
-        Column("relative", numeric=True, unit="of RMS torque"),
-        Column("largest", numeric=True, unit=unit),
-        Column("samples", numeric=True),
-        Column("slides in", numeric=True, unit="of samples"),
-        Column("with rests", numeric=True, unit=unit),
-        Column("cut-off", numeric=True, unit="Hz"),
+        *texts("log"),
+        *(texts("model") if several else ()),
+        *numbers("RMS error", unit=unit),
+        *numbers("relative", unit="of RMS torque"),
+        *numbers("largest", unit=unit),
+        *numbers("samples"),
+        *numbers("slides in", unit="of samples"),
+        *numbers("with rests", unit=unit),
+        *numbers("cut-off", unit="Hz"),
     )
     rows = [
         (

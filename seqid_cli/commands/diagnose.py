@@ -7,20 +7,10 @@ from typing import Annotated
 
 import typer
 
+from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import exit_code, listening, tell_output, tell_remedies
-from seqid_cli.commands.options import (
-    Clock,
-    Cutoff,
-    Logs,
-    MotionSource,
-    Output,
-    Parameters,
-    RobotPath,
-    Strict,
-)
-from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis
-from seqid_cli.commands.screen.show_explained import show_explained
 from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.errors import UsageError
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -43,14 +33,14 @@ EXAMPLES = (
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
-    motion: MotionSource = "auto",
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    strict: Strict = False,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    parameters: opt.Parameters,
+    output: opt.Output = None,
+    motion: opt.MotionSource = "auto",
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    strict: opt.Strict = False,
     explain: Explain = None,
 ) -> int:
     """Find out which physical effects a model lacks; any logs will do, nothing is changed.
@@ -59,17 +49,14 @@ def run(
     """
     if explain is not None:
         _known(explain, robot)
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli import discover
 
         options = discover.DiagnoseOptions(cutoff_hz=cutoff, time_source=time, source=motion)
         file = discover.diagnose(logs, robot, parameters, options, output=output, on_progress=told)
     screen = told.screen
     screen.document(file)
-    if explain is None:
-        show_diagnosis(screen, file)
-    else:
-        show_explained(screen, file, explain)
+    show_diagnosis(screen, file, explain)
     show_motion(screen, file.motion)
     tell_output(screen, output, robot)
     _tell_next(screen, file, robot, parameters)

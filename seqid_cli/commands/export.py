@@ -9,7 +9,7 @@ import typer
 
 from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import RobotPath, Strict
-from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.export.formats import FORMATS
 from seqid_cli.params.results.export import ExportFile
 
@@ -22,8 +22,7 @@ EXAMPLES = (
 MAX_STD_ERRORS = 4.0
 
 Files = Annotated[
-    list[Path],
-    typer.Argument(metavar="FILE...", help="Parameter file; several are joined."),
+    list[Path], typer.Argument(metavar="FILE...", help="Parameter file; several are joined.")
 ]
 _SUFFIXES = ", ".join(dict.fromkeys(f"{suffix} {name}" for suffix, name in FORMATS.items()))
 Target = Annotated[
@@ -33,11 +32,7 @@ Target = Annotated[
 
 
 def run(
-    context: typer.Context,
-    files: Files,
-    robot: RobotPath,
-    output: Target,
-    strict: Strict = False,
+    context: typer.Context, files: Files, robot: RobotPath, output: Target, strict: Strict = False
 ) -> int:
     """Write an identified arm as URDF, MJCF, ROS 2 parameters or C.
 
@@ -45,7 +40,7 @@ def run(
     possible to those of the URDF. Friction becomes Coulomb and viscous friction where the format
     knows no other.
     """
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli.export import export
 
         file = export(files, robot, output)

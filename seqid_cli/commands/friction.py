@@ -6,20 +6,8 @@ from typing import Annotated
 
 import typer
 
+from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, workers
-from seqid_cli.commands.options import (
-    Clock,
-    Cutoff,
-    Engine,
-    Jobs,
-    Logs,
-    Output,
-    RobotPath,
-    Scheduler,
-    SkipFailed,
-    Strict,
-)
-from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
@@ -51,26 +39,26 @@ Beta = Annotated[
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    output: Output = None,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    output: opt.Output = None,
     position_order: PositionOrder = None,
     velocity_order: VelocityOrder = None,
     beta: Beta = None,
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    jobs: Jobs = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
-    skip_failed: SkipFailed = False,
-    strict: Strict = False,
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    jobs: opt.Jobs = None,
+    engine: opt.Engine = "local",
+    scheduler: opt.Scheduler = None,
+    skip_failed: opt.SkipFailed = False,
+    strict: opt.Strict = False,
 ) -> int:
     """Identify joint friction over position and velocity.
 
     The logs hold moves of one joint at a time at constant velocity, forward and backward, at
     several speeds.
     """
-    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
         options = identify.FrictionOptions(
@@ -85,11 +73,5 @@ def run(
             logs, robot, options, output=output, executor=executor, on_progress=told
         )
     return show_stage(
-        told,
-        file,
-        ["friction"],
-        output=output,
-        robot=robot,
-        strict=strict,
-        following=_FOLLOWING,
+        told, file, ["friction"], output=output, robot=robot, strict=strict, following=_FOLLOWING
     )

@@ -4,21 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, workers
-from seqid_cli.commands.options import (
-    Clock,
-    Cutoff,
-    Engine,
-    Jobs,
-    Logs,
-    Output,
-    Parameters,
-    RobotPath,
-    Scheduler,
-    SkipFailed,
-    Strict,
-)
-from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
@@ -35,24 +22,24 @@ _FOLLOWING = (
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    jobs: Jobs = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
-    skip_failed: SkipFailed = False,
-    strict: Strict = False,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    parameters: opt.Parameters,
+    output: opt.Output = None,
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    jobs: opt.Jobs = None,
+    engine: opt.Engine = "local",
+    scheduler: opt.Scheduler = None,
+    skip_failed: opt.SkipFailed = False,
+    strict: opt.Strict = False,
 ) -> int:
     """Identify the gravity parameters, given the friction.
 
     The logs hold moves of one joint at a time at constant velocity, with the other joints locked in
     several configurations.
     """
-    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
         options = identify.LogOptions(cutoff_hz=cutoff, time_source=time, skip_failed=skip_failed)
@@ -60,11 +47,5 @@ def run(
             logs, robot, parameters, options, output=output, executor=executor, on_progress=told
         )
     return show_stage(
-        told,
-        file,
-        ["gravity"],
-        output=output,
-        robot=robot,
-        strict=strict,
-        following=_FOLLOWING,
+        told, file, ["gravity"], output=output, robot=robot, strict=strict, following=_FOLLOWING
     )

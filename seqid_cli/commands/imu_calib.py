@@ -4,21 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, workers
-from seqid_cli.commands.options import (
-    Clock,
-    Cutoff,
-    Engine,
-    Jobs,
-    Logs,
-    OptionalParameters,
-    Output,
-    RobotPath,
-    Scheduler,
-    SkipFailed,
-    Strict,
-)
-from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
@@ -31,24 +18,24 @@ _FOLLOWING = "seqid inertia LOG... -r {robot} -p {output} -o inertia.json"
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    parameters: OptionalParameters = None,
-    output: Output = None,
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    jobs: Jobs = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
-    skip_failed: SkipFailed = False,
-    strict: Strict = False,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    parameters: opt.OptionalParameters = None,
+    output: opt.Output = None,
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    jobs: opt.Jobs = None,
+    engine: opt.Engine = "local",
+    scheduler: opt.Scheduler = None,
+    skip_failed: opt.SkipFailed = False,
+    strict: opt.Strict = False,
 ) -> int:
     """Find how accelerometers and IMUs are mounted on the links, and what they are like.
 
     The logs hold rotations of the first joint with the other joints locked in several
     configurations. Mounting, place, biases, scales, axes and clock offset are found together.
     """
-    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
         options = identify.LogOptions(cutoff_hz=cutoff, time_source=time, skip_failed=skip_failed)
@@ -62,11 +49,5 @@ def run(
             on_progress=told,
         )
     return show_stage(
-        told,
-        file,
-        ["imu"],
-        output=output,
-        robot=robot,
-        strict=strict,
-        following=_FOLLOWING,
+        told, file, ["imu"], output=output, robot=robot, strict=strict, following=_FOLLOWING
     )

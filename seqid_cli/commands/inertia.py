@@ -4,23 +4,8 @@ from __future__ import annotations
 
 import typer
 
+from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, workers
-from seqid_cli.commands.options import (
-    Clock,
-    Consistent,
-    Cutoff,
-    Engine,
-    Jobs,
-    Logs,
-    MotionSource,
-    Output,
-    Parameters,
-    RobotPath,
-    Scheduler,
-    SkipFailed,
-    Strict,
-)
-from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.stages import show_stage
 
 EXAMPLES = (
@@ -34,25 +19,25 @@ _FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
-    motion: MotionSource = "auto",
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    jobs: Jobs = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
-    skip_failed: SkipFailed = False,
-    consistent: Consistent = False,
-    strict: Strict = False,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    parameters: opt.Parameters,
+    output: opt.Output = None,
+    motion: opt.MotionSource = "auto",
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    jobs: opt.Jobs = None,
+    engine: opt.Engine = "local",
+    scheduler: opt.Scheduler = None,
+    skip_failed: opt.SkipFailed = False,
+    consistent: opt.Consistent = False,
+    strict: opt.Strict = False,
 ) -> int:
     """Identify the inertia parameters, given friction and gravity.
 
     The logs hold moves of two joints (or more) at a time.
     """
-    with listening(screen_of(context)) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
         options = identify.RigidOptions(
@@ -66,11 +51,5 @@ def run(
             logs, robot, parameters, options, output=output, executor=executor, on_progress=told
         )
     return show_stage(
-        told,
-        file,
-        ["inertia"],
-        output=output,
-        robot=robot,
-        strict=strict,
-        following=_FOLLOWING,
+        told, file, ["inertia"], output=output, robot=robot, strict=strict, following=_FOLLOWING
     )

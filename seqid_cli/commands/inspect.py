@@ -10,7 +10,7 @@ import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, listening
 from seqid_cli.commands.options import Clock, Logs, Output
-from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.commands.screen.visible import visible
 from seqid_cli.params.results.inspection import InspectionFile
@@ -48,7 +48,7 @@ def run(
     With a robot file, torque and IMUs are compared with its geometry as well. The exit code is 1
     when an error is found, 2 when a log cannot be read, 3 when one was read in part.
     """
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli.inspect import inspect
 
         report = inspect(logs, robot, time_source=time, plan=plan, output=output, on_progress=told)

@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
 from seqid_cli.commands.screen.progress import ProgressLine
-from seqid_cli.commands.screen.render import Screen
+from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
 from seqid_cli.params.schema import Verdict
 from seqid_cli.working import heard_by
@@ -73,14 +75,19 @@ class Told:
             else:
                 sys.stderr.write(warnings.formatwarning(message, category, *more[:2]))
 
-    def exit_code(self, *, untrusted: bool) -> int:
-        """Return the exit code of a command that has written its result."""
-        return exit_code(untrusted=untrusted, partial=[*self.partial, *self.left_out])
+    def ended(self, verdicts: Sequence[Verdict], *, strict: bool) -> int:
+        """Say what to do about poor verdicts; returns the exit code of the command."""
+        poor = any_poor(verdicts)
+        if poor:
+            tell_remedies(self.screen, self.findings)
+        partial = [*self.partial, *self.left_out]
+        return exit_code(untrusted=strict and poor, partial=partial)
 
 
 @contextlib.contextmanager
-def listening(screen: Screen) -> Iterator[Told]:
+def listening(context: typer.Context) -> Iterator[Told]:
     """Show progress and warnings of what is called in the block."""
+    screen = screen_of(context)
     told = Told(screen, ProgressLine(sys.stderr, enabled=not screen.quiet))
     with warnings.catch_warnings():
         warnings.simplefilter("always", SeqidWarning)

@@ -30,8 +30,7 @@ Logs = Annotated[
     typer.Argument(metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."),
 ]
 RobotPath = Annotated[
-    Path,
-    typer.Option("-r", "--robot", metavar="FILE", help="Robot file (robot.toml)."),
+    Path, typer.Option("-r", "--robot", metavar="FILE", help="Robot file (robot.toml).")
 ]
 Parameters = Annotated[
     list[Path],
@@ -65,8 +64,7 @@ Cutoff = Annotated[
     ),
 ]
 Clock = Annotated[
-    TimeSource,
-    typer.Option("--time", help="Which time stamps of an MCAP log count."),
+    TimeSource, typer.Option("--time", help="Which time stamps of an MCAP log count.")
 ]
 MotionSource = Annotated[
     Literal["auto", "encoder", "imu", "fused"],
@@ -91,8 +89,7 @@ Engine = Annotated[
     typer.Option("--engine", help="Who reads the logs: processes here, or Dask (seqid[dask])."),
 ]
 Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Of a running Dask scheduler."),
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Of a running Dask scheduler.")
 ]
 SkipFailed = Annotated[
     bool,

@@ -6,20 +6,10 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import any_poor, listening, tell_output, tell_remedies
-from seqid_cli.commands.options import (
-    Clock,
-    Cutoff,
-    Logs,
-    MotionSource,
-    Output,
-    Parameters,
-    RobotPath,
-    SkipFailed,
-    Strict,
-    positive,
-)
-from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands import options as opt
+from seqid_cli.commands.job import listening, tell_output
+from seqid_cli.commands.options import positive
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor, verdict_text
 from seqid_cli.params.results.payload import Measured, PayloadFile
 
@@ -43,23 +33,23 @@ FrictionChange = Annotated[
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    parameters: opt.Parameters,
+    output: opt.Output = None,
     friction_change: FrictionChange = 0.2,
-    motion: MotionSource = "auto",
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    skip_failed: SkipFailed = False,
-    strict: Strict = False,
+    motion: opt.MotionSource = "auto",
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    skip_failed: opt.SkipFailed = False,
+    strict: opt.Strict = False,
 ) -> int:
     """Identify the mass, centre of mass and inertia of what the flange carries.
 
     The logs are recorded with the tool or load, the parameter file is of the arm without it. Moves
     of all joints, some of them slow, tell most. The result is in the frame of the last joint.
     """
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli import payload
 
         options = payload.PayloadOptions(
@@ -74,10 +64,7 @@ def run(
     screen.document(file)
     _show(screen, file)
     tell_output(screen, output, robot)
-    poor = any_poor(file.verdicts)
-    if poor:
-        tell_remedies(screen, told.findings)
-    return told.exit_code(untrusted=strict and poor)
+    return told.ended(file.verdicts, strict=strict)
 
 
 def _show(screen: Screen, file: PayloadFile) -> None:

@@ -10,7 +10,7 @@ import typer
 
 from seqid_cli.commands.job import any_poor, exit_code, listening
 from seqid_cli.commands.options import Output, RobotPath, Strict, positive
-from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
 from seqid_cli.plan.options import PlanOptions, What
 
@@ -91,8 +91,7 @@ Ramp = Annotated[
     ),
 ]
 LimitShare = Annotated[
-    float,
-    typer.Option("--share", metavar="X", callback=_share, help="Share of all limits to use."),
+    float, typer.Option("--share", metavar="X", callback=_share, help="Share of all limits to use.")
 ]
 Lock = Annotated[
     list[str] | None,
@@ -152,7 +151,7 @@ def run(
 
     Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a robot.
     """
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli import plan
 
         options = plan.PlanOptions(

@@ -7,22 +7,9 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import any_poor, listening, tell_output, tell_remedies, workers
-from seqid_cli.commands.options import (
-    Clock,
-    Cutoff,
-    Engine,
-    Jobs,
-    Logs,
-    MotionSource,
-    Output,
-    Parameters,
-    RobotPath,
-    Scheduler,
-    SkipFailed,
-    Strict,
-)
-from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands import options as opt
+from seqid_cli.commands.job import listening, tell_output, workers
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import verdict_text
 from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.params.results.prediction import PredictionFile
@@ -48,19 +35,19 @@ WithUnexplained = Annotated[
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    parameters: opt.Parameters,
+    output: opt.Output = None,
     torques: Torques = None,
-    motion: MotionSource = "auto",
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    jobs: Jobs = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
-    skip_failed: SkipFailed = False,
-    strict: Strict = False,
+    motion: opt.MotionSource = "auto",
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    jobs: opt.Jobs = None,
+    engine: opt.Engine = "local",
+    scheduler: opt.Scheduler = None,
+    skip_failed: opt.SkipFailed = False,
+    strict: opt.Strict = False,
     with_unexplained: WithUnexplained = False,
 ) -> int:
     """Predict the joint torques of any logs and compare them with the measured ones.
@@ -69,10 +56,7 @@ def run(
     of the measured torque there. At rest friction is an interval: the error over all samples counts
     the distance to it.
     """
-    with (
-        listening(screen_of(context)) as told,
-        workers(logs, jobs, engine, scheduler) as executor,
-    ):
+    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
         options = identify.PredictOptions(
@@ -98,10 +82,7 @@ def run(
     if torques is not None:
         screen.note(f"written: {torques}")
     tell_output(screen, output, robot)
-    poor = any_poor(file.verdicts)
-    if poor:
-        tell_remedies(screen, told.findings)
-    return told.exit_code(untrusted=strict and poor)
+    return told.ended(file.verdicts, strict=strict)
 
 
 def _show(screen: Screen, file: PredictionFile) -> None:

@@ -6,18 +6,8 @@ from typing import Annotated
 
 import typer
 
+from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import exit_code, listening, tell_output, tell_remedies
-from seqid_cli.commands.options import (
-    Clock,
-    Cutoff,
-    Logs,
-    MotionSource,
-    Output,
-    Parameters,
-    RobotPath,
-    Strict,
-)
-from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.commands.screen.show_refinement import show_refinement
 
@@ -52,24 +42,24 @@ WithUnexplained = Annotated[
 
 def run(
     context: typer.Context,
-    logs: Logs,
+    logs: opt.Logs,
     holdout: Holdout,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
+    robot: opt.RobotPath,
+    parameters: opt.Parameters,
+    output: opt.Output = None,
     rounds: Rounds = 4,
     with_unexplained: WithUnexplained = False,
-    motion: MotionSource = "auto",
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    strict: Strict = False,
+    motion: opt.MotionSource = "auto",
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    strict: opt.Strict = False,
 ) -> int:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.
 
     The held-out logs decide nothing: they are opened last, and confirm each effect or do not.
     With --strict the exit code is 1 if nothing helped, or if they do not confirm all of it.
     """
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli import discover
 
         options = discover.RefineOptions(

@@ -9,7 +9,7 @@ import typer
 
 from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import Strict
-from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.commands.screen.render import Screen
 from seqid_cli.params.files import By
 from seqid_cli.params.results.report import TITLES, ReportFile
 
@@ -26,8 +26,7 @@ Files = Annotated[
     ),
 ]
 Page = Annotated[
-    Path,
-    typer.Option("-o", "--output", metavar="FILE", help="Where the page goes, as HTML."),
+    Path, typer.Option("-o", "--output", metavar="FILE", help="Where the page goes, as HTML.")
 ]
 Torques = Annotated[
     Path | None,
@@ -61,7 +60,7 @@ def run(
 
     It opens offline and loads nothing. With --strict the exit code is 1 unless the verdict is good.
     """
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli.report import report
 
         made = report(files, output, torques=torques, title=title, by=by)

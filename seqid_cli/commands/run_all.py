@@ -34,8 +34,7 @@ Folder = Annotated[
     ),
 ]
 Out = Annotated[
-    Path,
-    typer.Option("-o", "--output", metavar="FOLDER", help="Folder where all results go."),
+    Path, typer.Option("-o", "--output", metavar="FOLDER", help="Folder where all results go.")
 ]
 KeepGoing = Annotated[
     bool, typer.Option("--keep-going", help="Go on after a stage whose verdict is poor.")

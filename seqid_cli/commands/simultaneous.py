@@ -6,24 +6,12 @@ from typing import Annotated
 
 import typer
 
+from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening
-from seqid_cli.commands.options import (
-    Clock,
-    Consistent,
-    Cutoff,
-    Logs,
-    MotionSource,
-    OptionalParameters,
-    Output,
-    RobotPath,
-    Strict,
-)
-from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.stages import show_stage
 
 Offset = Annotated[
-    bool,
-    typer.Option("--offset", help="Give each joint's friction a constant torque besides."),
+    bool, typer.Option("--offset", help="Give each joint's friction a constant torque besides.")
 ]
 EXAMPLES = (
     "seqid simultaneous sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
@@ -36,23 +24,23 @@ _FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 
 def run(
     context: typer.Context,
-    logs: Logs,
-    robot: RobotPath,
-    parameters: OptionalParameters = None,
-    output: Output = None,
+    logs: opt.Logs,
+    robot: opt.RobotPath,
+    parameters: opt.OptionalParameters = None,
+    output: opt.Output = None,
     offset: Offset = False,
-    motion: MotionSource = "auto",
-    cutoff: Cutoff = None,
-    time: Clock = "header",
-    consistent: Consistent = False,
-    strict: Strict = False,
+    motion: opt.MotionSource = "auto",
+    cutoff: opt.Cutoff = None,
+    time: opt.Clock = "header",
+    consistent: opt.Consistent = False,
+    strict: opt.Strict = False,
 ) -> int:
     """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
 
     Any logs will do. For comparison, and for data without moves of single joints. With the file of
     seqid imu-calib (-p) accelerometers are used as well.
     """
-    with listening(screen_of(context)) as told:
+    with listening(context) as told:
         from seqid_cli import identify
 
         options = identify.SimultaneousOptions(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from seqid_cli.commands.job import Told, any_poor, tell_output, tell_remedies
+from seqid_cli.commands.job import Told, any_poor, tell_output
 from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.params.schema import ParameterFile, Stages
 
@@ -42,8 +42,6 @@ def show_stage(
     stages = Stages(**{name: getattr(file.stages, name) for name in names})
     told.screen.document(file)
     show_stages(told.screen, stages)
-    poor = any_poor([v for name in names for v in getattr(stages, name).verdicts])
-    tell_output(told.screen, output, robot, "" if poor else following)
-    if poor:
-        tell_remedies(told.screen, told.findings)
-    return told.exit_code(untrusted=strict and poor)
+    verdicts = [v for name in names for v in getattr(stages, name).verdicts]
+    tell_output(told.screen, output, robot, "" if any_poor(verdicts) else following)
+    return told.ended(verdicts, strict=strict)

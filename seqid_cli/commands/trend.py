@@ -28,12 +28,10 @@ def _share(value: float) -> float:
 
 
 Files = Annotated[
-    list[Path],
-    typer.Argument(metavar="PARAMS.json...", help="Parameter files of several dates."),
+    list[Path], typer.Argument(metavar="PARAMS.json...", help="Parameter files of several dates.")
 ]
 Table = Annotated[
-    Path | None,
-    typer.Option("--table", metavar="FILE", help="Where all values go, as Parquet."),
+    Path | None, typer.Option("--table", metavar="FILE", help="Where all values go, as Parquet.")
 ]
 ByOption = Annotated[
     By, typer.Option("--by", help="What tells robots apart: the name in their files, or folders.")

@@ -22,11 +22,7 @@ class ProgressLine:
     """
 
     def __init__(
-        self,
-        stream: TextIO,
-        *,
-        enabled: bool,
-        clock: Callable[[], float] = time.monotonic,
+        self, stream: TextIO, *, enabled: bool, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._stream = stream
         self._enabled = enabled and stream.isatty()

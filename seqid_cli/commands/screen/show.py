@@ -37,14 +37,7 @@ def show_poor(screen: Screen, verdicts: Sequence[Verdict], whole: str) -> None:
 
 
 def _friction(screen: Screen, stage: FrictionStage) -> None:
-    columns = (
-        "joint",
-        "orders",
-        "RMS error N m",
-        "held-out N m",
-        "largest N m",
-        "verdict",
-    )
+    columns = ("joint", "orders", "RMS error N m", "held-out N m", "largest N m", "verdict")
     rows = [
         (
             name,

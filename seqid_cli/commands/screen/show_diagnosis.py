@@ -1,14 +1,17 @@
-"""A diagnosis on the screen: the verdict first, then the evidence, then what stays open."""
+"""A diagnosis on the screen: the verdict first, then the evidence, then what stays open.
+
+Of one joint it says as well what was tried there, and why it was not taken.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from seqid_cli.commands.screen.chart import text_chart
 from seqid_cli.commands.screen.render import Screen, limits, number, percent
 from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.model.effects.units import setting_units
-from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
     EventEntry,
@@ -18,30 +21,47 @@ from seqid_cli.params.results.diagnosis import (
     UnexplainedPart,
 )
 from seqid_cli.params.results.diagnosis_words import nothing_found, over_words
+from seqid_cli.params.schema import EffectOfJoint
 
 _EVENTS_SHOWN = 10
 
 
-def show_diagnosis(screen: Screen, file: DiagnosisFile) -> None:
-    """Print a diagnosis."""
-    screen.result(verdict_sentence(file))
+def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None) -> None:
+    """Print a diagnosis, or what it says of one joint, with the evidence and all that was tried."""
+    why = joint is not None
+    pushed = {name for event in file.events for name in event.joints}
+    findings = [item for item in file.findings if not joint or _touches(item, joint, pushed)]
+    parts = [part for part in file.unexplained if part.joint == (joint or part.joint)]
+    joints = {joint: file.joints[joint]} if joint else file.joints
+    if joint is None:
+        screen.result(verdict_sentence(file))
+    elif not findings and not parts:
+        screen.result(f"{joint}: nothing was found.")
     show_poor(screen, file.verdicts, "diagnosis")
-    _findings(screen, file.findings)
-    _unexplained(screen, file.unexplained)
-    _joints(screen, file.joints)
-    _events(screen, file.events)
-    _hidden(screen, file.hidden)
+    _findings(screen, findings, why=why)
+    _unexplained(screen, parts, why=why)
+    _joints(screen, joints)
+    if joint is not None:
+        _tried(screen, joints[joint].tried, "tried beside that")
+    _events(screen, [event for event in file.events if not joint or joint in event.joints])
+    _hidden(screen, [item for item in file.hidden if not joint or item.joint in (joint, None)])
     for note in file.notes:
         screen.remark(note)
+
+
+def _touches(item: FindingEntry, joint: str, pushed: Collection[str]) -> bool:
+    """Whether a finding is of a joint: there, or shown there, or of the whole arm."""
+    if item.effect == "external_contact":
+        return joint in pushed
+    shown = item.evidence
+    return item.joint in (joint, None) or (shown is not None and joint in (shown.joint, shown.of))
 
 
 def verdict_sentence(file: DiagnosisFile) -> str:
     """Return the verdict in one sentence."""
     if file.verdict == "nothing_missing":
         return nothing_found(file)
-    rest = "; ".join(
-        f"{part.joint}: {quantities_text(part.depends_on)}" for part in file.unexplained
-    )
+    rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
     if file.verdict == "unexplained":
         where = f" ({rest})" if rest else ""
         return f"Something is missing that no known effect explains{where}."
@@ -55,7 +75,7 @@ def effect_at(effect: str, joint: str | None) -> str:
     return f"{effect} at {joint}" if joint else effect
 
 
-def _findings(screen: Screen, findings: Sequence[FindingEntry]) -> None:
+def _findings(screen: Screen, findings: Sequence[FindingEntry], *, why: bool) -> None:
     columns = ("effect", "joint", "confidence", "explains", "parameters")
     rows = [
         (
@@ -71,11 +91,18 @@ def _findings(screen: Screen, findings: Sequence[FindingEntry]) -> None:
     for item in findings:
         name = effect_at(item.effect, item.joint)
         if item.confusable_with:
-            screen.result(f"{name}{_name_alone(item)}: could also be {_choice(item)}")
-            if item.separate_by:
-                screen.result(f"  to tell them apart, record: {item.separate_by}")
+            others = " or ".join(item.confusable_with)
+            screen.result(f"{name}{_name_alone(item)}: could also be {others}")
+        if item.separate_by and (item.confusable_with or why):
+            aim = "tell them apart" if item.confusable_with else "make sure"
+            screen.result(f"  to {aim}, record: {item.separate_by}")
         if item.note:
             screen.note(f"note: {name}: {item.note}")
+        if why:
+            share = f"{percent(item.gain)} of the squared error on blocks left out"
+            screen.result(f"{name}: takes away {share}{_nats(item.log_gain)}")
+            _shown(screen, item.evidence)
+            _tried(screen, item.rivals, f"tried for {name}")
 
 
 def _name_alone(item: FindingEntry) -> str:
@@ -83,11 +110,7 @@ def _name_alone(item: FindingEntry) -> str:
     return "" if sure is None else f" ({percent(sure)} by this name)"
 
 
-def _choice(item: FindingEntry) -> str:
-    return " or ".join(item.confusable_with)
-
-
-def parameters_text(item: FindingEntry) -> str:
+def parameters_text(item: FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
     if not item.parameters:
         return "not determined by these logs"
@@ -98,7 +121,7 @@ def parameters_text(item: FindingEntry) -> str:
     named = {value.name for value in item.parameters}
     units = setting_units(item.effect)
     values += [
-        f"{name} {number(value)}{_unit(units.get(name, ''))}"
+        f"{name} {value if isinstance(value, str) else number(value)}{_unit(units.get(name, ''))}"
         for name, value in item.settings.items()
         if name not in named
     ]
@@ -109,18 +132,20 @@ def _unit(unit: str) -> str:
     return "" if unit in ("", "1") else f" {unit}"
 
 
-def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart]) -> None:
+def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart], *, why: bool) -> None:
     columns = ("joint", "unexplained, depends on", "share", "closest effect, share of its gain")
     rows = [
-        (part.joint, quantities_text(part.depends_on), percent(part.share), _closest(part))
+        (part.joint, _quantities(part.depends_on), percent(part.share), _closest(part))
         for part in parts
     ]
     screen.table(columns, rows)
     for part in parts:
-        show_evidence(screen, part.evidence)
+        _shown(screen, part.evidence)
+        if why:
+            _tried(screen, part.rivals, "tried for what is unexplained")
 
 
-def show_evidence(screen: Screen, shown: EvidenceEntry | None) -> None:
+def _shown(screen: Screen, shown: EvidenceEntry | None) -> None:
     """Draw the residual over what an effect goes with, before and after that is taken off."""
     if shown is None:
         return
@@ -136,12 +161,23 @@ def show_evidence(screen: Screen, shown: EvidenceEntry | None) -> None:
         screen.result(line)
 
 
+def _tried(screen: Screen, rivals: Sequence[RivalEntry], title: str) -> None:
+    rows = [
+        (one.effect, one.joint or "whole arm", f"{one.log_gain:.0f}", one.why_not) for one in rivals
+    ]
+    screen.table((title, "joint", "gain, nats", "why it was not taken"), rows)
+
+
+def _nats(gain: float | None) -> str:
+    return "" if gain is None else f" ({gain:.0f} nats)"
+
+
 def _closest(part: UnexplainedPart) -> str:
     near = part.closest
     return "none" if near is None else f"{near.effect}, {percent(near.share)}"
 
 
-def quantities_text(names: Sequence[str]) -> str:
+def _quantities(names: Sequence[str]) -> str:
     """Return quantities in words."""
     return ", ".join(names) or "nothing that was logged"
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from seqid_cli.commands.screen.render import Screen, limits, number, percent
 from seqid_cli.commands.screen.show import show_poor
-from seqid_cli.commands.screen.show_diagnosis import effect_at
-from seqid_cli.model.effects.units import setting_units
+from seqid_cli.commands.screen.show_diagnosis import effect_at, parameters_text
 from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, RefinementRound
 
 
@@ -23,7 +22,9 @@ def show_refinement(screen: Screen, loop: ClosedLoop, effects: Sequence[EffectOf
     show_poor(screen, loop.verdicts, "refinement")
     _rounds(screen, [*loop.rounds, *loop.refused])
     _errors(screen, loop)
-    _effects(screen, effects)
+    columns = ("effect", "joint", "parameters")
+    rows = [(item.effect, item.joint or "whole arm", parameters_text(item)) for item in effects]
+    screen.table(columns, rows)
     for note in loop.notes:
         screen.remark(note)
 
@@ -103,21 +104,6 @@ def _errors(screen: Screen, loop: ClosedLoop) -> None:
             "errors are on held-out logs where joints slide; outside: beyond the positions and"
             f" speeds at which friction was identified: {', '.join(loop.evaluated_on)}"
         )
-
-
-def _effects(screen: Screen, effects: Sequence[EffectOfJoint]) -> None:
-    rows = []
-    for item in effects:
-        joint, units = item.joint or "whole arm", setting_units(item.effect)
-        named = {value.name for value in item.parameters}
-        for value in item.parameters:
-            error = number(value.std_error, 2)
-            rows.append((item.effect, joint, value.name, number(value.value), error, value.unit))
-        for name, setting in item.settings.items():
-            if name not in named:
-                text = number(setting) if isinstance(setting, float) else str(setting)
-                rows.append((item.effect, joint, name, text, "-", units.get(name, "-")))
-    screen.table(("effect", "joint", "parameter", "value", "std error", "unit"), rows)
 
 
 def _interval(limits: Sequence[float]) -> str:

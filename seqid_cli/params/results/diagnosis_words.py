@@ -37,10 +37,3 @@ def over_words(shown: EvidenceEntry) -> str:
         return "place on its wave"
     other = "" if shown.of == shown.joint else f" of {shown.of}"
     return f"{_MEASURES.get(shown.quantity, shown.quantity)}{other}"
-
-
-def flatness(shown: EvidenceEntry) -> tuple[float, float] | None:
-    """Return the swing of the bins' means, N m, before and after; None where nothing comes off."""
-    if not shown.after:
-        return None
-    return max(shown.before) - min(shown.before), max(shown.after) - min(shown.after)

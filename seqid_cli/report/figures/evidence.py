@@ -76,12 +76,7 @@ def rivals_table(title: str, rivals: Sequence[RivalEntry]) -> Table:
         *texts("why it was not taken"),
     )
     rows = [
-        (
-            effect_words(one.effect),
-            one.joint or "whole arm",
-            f"{one.log_gain:.0f}",
-            one.why_not,
-        )
+        (effect_words(one.effect), one.joint or "whole arm", f"{one.log_gain:.0f}", one.why_not)
         for one in rivals
     ]
     return Table(title, columns, rows, folded=True)

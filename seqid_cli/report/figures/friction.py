@@ -9,10 +9,7 @@ import numpy as np
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.report.figures.chart import Box, Panel, drawing
-from seqid_cli.report.figures.svg import (
-    line,
-    padded,
-)
+from seqid_cli.report.figures.svg import line, padded
 from seqid_cli.report.figures.torque import SMALL, Place
 from seqid_cli.report.views import Figure, Key, Table, numbers
 from seqid_cli.report.words import Z95, number, unit_text

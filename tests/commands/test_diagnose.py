@@ -247,7 +247,7 @@ def test_the_story_of_a_joint(rig: Rig, library: Library) -> None:
     assert spring.endswith("explains 75.0 % less")
     drift = next(line for line in lines if line.startswith("drift"))
     assert drift.endswith("gain of 0.9 standard errors; 2 are asked at least")
-    joint = next(line.split() for line in lines if line.startswith("shoulder  0.3"))
+    joint = next(line.split() for line in lines if line.split()[:2] == ["shoulder", "0.3"])
     assert joint == ["shoulder", "0.3", "0.1", "0.08", "to", "0.13", "3", "0.12", "no"]
 
 

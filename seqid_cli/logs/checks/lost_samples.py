@@ -10,18 +10,16 @@ fits the increments better), the time L that is lost at a step is the least-squa
 
 It counts where it is certain, longer than one and a half intervals, and the same for all joints
 that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by L
-and the hole is filled (`bridging`).
-
-A position that is held and then catches up loses no time: there the held samples alone are filled.
+and the hole is filled (`bridging`). A position that is held and then catches up loses no time.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.logs.checks.bridging import Losses, cubic, with_losses
+from seqid_cli.logs.checks.bridging import Losses, with_losses
 from seqid_cli.logs.checks.criteria import LOSSES, LossCriteria
 from seqid_cli.logs.checks.recurring_losses import joined, recurring
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
@@ -32,34 +30,26 @@ from seqid_cli.robust import gaussian_spread
 class Mended:
     """A stream put right; `bridged` (M,) says which of its samples were not measured.
 
-    `losses` are those of the stream as it came, with its `stamps`; `held` counts positions that
-    stood for missing ones.
+    `losses` are those of the stream as it came, with its `stamps`.
     """
 
     stream: Stream
     bridged: Mask
     losses: Losses
-    held: int
     stamps: Stamps
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What there is to say; nothing where nothing was mended."""
-        parts = []
-        if len(self.losses):
-            seconds = self.losses.seconds
-            parts.append(
-                f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
-                f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "
-                "of that time and the stamps go on as if nothing was missing. The time base is "
-                "repaired and the holes are bridged; log with the controller's own clock"
-            )
-        if self.held:
-            parts.append(
-                f"{self.held} positions repeat the one before while the joint moves, and then "
-                "catch up: they are bridged; look for lost packets between drive and logger"
-            )
-        return tuple(parts)
+        if not len(self.losses):
+            return ()
+        seconds = self.losses.seconds
+        return (
+            f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
+            f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "
+            "of that time and the stamps go on as if nothing was missing. The time base is "
+            "repaired and the holes are bridged; log with the controller's own clock",
+        )
 
 
 @dataclass(frozen=True)
@@ -116,34 +106,25 @@ def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
     `joints`: in the order of time, with `position` (M, n), and `velocity` (M, n) where it was
     logged. Returns: with the stream itself where nothing is wrong.
     """
+    intact = np.zeros(len(joints), np.bool_)
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
-    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, 0, joints.stamp_ns)
+    as_it_is = Mended(joints, intact, nothing, joints.stamp_ns)
     t, q, dq = _motion(joints)
     if len(t) < 4 * criteria.around or not np.isfinite(q).all():
         return as_it_is
     steps = _sudden(np.diff(q, axis=0), criteria)
     if len(steps) > criteria.many * len(t):
         return as_it_is
-    filled = _held(q, steps, criteria)
-    if filled.any():
-        q = np.column_stack([_over(t, x, own) for x, own in zip(q.T, filled.T, strict=True)])
-        steps = _sudden(np.diff(q, axis=0), criteria)
-        made = np.flatnonzero(filled.any(axis=1))
-        steps = steps[~(np.isin(steps, made) | np.isin(steps + 1, made))]
     losses = _all_losses(_Motion(t, q, dq, criteria), steps)
-    if not len(losses) and not filled.any():
+    if not len(losses):
         return as_it_is
-    channels = {**joints.channels, "position": q}
-    missing: Mask = np.asarray(filled.any(axis=1))
-    stream, bridged = with_losses(replace(joints, channels=channels), losses, missing)
-    count = int(missing.sum())
-    return Mended(stream, bridged, losses, count, joints.stamp_ns)
+    stream, bridged = with_losses(joints, losses, intact)
+    return Mended(stream, bridged, losses, joints.stamp_ns)
 
 
 def suspicious(joints: Stream) -> bool:
     """Whether part of a stream shows what `mended` would put right."""
-    found = mended(joints)
-    return bool(len(found.losses) or found.held)
+    return len(mended(joints).losses) > 0
 
 
 def _motion(joints: Stream) -> tuple[Array, Array, Array | None]:
@@ -194,46 +175,6 @@ def _slopes(motion: _Motion, at: Rows, side: int) -> tuple[Array, Array]:
     slopes = (q[rows + 1] - q[rows]) / dt[:, :, None]
     middle = np.median(slopes, axis=1)
     return middle, gaussian_spread(np.moveaxis(slopes - middle[:, None], 1, 0))
-
-
-def _held(q: Array, steps: Rows, criteria: LossCriteria) -> Mask:
-    """Positions (M, n) that repeat the one before although the joint moves, and then catch up."""
-    held = np.zeros(q.shape, np.bool_)
-    d = np.diff(q, axis=0)
-    for i in steps:
-        for j in np.flatnonzero((d[i] != 0) & (d[i - 1] == 0)):
-            first = i
-            while first > 0 and d[first - 1, j] == 0:
-                first -= 1
-            if i - first < criteria.held_least or first < 2 or i + 2 >= len(d):
-                continue
-            before, behind = d[max(0, first - 3) : first, j], d[i + 1 : i + 4, j]
-            usual = 0.5 * (float(before.mean()) + float(behind.mean()))
-            caught = d[i, j] / usual / (i - first + 1) if usual else 0.0
-            moves = np.all(before * usual > 0) and np.all(behind * usual > 0)
-            if moves and 0.5 < caught < 2.0:
-                held[first + 1 : i + 1, j] = True
-    share = held.mean(axis=0)
-    held[:, share > criteria.many] = False  # a channel that is slower than the log, not damage
-    return held
-
-
-def _over(t: Array, values: Array, missing: Mask) -> Array:
-    """Values (M,) with a cubic over each stretch of missing ones."""
-    if not missing.any():
-        return values
-    result = values.copy()
-    edges = np.flatnonzero(np.diff(missing.astype(np.int8)))
-    for a, b in zip(edges[::2], edges[1::2] + 1, strict=True):  # the last before, the first behind
-        slope = [_slope(t, values, slice(max(0, a - 3), a + 1)), _slope(t, values, slice(b, b + 4))]
-        result[a + 1 : b] = cubic(t[a + 1 : b], t[[a, b]], values[[a, b]], np.array(slope))
-    return result
-
-
-def _slope(t: Array, values: Array, rows: slice) -> float:
-    x, y = t[rows], values[rows]
-    x = x - x.mean()
-    return float(x @ y / (x @ x)) if len(x) > 1 else 0.0
 
 
 def _all_losses(motion: _Motion, steps: Rows) -> Losses:
@@ -287,10 +228,15 @@ def _counted(motion: _Motion, steps: Rows) -> NDArray[np.bool_]:
 
 def _goes_on(motion: _Motion, expected: Array, steps: Rows) -> NDArray[np.bool_]:
     """Whether the joint that moves by most counts does so beside a step (K,) too: not held."""
-    d, counts = motion.d, np.abs(expected) / np.maximum(motion.count, 1e-15)
+    q, around = motion.q, motion.criteria.around
+    counts = around * np.abs(expected) / np.maximum(motion.count, 1e-15)
     most = np.argmax(counts, axis=1)
-    moves = (d[steps - 1, most] != 0) & (d[steps + 1, most] != 0)
-    return np.asarray(moves | (counts.max(axis=1) < motion.criteria.held_least))
+    before = q[steps, most] != q[np.maximum(steps - around, 0), most]
+    behind = q[steps + 1, most] != q[np.minimum(steps + 1 + around, len(q) - 1), most]
+    beside = (motion.d[steps - 1, most] != 0) & (motion.d[steps + 1, most] != 0)
+    slow = counts.max(axis=1) < around * motion.criteria.held_least
+    unknown = counts.max(axis=1) < motion.criteria.held_least
+    return np.asarray(beside | (slow & before & behind) | unknown)
 
 
 def _logged(dq: Array, at: Rows) -> Array:

@@ -142,18 +142,13 @@ def test_drops_with_true_stamps_are_not_counted_twice(rate_hz: float) -> None:
 
 @pytest.mark.parametrize("velocity", [True, False])
 @pytest.mark.parametrize("rate_hz", RATES)
-def test_held_positions_are_bridged_and_lose_no_time(rate_hz: float, velocity: bool) -> None:
+def test_held_positions_lose_no_time(rate_hz: float, velocity: bool) -> None:
     for seed in SEEDS:
         log = arm(seed, rate_hz, 3)
         gone = ~lossy(seed, len(log.t), every=round(2 * rate_hz), gap=max(4, round(0.03 * rate_hz)))
         source = np.maximum.accumulate(np.where(gone, 0, np.arange(len(log.t))))
-        held = replace(log, q=log.q[source])
-        found = mended(held.stream(velocity=velocity))
-        assert not len(found.losses)
-        assert found.held > 0
-        before = np.abs(held.q - log.q).max()
-        after = np.abs(found.stream.channels["position"] - log.q)[found.bridged].max()
-        assert after < 0.1 * before
+        stream = replace(log, q=log.q[source]).stream(velocity=velocity)
+        assert mended(stream).stream is stream
 
 
 def test_a_spike_is_not_a_loss() -> None:

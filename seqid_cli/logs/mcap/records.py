@@ -97,7 +97,8 @@ class Scan:
             self.summary, checksum = read_summary(file, size)
             self.channels.update(self.summary.channels)
             self.schemas.update(self.summary.schemas)
-            walked = _Walk(file, size, self.losses, self.channels, self._unneeded(), checksum)
+            chunks = [each.chunk_start_offset for each in self.summary.chunk_indexes]
+            walked = _Walk(file, size, self.losses, chunks, self._unneeded(), checksum)
             chunk: _Record | None = None
             index: list[bytes] = []
             for record in walked.records():
@@ -243,15 +244,16 @@ def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> tuple[Sum
 
 @dataclass
 class _Walk:
-    """Goes over the records of a file; `channels` are the ones known so far.
+    """Goes over the records of a file; behind damage it goes on at the next of the `chunks`.
 
-    `skip` are the chunks that are not needed, `checksum` that of the data section.
+    These are the places that the summary tells, `skip` the chunks that are not needed, `checksum`
+    is that of the data section.
     """
 
     file: BinaryIO
     size: int
     losses: Counter[str]
-    channels: Collection[int]
+    chunks: Collection[int]
     skip: frozenset[tuple[int, int]]
     checksum: int
     finished: bool = False
@@ -279,7 +281,7 @@ class _Walk:
                     self.file.seek(at + RECORD.size)
                     yield _Record(opcode, self.file.read(), False)
                     return
-                found = recovery.next_record(self.file, at + 1, self.size, self.channels)
+                found = min((chunk for chunk in self.chunks if chunk > at), default=None)
                 if found is None:
                     self.losses[f"the file breaks off in a record at byte {at} of {self.size}"] += 1
                     return

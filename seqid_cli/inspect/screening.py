@@ -5,13 +5,12 @@ positions block by block; torque and motion are compared with each other in some
 that memory does not grow with the log.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
@@ -24,7 +23,7 @@ from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Array, Robot
 
 Findings = tuple[InspectionFinding, ...]
 
@@ -69,9 +68,8 @@ def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings
     look = _Look(log, robot)
     for block in log.blocks():
         look.push(block)
-    look.close()
-    sound = replace(log, bridges=tuple(_bridges(look.breaks, log)))
-    findings = [each.finding for each in look.breaks]
+    sound = replace(log, bridges=tuple(look.bridges))
+    findings = list(look.findings)
     warnings = log.warnings
     for piece in look.pieces():
         for bridge in sound.bridges:
@@ -85,34 +83,39 @@ def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings
 
 @dataclass
 class _Look:
-    """Takes the blocks of a log: finds breaks, and keeps some pieces."""
+    """Takes the blocks of a log: finds breaks, bridges their samples, and keeps some pieces."""
 
     log: SurveyedLog
     robot: Robot
-    breaks: list[Break] = field(default_factory=list)
+    findings: list[InspectionFinding] = field(default_factory=list)
+    bridges: list[Bridge] = field(default_factory=list)
     _kept: dict[int, list[Block]] = field(default_factory=dict)
-    _tail: Block | None = None
+    _tail: Array | None = None  # of the positions before the next block
 
     def push(self, block: Block, *, overlap_s: float = 1.0) -> None:
         """Take the next block."""
         self._keep(block)
         overlap = max(16, int(overlap_s * self.log.rate_hz))
-        wide = block.q if self._tail is None else np.concatenate([self._tail.q, block.q])
+        wide = block.q if self._tail is None else np.concatenate([self._tail, block.q])
         start = block.start + len(block.q) - len(wide)
         t = np.asarray((start + np.arange(len(wide))) * self.log.step_s, dtype=np.float64)
-        known = {each.finding.joint for each in self.breaks}
+        known = {finding.joint for finding in self.findings}
         for each in breaks_of(self.robot, t, wide):
-            again = replace(each, rows=each.rows + start)
-            if not len(each.rows) and each.finding.joint in known:
-                continue
-            self.breaks.append(again)
-        keep = min(overlap, len(wide))
-        tail = wide[len(wide) - keep :].copy()
-        self._tail = Block(start + len(wide) - keep, tail, tail, np.ones(keep, np.bool_))
+            if len(each.rows) or each.finding.joint not in known:
+                self.findings.append(each.finding)
+                self.bridges += self._bridged(each, wide, start)
+        self._tail = wide[-overlap:].copy()
 
-    def close(self) -> None:
-        """Drop the overlap that was kept for the next block."""
-        self._tail = None
+    def _bridged(self, damage: Break, q: Array, first: int) -> Iterator[Bridge]:
+        """Bridge damaged samples, runs of them together; `first` is the number of q's first."""
+        most = max(GAP_INTERVALS, GAP_LEAST_S * self.log.rate_hz)
+        rows = damage.rows
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ():
+            start, stop = int(run[0]), int(run[-1]) + 1
+            after = float(q[min(stop, len(q) - 1), damage.joint])
+            before = float(q[start - 1, damage.joint]) if start else after
+            known = stop - start < most
+            yield Bridge(damage.joint, first + start, first + stop, before, after, known)
 
     def _keep(self, block: Block) -> None:
         for number, (low, high) in enumerate(self._ranges()):
@@ -132,43 +135,6 @@ class _Look:
         for parts in self._kept.values():
             arrays = [np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "tau", "valid")]
             yield Block(parts[0].start, *arrays)
-
-
-def _bridges(breaks: Sequence[Break], log: SurveyedLog) -> Iterator[Bridge]:
-    """Bridge the samples that are damaged, runs of them together."""
-    most = max(GAP_INTERVALS, GAP_LEAST_S * log.rate_hz)
-    values = {j: np.unique(np.concatenate(rows)) for j, rows in _rows_of(breaks).items()}
-    around = _values_around(values, log)
-    for joint, rows in values.items():
-        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
-            start, stop = int(run[0]), int(run[-1]) + 1
-            after = around.get((joint, stop), around.get((joint, start - 1), 0.0))
-            before = around.get((joint, start - 1), after)
-            yield Bridge(joint, start, stop, before, after, stop - start < most)
-
-
-def _rows_of(breaks: Sequence[Break]) -> dict[int, list[NDArray[np.intp]]]:
-    found: dict[int, list[NDArray[np.intp]]] = {}
-    for each in breaks:
-        if len(each.rows):
-            found.setdefault(each.joint, []).append(each.rows)
-    return found
-
-
-def _values_around(
-    rows: dict[int, NDArray[np.intp]], log: SurveyedLog
-) -> dict[tuple[int, int], float]:
-    """Positions by joint and sample at the neighbours of damaged samples."""
-    found: dict[tuple[int, int], float] = {}
-    if not rows:
-        return found
-    for block in log.blocks():
-        for joint, damaged in rows.items():
-            near = np.concatenate([damaged - 1, damaged + 1])
-            near = near[(near >= block.start) & (near < block.start + len(block.q))]
-            for k in near:
-                found[joint, int(k)] = float(block.q[k - block.start, joint])
-    return found
 
 
 def _held(

@@ -19,7 +19,6 @@ _SAID: tuple[tuple[str, str], ...] = (
     (r"runs twice over the same time", "clock_set_back"),
     (r"steps back \d+ times", "stamps_backwards"),
     (r"samples are lost at \d+ places", "samples_lost"),
-    (r"positions repeat the one before while", ""),
     (r"repeat a stamp|share a stamp", "stamps_repeated"),
     (r"stamps span", "stamps_far_off"),
     (r"header stamps? .*zero|have no header stamp|without a usable time", "stamps_zero"),

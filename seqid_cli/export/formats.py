@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from seqid_cli.errors import UsageError
 from seqid_cli.robot.urdf.text import UrdfText, read_urdf_text
@@ -32,8 +31,7 @@ _HOLDS: Mapping[str, frozenset[str]] = {
 }
 
 
-@dataclass(frozen=True)
-class Exported:
+class Exported(NamedTuple):
     """A written form of an arm, and the model in it."""
 
     model: ExportModel
@@ -62,28 +60,11 @@ def format_of(path: Path) -> str:
 def export(
     robot: Robot, stages: Stages, *, kind: str, errors: Mapping[str, float] | None = None
 ) -> Exported:
-    """Write an identified arm in one of the forms of `FORMATS`.
+    """Write an identified arm in a form `kind`, a value of `FORMATS`.
 
-    Parameters
-    ----------
-    robot : Robot
-    stages : Stages
-        Whatever was identified.
-    kind : str
-        A value of `FORMATS`.
-    errors : mapping of str to float, optional
-        RMS error of the torque of each joint on new logs [N m], for thresholds.
-
-    Returns
-    -------
-    Exported
-
-    Raises
-    ------
-    ConfigError
-        If the file does not say enough, or is of another robot.
-    QualityError
-        If no physically consistent parameters are found.
+    `errors`: RMS error of the torque of each joint on new logs [N m], for thresholds. Raises
+    ConfigError: the file does not say enough, or is of another robot. Raises QualityError: no
+    physically consistent parameters are found.
     """
     from seqid_cli.export.model import export_model
     from seqid_cli.export.urdf_tree import bodies_of_urdf

@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import nnls
 
 from seqid_cli.model.friction import SLIDES, FrictionSurface
+from seqid_cli.params.results.export import ExportedFriction
 
 _POSITIONS, _SPEEDS = 41, 60
 
 
-@dataclass(frozen=True)
-class SimpleFriction:
-    """tau_f = coulomb sign(v) + viscous v, fitted over `speeds` [rad/s] in both directions.
+def simple_friction(surface: FrictionSurface) -> ExportedFriction:
+    """Fit coulomb sign(v) + viscous v to a surface, uniformly over its positions and speeds.
 
-    `coulomb` N m, `viscous` N m s/rad, neither negative. `misfit` is the RMS difference to the
-    surface, `size` the RMS of the surface itself, `offset` the mean part that does not flip with
-    the direction, which the two cannot say; all N m.
+    Neither is negative. The offset is the mean part that does not flip with the direction, which
+    the two cannot say.
     """
-
-    coulomb: float
-    viscous: float
-    offset: float
-    misfit: float
-    size: float
-    speeds: tuple[float, float]
-
-
-def simple_friction(surface: FrictionSurface) -> SimpleFriction:
-    """Fit Coulomb and viscous friction to a surface, uniformly over its positions and speeds."""
     low, high = surface.scaling.speed
     low = min(max(low, SLIDES * surface.sign_width), high)
     speeds = np.linspace(low, high, _SPEEDS)
@@ -40,11 +26,11 @@ def simple_friction(surface: FrictionSurface) -> SimpleFriction:
     columns = np.column_stack([np.sign(v), v])
     fitted, _ = nnls(columns, tau)
     misfit = tau - columns @ fitted
-    return SimpleFriction(
+    return ExportedFriction(
         coulomb=float(fitted[0]),
         viscous=float(fitted[1]),
         offset=float(tau.mean()),
-        misfit=float(np.sqrt(np.mean(misfit**2))),
-        size=float(np.sqrt(np.mean(tau**2))),
-        speeds=(float(low), float(high)),
+        rms_misfit=float(np.sqrt(np.mean(misfit**2))),
+        rms=float(np.sqrt(np.mean(tau**2))),
+        speed_range=[float(low), float(high)],
     )

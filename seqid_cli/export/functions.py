@@ -13,7 +13,6 @@ from seqid_cli.params.document import join, now, present, robot_id, tool
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.export import (
     EXPORT_SCHEMA,
-    ExportedFriction,
     ExportedLink,
     ExportedParameter,
     ExportFile,
@@ -85,17 +84,7 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
 def _link(model: ExportModel, k: int) -> ExportedLink:
     from seqid_cli.model.bodies.pseudo_inertia import Body
 
-    body, fit = Body.of(model.bodies[k]), model.friction[k]
-    friction = None
-    if fit is not None:
-        friction = ExportedFriction(
-            coulomb=fit.coulomb,
-            viscous=fit.viscous,
-            offset=fit.offset,
-            rms_misfit=fit.misfit,
-            rms=fit.size,
-            speed_range=list(fit.speeds),
-        )
+    body = Body.of(model.bodies[k])
     return ExportedLink(
         mass=body.mass,
         center_of_mass=body.center.tolist(),
@@ -103,5 +92,5 @@ def _link(model: ExportModel, k: int) -> ExportedLink:
         rotor_inertia=float(model.rotor[k]),
         armature=float(model.armature[k]),
         prior="urdf" if model.from_cad[k] else "guessed",
-        friction=friction,
+        friction=model.friction[k],
     )

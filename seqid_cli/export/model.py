@@ -9,13 +9,14 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.effects import absorbed_effects
-from seqid_cli.export.friction_fit import SimpleFriction, simple_friction
+from seqid_cli.export.friction_fit import simple_friction
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody
 from seqid_cli.model.bodies.demand import Deviation, Identified, identified
 from seqid_cli.model.bodies.nearest import Expected, nearest_bodies
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.params.results.export import ExportedFriction
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import PER_LINK, Coupling
@@ -37,7 +38,7 @@ class ExportModel:
         Rotor inertias, motor side [kg m^2].
     coupling : {"diagonal", "gyroscopic"}
     surfaces : list of FrictionSurface or None
-    friction : list of SimpleFriction or None
+    friction : list of ExportedFriction or None
     deviations : tuple of Deviation
         Of every identified base parameter.
     exact : bool
@@ -60,7 +61,7 @@ class ExportModel:
     rotor: Array
     coupling: Coupling
     surfaces: tuple[FrictionSurface | None, ...]
-    friction: tuple[SimpleFriction | None, ...]
+    friction: tuple[ExportedFriction | None, ...]
     deviations: tuple[Deviation, ...]
     exact: bool
     from_cad: tuple[bool, ...]
@@ -187,20 +188,20 @@ def _notes_on_links(
 
 
 def _notes_on_friction(
-    robot: Robot, friction: tuple[SimpleFriction | None, ...], *, poor: float = 0.2
+    robot: Robot, friction: tuple[ExportedFriction | None, ...], *, poor: float = 0.2
 ) -> list[str]:
     notes = []
     for name, fit in zip(robot.joint_names, friction, strict=True):
         if fit is None:
             notes.append(f"{name}: friction was not identified and is left out")
             continue
-        if fit.misfit > poor * fit.size:
-            share = 100.0 * fit.misfit / fit.size
+        if fit.rms_misfit > poor * fit.rms:
+            share = 100.0 * fit.rms_misfit / fit.rms
             notes.append(
                 f"{name}: Coulomb and viscous friction miss {share:.0f} % of the identified "
-                f"friction surface ({fit.misfit:.3g} of {fit.size:.3g} RMS)"
+                f"friction surface ({fit.rms_misfit:.3g} of {fit.rms:.3g} RMS)"
             )
-        if abs(fit.offset) > poor * fit.size:
+        if abs(fit.offset) > poor * fit.rms:
             notes.append(
                 f"{name}: a constant of {fit.offset:.3g} that does not change with the direction "
                 "has no place in model files"

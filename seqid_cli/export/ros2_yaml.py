@@ -54,7 +54,7 @@ def _joint(model: ExportModel, k: int) -> list[str]:
             f"  coulomb: {real(fit.coulomb)}",
             f"  viscous: {real(fit.viscous)}",
             f"  offset: {real(fit.offset)}",
-            f"  rms_misfit: {real(fit.misfit)}",
+            f"  rms_misfit: {real(fit.rms_misfit)}",
         ]
     return lines
 

@@ -48,8 +48,8 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
             force, speed = ("N", "m/s") if joint.prismatic else ("N m", "rad/s")
             lines.append(
                 f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g} friction,"
-                f" RMS misfit {fit.misfit:.3g} {force} over"
-                f" {fit.speeds[0]:.3g} to {fit.speeds[1]:.3g} {speed}"
+                f" RMS misfit {fit.rms_misfit:.3g} {force} over"
+                f" {fit.speed_range[0]:.3g} to {fit.speed_range[1]:.3g} {speed}"
             )
     if model.coupling == "gyroscopic":
         lines.append("Rotors turn the links that carry them as well; an armature leaves that out.")

@@ -80,7 +80,7 @@ def test_coulomb_and_viscous_friction_come_out_as_they_are() -> None:
     fit = simple_friction(surface([[3.1, 1.0]], [[3.1, 1.0]]))  # 3.1 + (v - 1.1): 2 + v
     assert fit.coulomb == pytest.approx(2.0)
     assert fit.viscous == pytest.approx(1.0)
-    assert fit.misfit < 1e-12
+    assert fit.rms_misfit < 1e-12
     assert fit.offset == pytest.approx(0.0, abs=1e-12)
 
 
@@ -88,7 +88,7 @@ def test_friction_that_falls_with_speed_gets_no_negative_damping() -> None:
     fit = simple_friction(surface([[2.0, -0.5]], [[2.0, -0.5]]))
     assert fit.viscous == 0.0
     assert fit.coulomb == pytest.approx(2.0, rel=1e-3)
-    assert fit.misfit > 0.1
+    assert fit.rms_misfit > 0.1
 
 
 def test_the_part_that_does_not_flip_is_told() -> None:

@@ -184,7 +184,7 @@ def _assembled(
         seconds = gathered.first * 1e-9 - whole.start
         raise InputError(f"no longer holds the rows {seconds:.3g} s on", where=str(path))
     raw = gathered.raw()
-    found = assemble(path, kind, whole.sha256, raw, robot, None)
+    found = assemble(path, kind, whole.sha256, raw, robot)
     found = sound(found, raw) if sound else found
     return replace(
         found,

@@ -40,9 +40,7 @@ READERS: dict[str, BlockReader] = {
 ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
-def read_recording(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header", rate_hz: float | None = None
-) -> Recording:
+def read_recording(path: Path, robot: Robot, *, time_source: TimeSource = "header") -> Recording:
     """Read one log on a uniform time base.
 
     Parameters
@@ -67,17 +65,17 @@ def read_recording(
     InputError
         The file cannot be read, lacks a channel or is too short.
     UsageError
-        `time_source` or `rate_hz` is not usable.
+        `time_source` is not known.
     """
-    return read_both(path, robot, time_source=time_source, rate_hz=rate_hz)[0]
+    return read_both(path, robot, time_source=time_source)[0]
 
 
 def read_both(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header", rate_hz: float | None = None
+    path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> tuple[Recording, RawLog]:
     """Read one log as a recording and as it was logged; see `read_recording`."""
     with local_copy(path) as file:
-        recording, raw = _read(Path(file), robot, time_source, rate_hz)
+        recording, raw = _read(Path(file), robot, time_source)
     return (replace(recording, path=path) if file is not path else recording), raw
 
 
@@ -90,7 +88,7 @@ def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stre
     """
     cleared, before = replace(raw, joints=joints), recording.health
     where = recording.path
-    again = assemble(where, recording.format, recording.sha256, cleared, robot, None)
+    again = assemble(where, recording.format, recording.sha256, cleared, robot)
     health = replace(
         before,
         gaps=tuple(sorted({*before.gaps, *again.health.gaps})),
@@ -99,9 +97,7 @@ def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stre
     return replace(again, health=health)
 
 
-def _read(
-    path: Path, robot: Robot, time_source: TimeSource, rate_hz: float | None
-) -> tuple[Recording, RawLog]:
+def _read(path: Path, robot: Robot, time_source: TimeSource) -> tuple[Recording, RawLog]:
     kind = check_log(path)
     path = storage_file(path)
     if time_source not in ("header", "log"):
@@ -113,7 +109,7 @@ def _read(
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return assemble(path, kind, digest, raw, robot, rate_hz), raw
+    return assemble(path, kind, digest, raw, robot), raw
 
 
 def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
@@ -130,9 +126,7 @@ class _Imus:
     warnings: list[str]
 
 
-def assemble(
-    path: Path, kind: str, digest: str, raw: RawLog, robot: Robot, rate_hz: float | None
-) -> Recording:
+def assemble(path: Path, kind: str, digest: str, raw: RawLog, robot: Robot) -> Recording:
     """Lay what was logged on one time base, mended and checked; see `read_recording`."""
     where = str(path)
     warnings = list(raw.warnings)
@@ -144,7 +138,7 @@ def assemble(
     clock = tidy(joints)
     repair = mended(clock.stream)
     clock = replace(clock, stream=repair.stream)
-    base = make_base(clock.stream, rate_hz, where)
+    base = make_base(clock.stream, where)
     q = resample(clock.stream, "position", base)
     valid, gaps = q.valid, set(q.gaps) | set(base.gaps)
     tau = None

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from seqid_cli.errors import InputError, UsageError
+from seqid_cli.errors import InputError
 from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.logs.raw import Array, Mask, Stamps, Stream
 
@@ -60,7 +60,6 @@ class Resampled:
 
 def make_base(
     joints: Stream,
-    rate_hz: float | None,
     where: str,
     *,
     least_seconds: float = 0.5,
@@ -69,8 +68,7 @@ def make_base(
     """Lay the base through the joint samples.
 
     `joints`: in the order of time, with `position` (M, n). `where`: the file, for messages. Raises
-    InputError: fewer than 20 samples, or less than 0.5 s. Raises UsageError: `rate_hz` is not
-    usable.
+    InputError: fewer than 20 samples, or less than 0.5 s.
     """
     rows = _base_rows(joints)
     stamps = joints.stamp_ns[rows]
@@ -82,13 +80,12 @@ def make_base(
             hint="Record longer, or leave this log out.",
             where=where,
         )
-    own, jitter, gaps = _own_step(stamps)
-    step = own if rate_hz is None else _wanted_step(rate_hz, span)
+    step, jitter, gaps = _own_step(stamps)
     count = int(np.floor(span / step + 1e-6)) + 1
     if count > most_samples:
         raise InputError(
             f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}",
-            hint="Give a lower rate or split the log.",
+            hint="Split the log.",
             where=where,
         )
     exact = count == len(rows) and _on_base(stamps, step)
@@ -159,13 +156,6 @@ def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], 
     seconds = (stamps - stamps[0]) * 1e-9
     gaps = tuple((float(seconds[i]), float(seconds[i + 1])) for i in np.flatnonzero(gap))
     return int(regular.sum()) / count * 1e-9, jitter, gaps
-
-
-def _wanted_step(rate_hz: float, span: float) -> float:
-    if not np.isfinite(rate_hz) or rate_hz <= 0.0 or rate_hz * span < LEAST_SAMPLES:
-        hint = f"It must be positive and leave at least {LEAST_SAMPLES} samples."
-        raise UsageError(f"a rate of {rate_hz:g} Hz cannot be used", hint=hint)
-    return 1.0 / rate_hz
 
 
 def _on_base(stamps: Stamps, step: float) -> bool:

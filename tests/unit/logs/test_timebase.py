@@ -13,6 +13,7 @@ from seqid_cli.logs.clocks import tidy
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.timebase import Base, resample
 from tests.unit.logs.samples import JOINTS, curve, grid, make_motion, make_robot
 from tests.unit.logs.writers import write_parquet
 
@@ -20,11 +21,9 @@ Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000
 
 
-def read_times(
-    tmp_path: Path, t: Array, q: Array | None = None, rate_hz: float | None = None
-) -> Recording:
+def read_times(tmp_path: Path, t: Array, q: Array | None = None) -> Recording:
     path = write_parquet(tmp_path / "log.parquet", t, JOINTS, curve(t, 3) if q is None else q)
-    return read_recording(path, make_robot(), rate_hz=rate_hz)
+    return read_recording(path, make_robot())
 
 
 def stream(t: Array, values: Array, name: str = "joints") -> Stream:
@@ -124,26 +123,30 @@ def test_too_short(tmp_path: Path, count: int, rate: float) -> None:
         read_times(tmp_path, grid(count, rate))
 
 
-def test_wanted_rate(tmp_path: Path) -> None:
+def on_base(t: Array, values: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Values on a base of another rate over the same time, and its moments."""
+    count = int(t[-1] * rate_hz + 1e-6) + 1
+    base = Base(T0, 1.0 / rate_hz, count, 0.0, False, np.zeros(0, np.intp), ())
+    return resample(stream(t, values), "position", base).values, base.t
+
+
+def test_bases_of_other_rates() -> None:
+    """As of an IMU that is slower or faster than the joints."""
     t = grid(1001, 500.0)
-    faster = read_times(tmp_path, t, rate_hz=1000.0)
-    assert faster.rate_hz == pytest.approx(1000.0)
-    assert len(faster.t) == 2001
-    np.testing.assert_allclose(faster.q, curve(faster.t, 3), atol=1e-8)
-    slower = read_times(tmp_path, t, rate_hz=50.0)
-    assert len(slower.t) == 101
+    faster, at = on_base(t, curve(t, 3), 1000.0)
+    assert len(at) == 2001
+    np.testing.assert_allclose(faster, curve(at, 3), atol=1e-8)
+    slower, at = on_base(t, curve(t, 3), 50.0)
+    assert len(at) == 101
     # The mean over a window h of sin(w t) is smaller by (w h)^2 / 24.
-    np.testing.assert_allclose(slower.q, curve(slower.t, 3), atol=1.6**2 * 0.02**2 / 24 * 1.1)
-    for wrong in (0.0, -5.0, float("nan"), 1e-3):
-        with pytest.raises(UsageError):
-            read_times(tmp_path, t, rate_hz=wrong)
+    np.testing.assert_allclose(slower, curve(at, 3), atol=1.6**2 * 0.02**2 / 24 * 1.1)
 
 
-def test_coarse_base_does_not_alias(tmp_path: Path) -> None:
+def test_coarse_base_does_not_alias() -> None:
     t = grid(5001, 1000.0)
     hum = np.sin(2 * np.pi * 101.0 * t)[:, None] * np.ones(3)
-    slower = read_times(tmp_path, t, hum, rate_hz=100.0)
-    assert np.abs(slower.q[2:-2]).max() < 0.05
+    slower, _ = on_base(t, hum, 100.0)
+    assert np.abs(slower[2:-2]).max() < 0.05
 
 
 def test_absurd_values_count_as_missing(tmp_path: Path) -> None:

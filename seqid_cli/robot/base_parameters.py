@@ -45,15 +45,13 @@ class Basis:
     `names`: the standard parameter that stands for each base parameter. `expression` (b, p): E:
     base parameters from standard ones, p = 11 n. `representative` (p, b): P: standard parameters,
     most of them zero, that give the same torque. `gravity` (b,): true for the parameters of the
-    gravity torque; these come first. `coupling` {"diagonal", "gyroscopic"}: how rotors are coupled
-    to the links that carry them.
+    gravity torque; these come first. A rotor acts on its own joint alone.
     """
 
     names: tuple[str, ...]
     expression: Array
     representative: Array
     gravity: NDArray[np.bool_]
-    coupling: Coupling = "diagonal"
 
     @property
     def size(self) -> int:
@@ -147,7 +145,7 @@ def base_regressor(
     whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
     H = whole[:, :, first : first + len(q)]
     _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
-    _add_rotors(robot, basis, q, dq, ddq, H)
+    _add_rotors(robot, basis, ddq, H)
     return H.transpose(2, 0, 1)
 
 
@@ -170,17 +168,11 @@ def _fill_links(
                     target += P[c, k] * block[:, column]
 
 
-def _add_rotors(robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array) -> None:
+def _add_rotors(robot: Robot, basis: Basis, ddq: Array, H: Array) -> None:
     """Add the columns of rotors that are parameters to H (n, b, N)."""
-    P = basis.representative[PER_LINK * robot.n :]
-    ratio = gear_ratios(robot)
-    if basis.coupling == "diagonal":
-        for i, k in zip(*np.nonzero(P), strict=True):
-            H[i, k] += ratio[i] ** 2 * ddq[:, i] * P[i, k]
-    elif P.any():
-        rotors = rotor_regressor(robot.chain, q, dq, ddq, ratio, basis.coupling).transpose(2, 1, 0)
-        for i, k in zip(*np.nonzero(P), strict=True):
-            H[:, k] += rotors[i] * P[i, k]
+    P, ratio = basis.representative[PER_LINK * robot.n :], gear_ratios(robot)
+    for i, k in zip(*np.nonzero(P), strict=True):
+        H[i, k] += ratio[i] ** 2 * ddq[:, i] * P[i, k]
 
 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
@@ -195,9 +187,7 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
     return np.arange(robot.n)[:, None] <= behind
 
 
-def base_parameters(
-    robot: Robot, *, rotor: Sequence[int], coupling: Coupling = "diagonal", zero: float = 1e-10
-) -> Basis:
+def base_parameters(robot: Robot, *, rotor: Sequence[int], zero: float = 1e-10) -> Basis:
     """Find the base parameters of the rigid body and of the rotors to identify.
 
     Parameters
@@ -205,14 +195,13 @@ def base_parameters(
     robot : Robot
     rotor : sequence of int
         Joints (0-based) whose rotor inertia is a parameter; the others' are known and left out.
-    coupling : {"diagonal", "gyroscopic"}
 
     Returns
     -------
     Basis
         The same one every time for the same robot; gravity parameters first.
     """
-    W_gravity, W = _random_regressors(robot, coupling)
+    W_gravity, W = _random_regressors(robot)
     order = _reading_order(robot.chain)
     used = order + [PER_LINK * robot.n + i for i in sorted(set(rotor))]
     floor = zero * float(np.linalg.norm(W[:, : PER_LINK * robot.n], axis=0).max())
@@ -233,7 +222,6 @@ def base_parameters(
         expression=expression,
         representative=representative + 0.0,
         gravity=np.arange(len(expression)) < len(gravity),
-        coupling=coupling,
     )
 
 
@@ -256,7 +244,7 @@ def _reading_order(chain: Chain) -> list[int]:
     return order
 
 
-def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
+def _random_regressors(robot: Robot) -> tuple[Array, Array]:
     """Stack gravity and full regressors (rows, 11 n) over random states."""
     # Joint limits play no part: the torque is analytic in the state, so columns that depend
     # linearly in one range do so in all, and a wide range shows it with the widest gap.
@@ -264,7 +252,7 @@ def _random_regressors(robot: Robot, coupling: Coupling) -> tuple[Array, Array]:
     n = robot.n
     q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
     q = q * np.where(robot.chain.prismatic, 1.0, np.pi)
-    Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling=coupling)
+    Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling="diagonal")
     Y_gravity = np.zeros_like(Y)
     Y_gravity[:, :, : PER_LINK * n] = gravity_regressor(robot.chain, robot.gravity, q)
     return Y_gravity.reshape(-1, Y.shape[2]), Y.reshape(-1, Y.shape[2])

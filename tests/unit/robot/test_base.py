@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import pytest
 
@@ -26,8 +24,6 @@ from tests.plants.robots.small import (
     robot_from_chain,
     states,
 )
-
-Coupling = Literal["diagonal", "gyroscopic"]
 
 
 def _scara() -> Robot:
@@ -68,19 +64,16 @@ def _phi(robot: Robot, rotor: list[int], rng: np.random.Generator) -> Array:
     return phi
 
 
-@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
 @pytest.mark.parametrize("rotors", ["none", "all", "last"])
 @pytest.mark.parametrize("name", ROBOTS)
-def test_base_parameters_say_all_and_nothing_twice(
-    name: str, rotors: str, coupling: Coupling
-) -> None:
+def test_base_parameters_say_all_and_nothing_twice(name: str, rotors: str) -> None:
     robot = ROBOTS[name]()
     rotor = {"none": [], "all": list(range(robot.n)), "last": [robot.n - 1]}[rotors]
     rng = np.random.default_rng(11)
-    basis = base_parameters(robot, rotor=rotor, coupling=coupling)
+    basis = base_parameters(robot, rotor=rotor)
     q, dq, ddq = states(rng, 200, robot.n)
     phi = _phi(robot, rotor, rng)
-    tau = standard_regressor(robot, q, dq, ddq, coupling=coupling) @ phi
+    tau = standard_regressor(robot, q, dq, ddq, coupling="diagonal") @ phi
     H = base_regressor(robot, basis, q, dq, ddq)
     np.testing.assert_allclose(H @ (basis.expression @ phi), tau, atol=1e-10 * abs(tau).max())
     stacked = H.reshape(-1, basis.size)
@@ -109,21 +102,20 @@ def test_gravity_parameters_are_those_of_gravity_alone(name: str) -> None:
     assert not basis.expression[:g, inertias].any()
 
 
-@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
-def test_planar_arm_has_the_papers_five_parameters(coupling: Coupling) -> None:
+def test_planar_arm_has_the_papers_five_parameters() -> None:
     robot = planar_2r()
-    basis = base_parameters(robot, rotor=[0, 1], coupling=coupling)
+    basis = base_parameters(robot, rotor=[0, 1])
     assert not basis.gravity.any()
     assert basis.names == ("Izz_1", "mx_2", "my_2", "Izz_2", "Ia_2")
-    if coupling == "diagonal":  # Eq. 44; N_2^2 is a factor of the column here
-        assert basis.terms(0) == pytest.approx({"Izz_1": 1.0, "m_2": 0.09, "Ia_1": 36.0})
-        assert [basis.expression_text(k) for k in range(1, 5)] == ["mx_2", "my_2", "Izz_2", "Ia_2"]
-        assert basis.expression_text(0) == "Izz_1 + 0.09*m_2 + 36*Ia_1"
+    # Eq. 44; N_2^2 is a factor of the column here
+    assert basis.terms(0) == pytest.approx({"Izz_1": 1.0, "m_2": 0.09, "Ia_1": 36.0})
+    assert [basis.expression_text(k) for k in range(1, 5)] == ["mx_2", "my_2", "Izz_2", "Ia_2"]
+    assert basis.expression_text(0) == "Izz_1 + 0.09*m_2 + 36*Ia_1"
 
 
 def test_planar_arm_has_the_papers_regressor() -> None:
     robot = planar_2r()
-    basis = base_parameters(robot, rotor=[0, 1], coupling="diagonal")
+    basis = base_parameters(robot, rotor=[0, 1])
     q, dq, ddq = states(np.random.default_rng(14), 50, 2)
     H = base_regressor(robot, basis, q, dq, ddq)
     (v1, v2), (a1, a2), length = dq.T, ddq.T, 0.3
@@ -182,10 +174,9 @@ def test_expressions_are_tidy_and_agree_with_the_matrix() -> None:
     assert basis.expression_text(elbow) == "mx_3 - 0.3922*m_4 - 0.3922*m_5 - 0.3922*m_6"
 
 
-@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
-def test_loaded_columns_are_all_that_differ_from_zero(coupling: Coupling) -> None:
+def test_loaded_columns_are_all_that_differ_from_zero() -> None:
     robot = arm_6r()
-    basis = base_parameters(robot, rotor=range(robot.n), coupling=coupling)
+    basis = base_parameters(robot, rotor=range(robot.n))
     q, dq, ddq = states(np.random.default_rng(21), 40, robot.n)
     H = base_regressor(robot, basis, q, dq, ddq)
     loaded = loaded_columns(robot, basis)

@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from xml.dom import minidom
 from xml.dom.minidom import Comment, Document, Element, Text
 
+import pinocchio as pin
+
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.text import plain, real, reals, remarks
-from seqid_cli.export.urdf_tree import UrdfBody, rpy_of_rotation
+from seqid_cli.export.urdf_tree import UrdfBody
 from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Array, Joint
@@ -83,7 +85,7 @@ def _new_joint(document: Document, root: Element, model: ExportModel, k: int) ->
     joint, chain = model.robot.joints[k], model.robot.chain
     kind = "prismatic" if joint.prismatic else "revolute" if joint.position_limits else "continuous"
     element = _add(document, root, "joint", name=joint.name, type=kind)
-    rpy = rpy_of_rotation(chain.rotation[k])
+    rpy = pin.rpy.matrixToRpy(chain.rotation[k])
     _add(document, element, "origin", xyz=reals(chain.position[k]), rpy=reals(rpy))
     _add(document, element, "axis", xyz=reals(chain.axis[k]))
     _add(document, element, "limit", 0, **_limits(joint, kind))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
@@ -137,31 +138,9 @@ def _origin(element: ElementTree.Element) -> Array:
     T = np.eye(4)
     if origin is not None:
         T[:3, 3] = _triple(origin.get("xyz"))
-        T[:3, :3] = rotation_of_rpy(*_triple(origin.get("rpy")))
+        T[:3, :3] = pin.rpy.rpyToMatrix(*_triple(origin.get("rpy")))
     return T
 
 
 def _triple(text: str | None) -> list[float]:
     return [float(word) for word in (text or "0 0 0").split()]
-
-
-def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Return Rz(yaw) Ry(pitch) Rx(roll) (3, 3), angles in rad."""
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def rpy_of_rotation(R: Array) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw [rad] of a rotation (3, 3), exact near a pitch of 90 degrees too."""
-    level = float(np.hypot(R[0, 0], R[1, 0]))
-    pitch = float(np.arctan2(-R[2, 0], level))
-    if level < 1e-9:  # only one of roll and yaw counts
-        return float(np.arctan2(-R[1, 2], R[1, 1])), pitch, 0.0
-    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))

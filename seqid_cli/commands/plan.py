@@ -62,7 +62,7 @@ Have = Annotated[
     typer.Option(
         "--have",
         metavar="LOG",
-        help="Logs that the inertia stage will get as well; repeat it per path, folder or glob.",
+        help="Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
     ),
 ]
 Trajectories = Annotated[
@@ -231,8 +231,9 @@ def _show(screen: Screen, plan: PlanFile) -> None:
 
 def _show_separation(screen: Screen, told: EffectSeparation) -> None:
     first, second = told.between
+    needed = told.seconds_needed
+    length = "no length of them is enough" if needed is None else f"{number(needed)} s are enough"
     screen.result(
-        f"{first} or {second}, of {number(told.size)} N m RMS: the right one is found with"
-        f" probability {percent(told.power)}; 95 % need {number(told.seconds_needed)} s"
+        f"{first} or {second}, of {number(told.size)} N m RMS: the diagnosis tells them apart with"
+        f" probability {percent(told.power)}; for 95 % {length}"
     )
-    screen.result(f"either imitates up to {percent(told.imitated)} of the other on these moves")

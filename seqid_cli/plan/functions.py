@@ -47,7 +47,7 @@ def plan(
         What is identified already: torque and noise are taken from it.
     options : PlanOptions
     have : path, table, recording, or a sequence of them
-        Logs that the inertia stage will get as well.
+        Logs that the inertia stage, or the diagnosis that tells two effects apart, gets as well.
     output, trajectories : path, optional
         Where the plan goes, and the folder for the files of each move.
 
@@ -110,9 +110,9 @@ def _check(
     if (what == "discriminate") != bool(options.between):
         hint = "As in plan discriminate --between stribeck,quadratic_drag --joint elbow."
         raise UsageError("discriminate needs --between, and no other plan takes it", hint=hint)
-    if have and what not in ("inertia", "all"):
+    if have and what not in ("inertia", "all", "discriminate"):
         hint = "Leave it out, or plan the inertia stage."
-        raise UsageError(f"--have counts for the inertia stage, not for {what}", hint=hint)
+        raise UsageError(f"--have counts for inertia and discriminate, not for {what}", hint=hint)
 
 
 def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | None:

@@ -24,7 +24,7 @@ from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.discriminate import plan_discriminate
+from seqid_cli.plan.stages.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.stages.friction import plan_friction
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.imu import plan_imu
@@ -48,7 +48,8 @@ def make_plan(
 ) -> PlanFile:
     """Plan the moves of one stage, or of all in the order of the work.
 
-    `have` are logs that the inertia stage will get as well: only what they lack is planned.
+    `have` are logs that inertia stage or diagnosis will get as well: only what they lack is
+    planned.
 
     Raises
     ------
@@ -56,12 +57,10 @@ def make_plan(
         Nothing can be moved within the limits.
     """
     belief = belief_of(robot, stages, limits, geometry=geometry)
-    found: dict[str, Planned] = {}
-    known = information_of(belief, have)
-    for name in _stages(what, robot):
-        found[name] = _planned(name, belief, stages, options, known)
-        added = found[name].information
-        known = known if added is None else known + added
+    if what == "discriminate":
+        found = {what: plan_discriminate(belief, stages, options, list(have))}
+    else:
+        found = _session(_stages(what, robot), belief, stages, options, have)
     moves = [move for planned in found.values() for move in planned.moves]
     if belief.theta is not None:
         heavy = loaded(belief, options.load_kg)
@@ -98,6 +97,23 @@ def _stages(what: str, robot: Robot) -> tuple[str, ...]:
     return ("friction", "gravity", *imu, "inertia", "validation")
 
 
+def _session(
+    names: Sequence[str],
+    belief: Belief,
+    stages: Stages,
+    options: PlanOptions,
+    have: Iterable[Recording],
+) -> dict[str, Planned]:
+    """Plan stages one after the other, each on what is known by then."""
+    found: dict[str, Planned] = {}
+    known = information_of(belief, have)
+    for name in names:
+        found[name] = _planned(name, belief, stages, options, known)
+        added = found[name].information
+        known = known if added is None else known + added
+    return found
+
+
 def _planned(
     name: str,
     belief: Belief,
@@ -113,8 +129,8 @@ def _planned(
     if name in ("friction", "validation"):
         make = plan_friction if name == "friction" else plan_validation
         return make(belief, options)
-    others = {"gravity": plan_gravity, "payload": plan_payload, "discriminate": plan_discriminate}
-    return others[name](belief, stages, options)
+    make_rigid = plan_gravity if name == "gravity" else plan_payload
+    return make_rigid(belief, stages, options)
 
 
 def _with_torque(
@@ -152,19 +168,16 @@ def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) ->
     return total
 
 
-def _verdicts(what: str, stage: PlannedStage, *, most_imitated: float = 0.95) -> list[Verdict]:
+def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
     told = stage.separation
     if told is not None:
-        most = percent(told.imitated, 0)
-        reason = f"{' and '.join(told.between)}: either imitates up to {most} of the other"
-        if told.special_case:
-            general = next(name for name in told.between if name != told.special_case)
-            reason += (
-                f"; {told.special_case} is a special case of {general} on every motion: where it is"
-                " the true one, both names stay"
-            )
-        good = told.imitated <= most_imitated and told.special_case is None
-        return [Verdict(good=good, reason=reason)]
+        pairs = zip(told.between, reversed(told.between), told.powers, told.imitations, strict=True)
+        reason = "; ".join(
+            f"if it is {one}, the diagnosis drops {other} with probability {percent(power, 0)}"
+            f" ({other} reaches up to {percent(most)} of the gain)"
+            for one, other, power, most in pairs
+        )
+        return [Verdict(good=told.power >= ENOUGH, reason=reason)]
     if what == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]
     if stage.rank is None or stage.structural_rank is None:

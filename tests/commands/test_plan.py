@@ -90,7 +90,7 @@ def test_have_is_for_the_inertia_stage(rig: Rig) -> None:
     logs = str(SAMPLES / "two_joint" / "inertia")
     done = rig.run("plan", "friction", "-r", TWO, "--have", logs)
     assert done.code == 2
-    assert "--have counts for the inertia stage, not for friction" in done.err
+    assert "--have counts for inertia and discriminate, not for friction" in done.err
     short = ("--duration", "8", "--move-duration", "4")
     assert rig.run("plan", "inertia", "-r", TWO, "--have", logs, *short).code == 0
     assert rig.run("plan", "inertia", "-r", TWO, "--have", "none.parquet").code == 2

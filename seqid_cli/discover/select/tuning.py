@@ -12,13 +12,12 @@ from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.rows import Gained
 from seqid_cli.discover.select.terms import Term, effects
-from seqid_cli.model.effects.effect import Setting
+from seqid_cli.model.effects.effect import SPACING, Setting
 
 Array = NDArray[np.float64]
 
 GOLDEN = 0.381966
 STEPS = 8
-SPACING = 2.5  # ratio to the grid's next value
 NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
 SHARPENED = 3  # times that settings are moved to where the coefficients say
 USUAL = 0.02  # of the evidence, that another value than the usual one must gain
@@ -82,14 +81,13 @@ class Tuner:
 
         def gain(x: float) -> float:
             nonlocal best
-            at = float(np.exp(x)) if setting.logarithmic else float(x)
-            found = self._moved(tried, **{setting.name: at})
+            found = self._moved(tried, **{setting.name: setting.at(x)})
             if found is None:
                 return -np.inf
             best = max(best, found, key=lambda one: one.evidence)
             return found.evidence
 
-        a, b = _bracket(setting, tried.candidate.settings[setting.name], spacing)
+        a, b = setting.bracket(tried.candidate.settings[setting.name], spacing)
         x, y = a + GOLDEN * (b - a), b - GOLDEN * (b - a)
         at_x, at_y = gain(x), gain(y)
         for _ in range(STEPS):
@@ -141,15 +139,6 @@ class Tuner:
                 return best
             best = found
         return best
-
-
-def _bracket(setting: Setting, value: float, spacing: float) -> tuple[float, float]:
-    """Interval about a value; in logarithms where the setting is searched by ratio."""
-    if setting.logarithmic:
-        low, high = max(value / spacing, setting.low, 1e-12), min(value * spacing, setting.high)
-        return float(np.log(low)), float(np.log(high))
-    reach = 0.5 * max(abs(value), 1e-3)
-    return max(value - reach, setting.low), min(value + reach, setting.high)
 
 
 def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:

@@ -31,6 +31,8 @@ Grid = Iterator[dict[str, float]]
 Settings = Mapping[str, float]
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
 
+SPACING = 2.5  # ratio of a setting to the grid's next value
+
 Family = Literal["friction", "transmission", "body", "measurement"]
 Over = Measure | Literal["driving_load", "wave", "torque"]
 
@@ -67,6 +69,18 @@ class Setting:
     logarithmic: bool = False
     usual: tuple[float, ...] = ()
     then: tuple[float, ...] = ()
+
+    def bracket(self, value: float, spacing: float = SPACING) -> tuple[float, float]:
+        """Interval about a value that is searched; in logarithms where it is searched by ratio."""
+        if self.logarithmic:
+            low, high = max(value / spacing, self.low, 1e-12), min(value * spacing, self.high)
+            return float(np.log(low)), float(np.log(high))
+        reach = 0.5 * max(abs(value), 1e-3)
+        return max(value - reach, self.low), min(value + reach, self.high)
+
+    def at(self, x: float) -> float:
+        """The value at a place of such an interval."""
+        return float(np.exp(x)) if self.logarithmic else float(x)
 
 
 class Effect(abc.ABC):
@@ -207,6 +221,17 @@ class Effect(abc.ABC):
     def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {}
+
+    def reached(self, settings: Settings, *, points: int = 5) -> Grid:
+        """Yield settings at which a search from a grid's may end, `points` to every interval."""
+        yield dict(settings)
+        for one in self.settings:
+            if one.continuous:
+                low, high = one.bracket(settings[one.name])
+                for x in np.linspace(low, high, points):
+                    yield {**settings, one.name: one.at(float(x))}
+            for value in (*one.usual, *one.then):
+                yield {**settings, one.name: value}
 
     def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
         """Return settings nearer to what coefficients c (k,) say; None where there are none.

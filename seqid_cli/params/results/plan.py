@@ -122,13 +122,15 @@ class PlanGrowth(Struct, kw_only=True):
 
 
 class EffectSeparation(Struct, kw_only=True):
-    """How well the moves tell two effects apart.
+    """How well the moves tell two effects apart, as the diagnosis will ask.
 
-    `size` is the root mean square torque (N m) of the effect that is assumed; the two explanations
-    lie `distance` standard deviations of the noise apart, so that a test of level 0.05 finds the
-    right one with probability `power`; `seconds_needed` give 0.95. `imitated` is the largest share
-    of an effect that the other one imitates on these moves, which no time lowers. `special_case`
-    is the effect that the other one contains: it can be refuted, not shown.
+    `size` is the root mean square torque (N m) of the effect that is assumed. `powers` are the
+    probabilities, in the order of `between`, that the diagnosis drops the other effect where this
+    one is there, over the settings and coefficients that it may have; `imitations` the largest
+    share of its gain that the other one reaches then, which no time lowers. `power` is the smaller
+    and `imitated` the larger of both. `seconds_needed` give a power of 0.95 (null: no time does).
+    The explanations lie `distance` standard deviations of the noise apart in the middle of the
+    cases. `special_case` is the effect that the other one contains: it can be refuted, not shown.
     """
 
     between: list[str]
@@ -138,6 +140,8 @@ class EffectSeparation(Struct, kw_only=True):
     power: float
     seconds_needed: float | None
     imitated: float
+    powers: list[float] = []
+    imitations: list[float] = []
     special_case: str | None = None
 
 

@@ -6,12 +6,14 @@ import difflib
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from statistics import NormalDist
 
 import msgspec
 import numpy as np
 
+from seqid_cli.discover.scenes import scenes_of as logged
 from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, PlannedStage
@@ -30,16 +32,25 @@ from seqid_cli.plan.moves.strokes import (
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, draw_pool
 from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_limits
-from seqid_cli.plan.stages.separation import Question, Separation, scenes_of, separation_of
+from seqid_cli.plan.stages.separation import Question, Separation, Told, scenes_of, separation_of
 from seqid_cli.robot.types import Robot
 
+ENOUGH = 0.9  # power from which a plan is good
 PACES = (1.0, 0.3, 0.1)  # shares of the speed limits that the drawn moves keep to
 
 
 def plan_discriminate(
-    belief: Belief, stages: Stages, options: PlanOptions, *, alpha: float = 0.05
+    belief: Belief, stages: Stages, options: PlanOptions, have: Sequence[Recording] = ()
 ) -> Planned:
-    """Choose the moves that leave most of either effect unexplained by the other.
+    """Choose the moves after which the diagnosis will tell the two effects apart.
+
+    Parameters
+    ----------
+    belief : Belief
+    stages : Stages
+    options : PlanOptions
+    have : sequence of Recording
+        Logs that will be diagnosed together with those of the moves.
 
     Raises
     ------
@@ -49,7 +60,7 @@ def plan_discriminate(
         The model does not allow to look for one of them, or no move keeps the torque limits.
     """
     effects, joint = asked(belief.robot, options)
-    pool = _pool(belief, joint, options)
+    pool = pool_of(belief, joint, options)
     scenes = scenes_of(belief, stages, pool)
     for effect in effects:
         if not effect.available(scenes, joint):
@@ -57,34 +68,37 @@ def plan_discriminate(
             text = f"{effect.name} cannot be looked for with this model"
             raise ConfigError(text, where=str(belief.robot.source), hint=hint)
     question = Question.of(effects, joint, scenes[:: max(1, len(scenes) // 12)])
-    found = separation_of(belief, question, scenes)
-    names = [effect.name for effect in effects]
-    if not found.ways:
-        note = f"no motion tells {names[0]} from {names[1]}: record {effects[0].separate_by}"
-        return Planned([], PlannedStage(notes=[note], separation=None))
-    chosen, seconds = _chosen(found, pool, options.duration_s)
     size = _size(belief, joint, options.size_share)
+    logs = logged(have, belief.robot, stages, options=InertiaOptions()) if have else []
+    found = separation_of(belief, question, scenes, size, logs)
+    if all(found.open):
+        one, other = effects
+        note = f"no motion tells {one.name} from {other.name}: record {one.separate_by}"
+        return Planned([], PlannedStage(notes=[note]))
+    chosen, seconds = _chosen(found, pool, options.duration_s)
     total = found.of[chosen].sum(axis=0)
-    T = size**2 * float(found.value(total))
-    level = NormalDist().inv_cdf(1.0 - alpha)
-    special = effects[1 - found.ways[0]] if len(found.ways) == 1 else None
+    told = [found.told(total, k) for k in (0, 1)]
     separation = EffectSeparation(
-        between=names,
+        between=[effect.name for effect in effects],
         joint=None if joint is None else belief.robot.joint_names[joint],
         size=size,
-        distance=float(np.sqrt(T)),
-        power=NormalDist().cdf(float(np.sqrt(T)) - level),
-        seconds_needed=seconds * (2.0 * level) ** 2 / T if T > 0.0 else None,
-        imitated=found.imitated(total),
-        special_case=special.name if special else None,
+        distance=float(np.sqrt(min(np.median(one.left) for one in told))),
+        power=min(float(one.power) for one in told),
+        seconds_needed=_needed(told, seconds),
+        imitated=max(one.imitated for one in told),
+        powers=[float(one.power) for one in told],
+        imitations=[one.imitated for one in told],
+        special_case=next((x.name for x, y in zip(effects, found.open, strict=True) if y), None),
     )
     moves = [
         msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)
     ]
-    notes = []
-    if special:
-        notes = [f"where it is {special.name}, no motion settles it: record {special.separate_by}"]
+    notes = [
+        f"if it is {one.name}, these moves may leave it open: record {one.separate_by}"
+        for one, power in zip(effects, separation.powers, strict=True)
+        if power < ENOUGH
+    ]
     return Planned(moves, PlannedStage(duration_s=seconds, separation=separation, notes=notes))
 
 
@@ -112,7 +126,7 @@ def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], in
     return (first, second), robot.joint_names.index(options.joint)
 
 
-def _pool(
+def pool_of(
     belief: Belief, joint: int | None, options: PlanOptions, *, each: int = 48
 ) -> list[PlannedMove]:
     """Moves of the joint alone, with others, and of all, at several speeds, and steady strokes."""
@@ -167,19 +181,26 @@ def _strokes(
 def _chosen(
     found: Separation, pool: Sequence[PlannedMove], most_s: float
 ) -> tuple[list[int], float]:
-    """Moves taken one by one that raise T most for their time, as long as time is left."""
+    """Moves taken one by one that raise the merit most, as long as time is left."""
     seconds = np.array([move.duration_s for move in pool])
     chosen: list[int] = []
-    total, spent, now = np.zeros_like(found.prior), 0.0, 0.0
+    total, spent = np.zeros_like(found.prior), 0.0
     while True:
         open_ = (spent + seconds <= most_s) & ~np.isin(np.arange(len(pool)), chosen)
         if not open_.any():
             return chosen, spent
-        gain = (found.value(total + found.of) - now) / seconds
-        best = int(np.argmax(np.where(open_, gain, -np.inf)))
+        value = np.where(open_, found.value(total + found.of), -np.inf)
+        best = int(np.argmax(value))
         chosen.append(best)
         total, spent = total + found.of[best], spent + float(seconds[best])
-        now = float(found.value(total))
+
+
+def _needed(told: Sequence[Told], seconds: float, *, power: float = 0.95) -> float | None:
+    """Seconds of such moves for a power; None where no length of them is enough."""
+    for factor in np.geomspace(0.01, 1e4, 61):
+        if min(float(one.longer(factor).power) for one in told) >= power:
+            return float(seconds * factor)
+    return None
 
 
 def _size(belief: Belief, joint: int | None, share: float) -> float:

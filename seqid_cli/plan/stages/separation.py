@@ -1,15 +1,22 @@
-"""How well moves tell two effects apart: the residual that the rival cannot imitate (T-optimality).
+"""How well moves tell two effects apart, asked as the diagnosis asks (T-optimality).
 
-The rows of a move at joint j, in units of the noise, hold the columns of the rigid base parameters
-and of the joint's friction (both known to a few standard errors), and those of both effects at
-several settings. Their Gram matrices add up over moves. With S_ab the Schur complement of effect A
-at settings a when the base and the rival B at settings b are free, and N_a the mean square of A's
-columns at the joint, an effect of mean square torque s^2 in any direction leaves
+The rows of a move, in units of the noise, hold the columns of the rigid base parameters and of the
+joint's friction, which are held as the parameter file says, and those of both effects at the
+settings that a search may reach. Their Gram matrices add up over moves. Let S be the Schur
+complement of both effects when the base is free, and c the coefficients of a true effect A:
 
-    T_a = s^2 min_b tr(N_a^-1 S_ab) / k
+    G = c' S_aa c / 2,        T = min_b c' (S_aa - S_ab S_bb^-1 S_ba) c
 
-unexplained by the rival; T is its mean over settings, the smaller one of both ways round. The two
-hypotheses lie sqrt(T) apart: a test of level alpha has the power Phi(sqrt(T) - z_(1 - alpha)).
+is the gain of A, and what the rival B leaves of it at its best plausible settings b. The diagnosis
+drops a rival that lacks more than `asked` = BEHIND max(TEMPER G, 1) of the gain. It lacks T / 2 on
+average, with a standard deviation of sqrt(T), so that it is dropped with the probability
+Phi((T / 2 - asked) / sqrt(T)). No length of motion helps where T / 2 is less than BEHIND TEMPER G:
+where the rival reaches 95.3 % of the gain.
+
+Coefficients are drawn in all directions, and settings are those of the grid: the least favourable
+of them count as much as the others, where a mean trace would hide them behind the large part that
+both effects share. Rows at rest do not count, as they do not in a diagnosis: what a joint at rest
+under control carries is anything within its friction.
 
 References
 ----------
@@ -25,8 +32,10 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import ndtr
 
-from seqid_cli.model.effects.effect import Effect, Setting
+from seqid_cli.discover.select.naming import SELDOM, TEMPER
+from seqid_cli.model.effects.effect import Columns, Effect
 from seqid_cli.model.effects.scene import Scene, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
@@ -38,65 +47,121 @@ from seqid_cli.plan.belief import NOISE_HZ, Belief
 from seqid_cli.plan.moves.trajectories import RATE_HZ, sampled
 from seqid_cli.plan.stages.choose import Goal
 from seqid_cli.robot.base_parameters import base_regressor
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array, Index
 
+BEHIND = float(np.log(1.0 / SELDOM - 1.0))  # tempered gain by which a rival is not told
 NESTED = 0.999  # share that the rival imitates on all moves of the pool, from which it always does
 
 
 @dataclass(frozen=True)
 class Question:
-    """Two effects at a joint (None: of the whole arm), each with the settings that are tried."""
+    """Two effects at a joint (None: of the whole arm), each with the settings that are tried.
+
+    The first ones of `settings` are true in turn, `true` many; a rival may have any.
+    """
 
     effects: tuple[Effect, Effect]
     joint: int | None
     settings: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]
+    true: tuple[int, int]
 
     @classmethod
     def of(
         cls, effects: tuple[Effect, Effect], joint: int | None, scenes: Sequence[Scene]
     ) -> Question:
-        """Take settings from the effects' grids over some data sets."""
-        found = [_settings(effect, joint, scenes) for effect in effects]
-        return cls(effects, joint, (found[0], found[1]))
+        """Take settings from the grids over some data sets, and what is reached of them."""
+        first, second = (_settings(effect, joint, scenes) for effect in effects)
+        settings = [*first[0], *first[1]], [*second[0], *second[1]]
+        return cls(effects, joint, settings, (len(first[0]), len(second[0])))
 
 
 def _settings(
-    effect: Effect, joint: int | None, scenes: Sequence[Scene], *, most: int = 8
-) -> list[dict[str, float]]:
-    """At most so many settings of the grid, evenly; shapes are looked for in white noise.
+    effect: Effect, joint: int | None, scenes: Sequence[Scene], *, true: int = 6, rival: int = 24
+) -> list[list[dict[str, float]]]:
+    """Plausible settings, of the grid and what is reached of it; shapes are sought in white noise.
 
-    A diagnosis refines a continuous setting between the grid's values. Of an effect that has this
-    setting alone, twice as many values between its bounds are taken, at which it is plausible.
+    Where an effect is plausible at none, as only coefficients that agree with the settings would
+    be, all are taken.
     """
-    if len(effect.settings) == 1 and _evenly_continuous(one := effect.settings[0]):
-        fine = [{one.name: float(x)} for x in np.linspace(one.low, one.high, 2 * most)]
-        ones = np.ones(len(effect.coefficients(fine[0])))
-        if plausible := [x for x in fine if effect.plausible(scenes, joint, x, ones)]:
-            return plausible
     rng = np.random.default_rng(0)
     white = [rng.normal(size=scene.motion.q.shape) for scene in scenes]
     grid = list(effect.grid(scenes, joint, white))
-    return [grid[k] for k in np.unique(np.linspace(0, len(grid) - 1, most).round().astype(int))]
+    found = []
+    for some, most in ((grid, true), ([x for one in grid for x in effect.reached(one)], rival)):
+        ones = [np.ones(len(effect.coefficients(x))) for x in some]
+        fit = [x for x, c in zip(some, ones, strict=True) if effect.plausible(scenes, joint, x, c)]
+        found.append(_evenly(fit or some, most))
+    return found
 
 
-def _evenly_continuous(setting: Setting) -> bool:
-    """Whether a setting is searched between two bounds, and not by ratio."""
-    bounded = np.isfinite([setting.low, setting.high]).all()
-    return bool(setting.continuous and not setting.logarithmic and bounded)
+def _evenly(some: Sequence[dict[str, float]], most: int) -> list[dict[str, float]]:
+    """At most so many of them, evenly."""
+    return [some[k] for k in np.unique(np.linspace(0, len(some) - 1, most).round().astype(int))]
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the diagnosis will make of a true effect, over its settings and coefficients (..., D).
+
+    `gain` is G, `left` T.
+    """
+
+    gain: Array
+    left: Array
+
+    def longer(self, factor: float) -> Told:
+        """The same on moves that last so many times as long."""
+        return Told(factor * self.gain, factor * self.left)
+
+    @property
+    def asked(self) -> Array:
+        """Gain (..., D) that a rival must lack to be dropped."""
+        return np.asarray(BEHIND * np.maximum(TEMPER * self.gain, 1.0))
+
+    @property
+    def power(self) -> Array:
+        """Probability (...) that it is dropped, over all that may be true."""
+        spread = np.sqrt(np.maximum(self.left, 1e-12))
+        return np.asarray(ndtr((self.left / 2.0 - self.asked) / spread).mean(axis=-1))
+
+    @property
+    def merit(self) -> Array:
+        """The same (...) without a step: what the rival lacks, over it and what is asked."""
+        lacks = self.left / 2.0
+        return np.asarray((lacks / (lacks + self.asked)).mean(axis=-1))
+
+    @property
+    def imitated(self) -> float:
+        """Largest share of the gain that the rival reaches."""
+        return float(np.max(1.0 - self.left / np.maximum(2.0 * self.gain, 1e-300)))
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where the columns of an effect at one setting stand, and the bounds of coefficients (k,)."""
+
+    at: slice
+    low: Array
+    high: Array
+
+    def fits(self, c: Array) -> Array:
+        """Whether coefficients (..., k) are within them."""
+        return np.asarray(((c >= self.low) & (c <= self.high)).all(axis=-1))
 
 
 @dataclass(frozen=True)
 class Separation:
     """Gram matrices of moves: `of` (M, K, K) of both effects' columns, the base eliminated last.
 
-    Columns are base (`base` many), then those of each setting in `slots`, by effect.
+    Columns are base (`base` many), then those of each setting in `slots`, by effect. `true` are
+    coefficients (D, k) of each effect at its first settings.
     """
 
     base: int
-    slots: tuple[list[slice], list[slice]]
+    slots: tuple[list[Slot], list[Slot]]
     prior: Array  # (K, K)
     of: Array
-    size: list[dict[int, Array]]  # by effect: N_a of every setting
+    true: tuple[list[Array], list[Array]]
 
     def effects(self, total: Array) -> Array:
         """Gram matrix of the effects' columns with the base free, (..., k, k)."""
@@ -104,49 +169,44 @@ class Separation:
         gain = np.linalg.solve(G[..., :b, :b], G[..., :b, b:])
         return np.asarray(G[..., b:, b:] - np.swapaxes(G[..., :b, b:], -1, -2) @ gain)
 
-    def leaves(self, total: Array, true: int) -> tuple[Array, Array]:
-        """T_a per unit of mean square torque with and without the rival, settings last."""
+    def told(self, total: Array, true: int) -> Told:
+        """Of one of the effects being the true one, on moves of this Gram matrix (..., K, K)."""
         E = self.effects(total)
-        found = [self._left(E, true, number) for number in range(len(self.slots[true]))]
-        return np.stack([x for x, _ in found], axis=-1), np.stack([x for _, x in found], axis=-1)
+        found = [
+            self._against(E, a.at, c, self.slots[1 - true])
+            for a, c in zip(self.slots[true], self.true[true], strict=False)
+        ]
+        return Told(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True)))
 
-    def _left(self, E: Array, true: int, number: int) -> tuple[Array, Array]:
-        a = self.slots[true][number]
-        inverse = np.asarray(np.linalg.pinv(self.size[true][number], hermitian=True), float)
-        alone = E[..., a, a]
-        own = _trace(inverse, alone)
-        rest = [own]
-        for b in self.slots[1 - true]:
-            cross = E[..., a, b]
-            rival = E[..., b, b]
-            ridge = 1e-9 * np.trace(rival, axis1=-2, axis2=-1)[..., None, None] + 1e-12
-            gain = np.linalg.solve(
-                rival + ridge * np.eye(rival.shape[-1]), np.swapaxes(cross, -1, -2)
-            )
-            rest.append(_trace(inverse, alone - cross @ gain))
-        return np.maximum(np.min(rest, axis=0), 0.0), own
+    def _against(self, E: Array, a: slice, c: Array, rivals: Sequence[Slot]) -> tuple[Array, Array]:
+        """G and T (..., D) of coefficients c (D, k) with rivals at all of their settings."""
+        own = _square(E[..., a, a], c)
+        left = own
+        for b in rivals:
+            S = E[..., b.at, b.at]
+            ridge = 1e-9 * np.trace(S, axis1=-2, axis2=-1)[..., None, None] + 1e-12
+            right = E[..., b.at, a] @ c.T
+            fitted = np.linalg.solve(S + ridge * np.eye(S.shape[-1]), right)
+            rest = own - np.sum(right * fitted, axis=-2)
+            left = np.where(b.fits(np.swapaxes(fitted, -1, -2)), np.minimum(left, rest), left)
+        return own / 2.0, np.maximum(left, 0.0)
 
     @cached_property
-    def ways(self) -> list[int]:
-        """Which of the effects the other one cannot imitate on every move."""
+    def open(self) -> tuple[bool, bool]:
+        """Whether not even all moves of the pool together show what an effect has of its own."""
         total = self.of.sum(axis=0)
-        found = [self.leaves(total, true) for true in (0, 1)]
-        return [k for k, (left, own) in enumerate(found) if left.mean() > (1 - NESTED) * own.mean()]
+        found = [self.told(total, true) for true in (0, 1)]
+        first, second = (x.left.mean() < (1 - NESTED) * 2.0 * x.gain.mean() for x in found)
+        return bool(first), bool(second)
 
     def value(self, total: Array) -> Array:
-        """T (...) per unit of mean square torque, the smaller of both ways round."""
-        return np.asarray(
-            np.min([self.leaves(total, k)[0].mean(axis=-1) for k in self.ways], axis=0)
-        )
-
-    def imitated(self, total: Array) -> float:
-        """Largest share of an effect that its rival imitates, over both ways round."""
-        pairs = [self.leaves(total, k) for k in self.ways]
-        return max(float(1.0 - np.mean(left) / np.mean(own)) for left, own in pairs)
+        """Merit (...) of moves: mean over what may be true, of both effects."""
+        return np.asarray(np.mean([self.told(total, k).merit for k in (0, 1)], axis=0))
 
 
-def _trace(inverse: Array, S: Array) -> Array:
-    return np.asarray(np.einsum("ab,...ba->...", inverse, S) / len(inverse))
+def _square(S: Array, c: Array) -> Array:
+    """C' S c (..., D) of coefficients c (D, k)."""
+    return np.asarray(np.sum((S @ c.T) * c.T, axis=-2))
 
 
 def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> list[Scene]:
@@ -168,85 +228,119 @@ def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> l
     return scenes
 
 
+def separation_of(
+    belief: Belief,
+    question: Question,
+    scenes: Sequence[Scene],
+    size: float,
+    have: Sequence[Scene] = (),
+) -> Separation:
+    """Gram matrices of all moves, of which logs that there are already count as known.
+
+    True effects have a root mean square torque of `size` N m.
+    """
+    layout = _Layout.of(belief, question, scenes[0])
+    K = layout.size
+    prior, grams = np.zeros((K, K)), np.zeros((len(scenes) + len(have), K, K))
+    squares = np.zeros((K, K))
+    for at, known in layout.known:
+        prior[at, at] = known
+    for m, scene in enumerate([*scenes, *have]):
+        for j, (index, X) in enumerate(_rows(belief, question, scene, layout)):
+            if question.joint in (None, j):
+                squares[np.ix_(index, index)] += X.T @ X
+            X *= np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)[:, None]
+            grams[m][np.ix_(index, index)] += X.T @ X
+    squares = squares[layout.base :, layout.base :] / sum(x.samples for x in (*scenes, *have))
+    first = len(question.settings[0])
+    slots = layout.slots[:first], layout.slots[first:]
+    true = [
+        [_drawn(one, squares[one.at, one.at], size) for one in own[:many]]
+        for own, many in zip(slots, question.true, strict=True)
+    ]
+    count = len(scenes)
+    known = prior + grams[count:].sum(axis=0)
+    return Separation(layout.base, slots, known, grams[:count], (true[0], true[1]))
+
+
+def _drawn(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:
+    """Coefficients (D, k) of this root mean square torque, every one of as much beforehand."""
+    k = len(square)
+    drawn = np.random.default_rng(0).normal(size=(draws, k)) if k > 1 else np.array([[1.0], [-1.0]])
+    c = np.unique(np.where(slot.low >= 0.0, np.abs(drawn), drawn), axis=0)
+    c /= np.sqrt(np.maximum(np.diag(square), 1e-300))
+    return np.asarray(size * c / np.sqrt(np.maximum(_square(square, c), 1e-300))[:, None])
+
+
 @dataclass(frozen=True)
 class _Layout:
-    """Where columns stand: rigid ones, friction of the joints that count, settings of effects."""
+    """Where columns stand: rigid ones, friction of the joints that count, settings of effects.
+
+    `known` is what is known beforehand of the base columns, part by part.
+    """
 
     friction: list[slice]
     base: int
-    slots: list[slice]  # from the base on
-
-    @classmethod
-    def of(cls, rigid: int, friction: Sequence[Array], widths: Sequence[int]) -> _Layout:
-        starts = rigid + np.cumsum([0, *map(len, friction)])
-        ends = np.cumsum([0, *widths])
-        return cls(_between(starts), int(starts[-1]), _between(ends))
+    slots: list[Slot]  # from the base on
+    known: list[tuple[slice, Array]]
 
     @property
-    def effects(self) -> int:
-        """Number of columns of all settings."""
-        return int(self.slots[-1].stop)
+    def size(self) -> int:
+        """Number of columns."""
+        return self.base + int(self.slots[-1].at.stop)
+
+    @classmethod
+    def of(cls, belief: Belief, question: Question, scene: Scene) -> _Layout:
+        """Friction of joints that no effect touches tells nothing."""
+        touched = {j for made in _columns(question, scene) for j in made}
+        friction = [
+            _friction(belief, scene, j)[1] if j in touched else np.zeros((0, 0))
+            for j in range(belief.robot.n)
+        ]
+        b = belief.basis.size
+        at = _between(b, [len(own) for own in friction])
+        specs = [
+            effect.coefficients(one)
+            for effect, settings in zip(question.effects, question.settings, strict=True)
+            for one in settings
+        ]
+        slots = [
+            Slot(part, np.array([x.low for x in own]), np.array([x.high for x in own]))
+            for part, own in zip(_between(0, [len(own) for own in specs]), specs, strict=True)
+        ]
+        known = [(slice(0, b), _rigid_prior(belief)), *zip(at, friction, strict=True)]
+        return cls(at, at[-1].stop, slots, known)
 
 
-def _between(ends: Array) -> list[slice]:
-    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+def _between(first: int, widths: Sequence[int]) -> list[slice]:
+    return [slice(int(a), int(b)) for a, b in pairwise(first + np.cumsum([0, *widths]))]
 
 
-def separation_of(belief: Belief, question: Question, scenes: Sequence[Scene]) -> Separation:
-    """Gram matrices of all moves."""
-    joint, n = question.joint, belief.robot.n
-    friction = [_friction(belief, scenes[0], j)[1] for j in range(n)]
-    if joint is not None:  # the other joints' friction tells nothing of this one's effects
-        friction = [x if j == joint else np.zeros((0, 0)) for j, x in enumerate(friction)]
-    widths = [
-        len(effect.coefficients(s))
-        for effect, settings in zip(question.effects, question.settings, strict=True)
-        for s in settings
-    ]
-    place = _Layout.of(belief.basis.size, friction, widths)
-    K = place.base + place.effects
-    prior, grams = np.zeros((K, K)), np.zeros((len(scenes), K, K))
-    squares = np.zeros((place.effects, place.effects))
-    prior[: belief.basis.size, : belief.basis.size] = _rigid_prior(belief)
-    for part, known in zip(place.friction, friction, strict=True):
-        prior[part, part] = known
-    for m, scene in enumerate(scenes):
-        for j, X in enumerate(_rows(belief, question, scene, place)):
-            if joint in (None, j):
-                squares += X[:, place.base :].T @ X[:, place.base :]
-            X *= np.sqrt(belief.density[j] * scene.slides[:, j] / RATE_HZ)[:, None]
-            grams[m] += X.T @ X
-    squares /= sum(scene.samples for scene in scenes)
-    first = len(question.settings[0])
-    slots = place.slots[:first], place.slots[first:]
-    sizes = [{k: squares[s, s] for k, s in enumerate(own)} for own in slots]
-    return Separation(place.base, slots, prior, grams, sizes)
-
-
-def _rows(belief: Belief, question: Question, scene: Scene, place: _Layout) -> Iterator[Array]:
-    """Columns (N, K) of each joint."""
-    motion = scene.motion
+def _rows(
+    belief: Belief, question: Question, scene: Scene, layout: _Layout
+) -> Iterator[tuple[Index, Array]]:
+    """Columns (N, k) of each joint, and where they stand (k,)."""
+    motion, b = scene.motion, belief.basis.size
     H = base_regressor(belief.robot, belief.basis, motion.q, motion.dq, motion.ddq)
     made = _columns(question, scene)
-    for j, part in enumerate(place.friction):
-        X = np.zeros((scene.samples, place.base + place.effects))
-        X[:, : belief.basis.size] = H[:, j]
+    for j, part in enumerate(layout.friction):
+        parts, columns = [slice(0, b)], [H[:, j]]
         if part.stop > part.start:
-            X[:, part] = _friction(belief, scene, j)[0]
-        for slot, columns in zip(place.slots, made, strict=True):
-            if j in columns:
-                X[:, place.base + slot.start : place.base + slot.stop] = columns[j]
-        yield X
+            parts, columns = [*parts, part], [*columns, _friction(belief, scene, j)[0]]
+        for slot, own in zip(layout.slots, made, strict=True):
+            if j in own:
+                parts.append(slice(layout.base + slot.at.start, layout.base + slot.at.stop))
+                columns.append(scene.motion.filtered(own[j]))
+        yield np.concatenate([np.arange(p.start, p.stop) for p in parts]), np.hstack(columns)
 
 
-def _columns(question: Question, scene: Scene) -> list[dict[int, Array]]:
+def _columns(question: Question, scene: Scene) -> list[Columns]:
     """Columns of all settings of the first effect, then of the second, by joint."""
-    found = []
-    for effect, settings in zip(question.effects, question.settings, strict=True):
-        for one in settings:
-            made = effect.columns(scene, question.joint, one)
-            found.append({j: scene.motion.filtered(X) for j, X in made.items()})
-    return found
+    return [
+        effect.columns(scene, question.joint, one)
+        for effect, settings in zip(question.effects, question.settings, strict=True)
+        for one in settings
+    ]
 
 
 def _friction(belief: Belief, scene: Scene, j: int) -> tuple[Array, Array]:
@@ -264,7 +358,7 @@ def _rigid_prior(belief: Belief) -> Array:
     return _known(belief.root @ belief.root.T, scale**2)
 
 
-def _known(covariance: Array, square: Array, *, inflation: float = 10.0) -> Array:
+def _known(covariance: Array, square: Array, *, inflation: float = 1.0) -> Array:
     """Inverse of an inflated covariance; a column of mean square 1 has a doubt of 1e-3 at least."""
     floor = 1e-6 / np.maximum(square, 1e-12 * square.max(initial=1e-300))
     return np.asarray(np.linalg.inv(inflation**2 * (covariance + np.diag(floor))))

@@ -1,138 +1,197 @@
-"""Does `plan discriminate` separate what the logs at hand do not tell apart? On two joints.
+"""Does `plan discriminate` separate what a log at hand does not tell apart? On two joints.
 
-Each case: an effect at a joint, one slow or fast log in which its name is open, the motion planned
-against the first rival that motion can settle, recorded on the same plant, and a second diagnosis.
+Each case is a pair of the catalogue's page and of the literature: one effect at a joint, a short
+log in which the diagnosis leaves the other name open, the motion planned with that log, recorded on
+the same plant, and a second diagnosis of all logs. `--fresh SEED` judges on another seed, joint and
+size than those that the plan was tuned on.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
+
+import seqid_cli
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.params.results.diagnosis import FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import belief_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.discriminate import plan_discriminate
+from seqid_cli.plan.stages.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.robot.types import Robot
 from tests.plants.planned import recorded
-from tests.plants.undeclared import REGISTRY
+from tests.plants.trials import drills
 from tests.studies.tables import table
-from tests.studies.undeclared_cases import Condition, built
-from tests.studies.undeclared_logs import logs_of, stages_of
+from tests.studies.undeclared_cases import Condition, built, declared
+from tests.studies.undeclared_logs import plant_sources, robot_for, sources_hash, stages_of, stored
 
-SECONDS = 48.0
-MOVE_S = 8.0
+SECONDS, MOVE_S = 24.0, 8.0  # of the plan, of each move
+LOG_S = 8.0  # of the log before
 LATER_S = 2000.0  # s since power-on, when the planned moves are recorded
 EARLIER = 50  # added to the seed: the model is of logs without the effect
-NAMES = tuple(
-    name
-    for name, effect in CATALOGUE.items()
-    if effect.by_motion and name in REGISTRY and name != "rotor_inertia"
+LOGS = ("fast", "moves", "slow")  # tried in turn, until one leaves the rival open
+SIZES = (1.0, 0.4)
+PAIRS = (
+    ("asymmetric_friction", "torque_bias"),
+    ("torque_bias", "asymmetric_friction"),
+    ("torque_bias", "spring"),
+    ("spring", "torque_bias"),
+    ("load_dependent_friction", "gear_efficiency"),
+    ("gear_efficiency", "load_dependent_friction"),
+    ("load_dependent_friction", "position_dependent_friction"),
+    ("torque_saturation", "gear_efficiency"),
+    ("quadratic_drag", "nonlinear_viscous"),
+    ("nonlinear_viscous", "quadratic_drag"),
+    ("stribeck", "presliding_hysteresis"),
+    ("presliding_hysteresis", "backlash"),
+    ("presliding_hysteresis", "stribeck"),
+    ("spring", "payload"),
+    ("actuator_lag", "time_skew"),
+    ("joint_elasticity", "time_skew"),
+    ("torque_ripple", "encoder_eccentricity"),
 )
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One case: the rivals before and after, and what the plan said."""
+    """One case: the names before and after, and what the plan said; no log where none is open."""
 
     effect: str
-    joint: str
-    log: str
-    before: Sequence[str]
     rival: str
-    imitated: float | None
-    after: Sequence[str] | None
-    special: bool = False  # the effect is a special case of the rival, which always explains it
+    joint: str
+    log: str = ""
+    size: float = 1.0
+    before: Sequence[str] = ()
+    power: float = 0.0  # that the rival is dropped, as the plan says
+    imitated: float = 1.0
+    after: Sequence[str] = ()
 
     @property
     def separated(self) -> bool:
         """Whether the effect is found afterwards, and no longer confused with the rival."""
-        return self.after is not None and self.rival not in self.after
+        return self.effect in self.after and self.rival not in self.after
+
+    @property
+    def told(self) -> bool:
+        """Whether the plan says beforehand that the rival may stay."""
+        return self.power < ENOUGH
 
 
 def study(chosen: argparse.Namespace) -> str:
-    """Rivals before and after the planned motion, case by case, at the second joint."""
-    names = NAMES[:2] if chosen.quick else NAMES
-    found = list(cases(chosen.cache, seeds=(0,), names=names, joints=(1,)))
-    rows = [[o.effect, o.log, ", ".join(o.before), o.rival, *_answers(o)] for o in found]
-    planned = [o for o in found if o.imitated is not None and not o.special]
-    head = ["effect", "log", "confusable with", "planned against", "imitated", "separated"]
-    text = f"{sum(o.separated for o in planned)} of {len(planned)} planned cases are separated."
-    return f"{text}\n\n{table(head, rows)}"
+    """Names before and after the planned motion, case by case."""
+    fresh = getattr(chosen, "fresh", None)
+    seed, joint, sizes = (0, 1, SIZES) if fresh is None else (fresh, 0, (0.7, 0.3))
+    found = [
+        outcome(pair, seed, joint, sizes, chosen.cache)
+        for pair in PAIRS[: 2 if chosen.quick else None]
+    ]
+    open_ = [o for o in found if o.log]
+    right = [o for o in open_ if o.separated or o.told]
+    parted = [o for o in open_ if o.separated]
+    promised = [o for o in open_ if not o.told]
+    head = [
+        "effect",
+        "log, size",
+        "names before",
+        "planned against",
+        "reaches up to",
+        "dropped with",
+        "names after",
+        "answer",
+    ]
+    rows = [
+        [
+            o.effect, f"{o.log}, {o.size:g}", ", ".join(o.before), o.rival, f"{o.imitated:.1%}",
+            f"{o.power:.0%}", ", ".join(o.after), _answer(o),
+        ]
+        for o in open_
+    ]  # fmt: skip
+    closed = ", ".join(f"{o.effect} / {o.rival}" for o in found if not o.log)
+    return (
+        f"{len(parted)} of {len(open_)} pairs are separated, {len(right)} are separated or told"
+        f" beforehand; of {len(promised)} that the plan promises"
+        f" {sum(o.separated for o in promised)} are.\n\n{table(head, rows)}\n\n"
+        f"Told apart by all logs before: {closed or 'none'}."
+    )
 
 
-def _answers(outcome: Outcome) -> tuple[str, str]:
-    if outcome.imitated is None:
-        return "-", "no motion can"
-    if outcome.special:
-        return f"{outcome.imitated:.0%}", "a special case"
-    return f"{outcome.imitated:.0%}", "yes" if outcome.separated else "no"
+def _answer(o: Outcome) -> str:
+    if o.separated:
+        return "separated, though not promised" if o.told else "separated"
+    return "told beforehand" if o.told else "no"
 
 
-def cases(
-    cache: Path, *, seeds: Sequence[int], names: Sequence[str] = NAMES, joints: Sequence[int]
-) -> Iterator[Outcome]:
-    """All cases in which a log leaves the name open."""
-    for seed in seeds:
-        stages = stages_of(Condition("clean", "two", seed + EARLIER), cache)
-        for name in names:
-            for joint in joints:
-                if name == "transmission_coupling" and joint == 0:
-                    continue
-                case = Condition("catalogue", "two", seed, ((name, joint, 1.0),))
-                logs = logs_of(case, cache)
-                for log in logs.training:
-                    if log.path.name in ("slow", "fast"):
-                        yield from _outcome(case, logs.robot, stages, log)
-
-
-def _finding(
-    logs: Sequence[Recording], robot: Robot, stages: Stages, effect: str
-) -> FindingEntry | None:
-    """The finding that is the effect, or may be it."""
-    found = diagnose(logs, robot, stages, options=DiscoverOptions()).findings
-    return next((f for f in found if effect in (f.effect, *f.confusable_with)), None)
-
-
-def _outcome(case: Condition, robot: Robot, stages: Stages, log: Recording) -> Iterator[Outcome]:
-    effect, joint, _ = case.effects[0]
-    before = _finding([log], robot, stages, effect)
-    if before is None:
-        return
-    names = [n for n in (before.effect, *before.confusable_with) if n != effect]
-    for rival in names:
-        if CATALOGUE[rival].by_motion:
-            yield _separated(case, robot, stages, log, names, rival)
-            return
-    if names:
-        at = robot.joint_names[joint]
-        yield Outcome(effect, at, log.path.name, names, names[0], None, None)
-
-
-def _separated(
-    case: Condition, robot: Robot, stages: Stages, log: Recording, names: list[str], rival: str
+def outcome(
+    pair: tuple[str, str], seed: int, joint: int, sizes: Sequence[float], cache: Path
 ) -> Outcome:
-    effect, joint, _ = case.effects[0]
+    """One pair, computed or read from the cache."""
+    package = Path(seqid_cli.__file__).parent
+    folders = [package / room for room in ("plan", "discover", "model")]
+    sources = f"{sources_hash(folders)}_{plant_sources()}"
+    path = cache / "separation" / sources / f"{'-'.join(pair)}_{seed}_{joint}.json"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(msgspec.json.encode(asdict(_computed(pair, seed, joint, sizes, cache))))
+    return msgspec.json.decode(path.read_bytes(), type=Outcome)
+
+
+def _computed(
+    pair: tuple[str, str], seed: int, joint: int, sizes: Sequence[float], cache: Path
+) -> Outcome:
+    effect, rival = pair
+    stages = stages_of(Condition("clean", "two", seed + EARLIER), cache)
+    for case, robot, log in _logs(effect, seed, joint, sizes, cache):
+        names = _names([log], robot, stages, pair)
+        if rival in names:
+            return _after(case, pair, robot, stages, log, names)
+    return Outcome(effect, rival, robot.joint_names[joint])
+
+
+def _logs(
+    effect: str, seed: int, joint: int, sizes: Sequence[float], cache: Path
+) -> Iterator[tuple[Condition, Robot, Recording]]:
+    for size in sizes:
+        case = Condition("catalogue", "two", seed, ((effect, joint, size),), seconds=LOG_S)
+        plant, robot = built(case)[0], robot_for(case)
+        for drill in drills(declared(case), seed, seconds=LOG_S):
+            if drill.name in LOGS:
+                what = f"{case.effects}|{drill.name}"
+                log = stored(cache, what, plant, drill.reference, seed, every=2, start=drill.start)
+                yield case, robot, log
+
+
+def _names(
+    logs: Sequence[Recording], robot: Robot, stages: Stages, pair: tuple[str, str]
+) -> list[str]:
+    """All names of the finding that is the effect, or its rival."""
+    found = diagnose(logs, robot, stages, options=DiscoverOptions()).findings
+    every = [[f.effect, *f.confusable_with] for f in found]
+    return next((names for names in every if set(pair) & set(names)), [])
+
+
+def _after(
+    case: Condition,
+    pair: tuple[str, str],
+    robot: Robot,
+    stages: Stages,
+    log: Recording,
+    before: list[str],
+) -> Outcome:
+    """Plan with the log at hand, record on the same plant, and diagnose all logs."""
+    effect, joint, size = case.effects[0]
     at = robot.joint_names[joint]
     belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.4))
-    options = PlanOptions(
-        duration_s=SECONDS, move_s=MOVE_S, between=(effect, rival), joint=at, seed=case.seed
-    )
-    planned = plan_discriminate(belief, stages, options)
+    options = PlanOptions(duration_s=SECONDS, move_s=MOVE_S, between=pair, joint=at, seed=case.seed)
+    planned = plan_discriminate(belief, stages, options, [log])
     told = planned.stage.separation
-    outcome = Outcome(effect, at, log.path.name, names, rival, told and told.imitated, None)
-    if told is None:
-        return outcome
-    special = told.special_case == effect
+    power, imitated = (told.powers[0], told.imitations[0]) if told else (0.0, 1.0)
     more = recorded(built(case)[0], planned.moves, case.seed, start=LATER_S)
-    after = _finding([log, *more], robot, stages, effect)
-    left = None if after is None else [after.effect, *after.confusable_with]
-    return Outcome(effect, at, log.path.name, names, rival, told.imitated, left, special)
+    after = _names([log, *more], robot, stages, pair)
+    name = log.path.name
+    return Outcome(effect, pair[1], at, name, size, before, power, imitated, after)

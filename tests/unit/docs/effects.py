@@ -43,6 +43,31 @@ tell apart stands in `confusable_with` of the diagnosis, which is decided anew e
 separate* is the text of `separate_by`.
 """
 
+# What joins two effects whatever the motion, by pair.
+INSEPARABLE: Mapping[tuple[str, str], str] = {
+    ("asymmetric_friction", "torque_bias"): (
+        "wherever the joint slides, more friction one way is an offset; held still it carries"
+        " anything within its friction, whose middle is shifted alike. Only the part that grows"
+        " with the speed differs. Record ten seconds with the brakes on or the motors off"
+    ),
+    ("torque_bias", "spring"): (
+        "an offset is a spring of no stiffness. A spring can be"
+        " shown by sweeps over the whole range, an offset by itself cannot"
+    ),
+    ("load_dependent_friction", "gear_efficiency"): (
+        "equal losses both ways are load-dependent friction. Losses that differ by half can be"
+        " shown, equal ones cannot; take the simpler name, both predict alike"
+    ),
+    ("quadratic_drag", "nonlinear_viscous"): (
+        "powers of 1.5 to 2.5 differ from a square by a few hundredths of its torque once viscous"
+        " friction is free. A cubic or a root can be shown, a square cannot; both predict alike"
+    ),
+    ("time_skew", "actuator_lag"): (
+        "they are the same to first order, and what is left is above the arm's bandwidth. Log the"
+        " measured current beside the commanded one. Torque that is early is no lag"
+    ),
+}
+
 # What a person sees in the residual, and what may be behind it.
 SYMPTOMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     (
@@ -85,7 +110,7 @@ SYMPTOMS: tuple[tuple[str, tuple[str, ...]], ...] = (
 def page(catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
     """Return the whole page as Markdown."""
     robot = load_robot(ROBOT)
-    parts = [INTRODUCTION, _symptoms(catalogue), _overview(catalogue)]
+    parts = [INTRODUCTION, _symptoms(catalogue), _inseparable(), _overview(catalogue)]
     families = dict.fromkeys(effect.family for effect in catalogue.values())
     for family in families:
         parts.append(f"## Family: {family}\n")
@@ -104,6 +129,17 @@ def _symptoms(catalogue: Mapping[str, Effect]) -> str:
         "## By what the residual looks like\n\n"
         "A first guess; `seqid diagnose` decides on numbers.\n\n"
         "| residual | look at |\n|---|---|\n" + rows
+    )
+
+
+def _inseparable() -> str:
+    """Pairs that stay open, and why."""
+    rows = "".join(f"| {_links(pair)} | {why} |\n" for pair, why in INSEPARABLE.items())
+    return (
+        "## Pairs that no motion settles\n\n"
+        "[`seqid plan discriminate`](plan.md#two-effects-apart) says so beforehand: its verdict is"
+        " poor, with the chance that is left for either truth.\n\n"
+        "| pair | why, and what to record |\n|---|---|\n" + rows
     )
 
 

@@ -51,6 +51,22 @@ def test_a_stribeck_speed_between_the_grids_is_found() -> None:
     assert found.evidence > tried.evidence
 
 
+def test_a_search_ends_within_what_is_reached_from_the_grid() -> None:
+    model = model_of(arm_scenes(at_joint(1, stribeck)))
+    effect, tuner = CATALOGUE["stribeck"], tuner_in(model)
+    tried = best(model, "stribeck", 1)
+    reached = [one["stribeck_speed"] for one in effect.reached(tried.candidate.settings)]
+    assert reached[0] == tried.candidate.settings["stribeck_speed"]
+    assert max(reached) == pytest.approx(2.5 * reached[0])
+    assert min(reached) == pytest.approx(reached[0] / 2.5)
+    assert min(reached) < tuner.tuned(tried).candidate.settings["stribeck_speed"] < max(reached)
+    exponents = CATALOGUE["nonlinear_viscous"].reached({"exponent": 3.0})
+    assert [one["exponent"] for one in exponents] == [3.0, 1.5, 2.125, 2.75, 3.375, 4.0]
+    twist = {"trial_stiffness": 1e3, "encoder_side": 0.0, "damping_ratio": 0.15}
+    ratios = {one["damping_ratio"] for one in CATALOGUE["joint_elasticity"].reached(twist)}
+    assert ratios == {0.15, 0.06, 0.03, 0.015}
+
+
 def lag(scene: Scene) -> Array:
     """What the command is ahead of the torque."""
     return np.asarray(0.02 * np.gradient(scene.modelled, 1.0 / scene.motion.rate_hz, axis=0))

@@ -9,8 +9,9 @@ import typer
 from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, tell_output
 from seqid_cli.commands.options import positive
-from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.commands.screen.show import show_poor, verdict_text
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.payload import Measured, PayloadFile
 
 EXAMPLES = (
@@ -71,18 +72,7 @@ def _show(screen: Screen, file: PayloadFile) -> None:
     body = file.payload
     rows = [_row(name, own) for name, own in body.numbers()]
     screen.table((f"payload, frame {body.frame}", "value", "std error", "unit"), rows)
-    joints = [
-        (
-            name,
-            number(joint.before),
-            number(joint.after),
-            percent(joint.relative),
-            percent(joint.friction_change),
-        )
-        for name, joint in file.joints.items()
-    ]
-    columns = ("joint", "RMSE without N m", "with N m", "of the torque", "friction differs by")
-    screen.table(columns, joints)
+    screen.values(tables.payload_joints(file))
     for where, text in file.settings.items():
         screen.result(f"{where}: {text}")
     show_poor(screen, [verdict for verdict in file.verdicts if verdict.joint], "payload")

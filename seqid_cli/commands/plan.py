@@ -11,6 +11,7 @@ import typer
 from seqid_cli.commands.job import any_poor, exit_code, listening
 from seqid_cli.commands.options import Output, RobotPath, Strict, positive
 from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
 from seqid_cli.plan.options import PlanOptions, What
 
@@ -188,16 +189,7 @@ def run(
 
 
 def _show(screen: Screen, plan: PlanFile) -> None:
-    rows = [
-        (
-            move.name,
-            " ".join(move.joints),
-            number(move.duration_s),
-            "unknown" if move.torque_share is None else percent(move.torque_share),
-        )
-        for move in plan.moves
-    ]
-    screen.table(("move", "joints", "seconds", "of torque limit"), rows)
+    screen.values(tables.moves(plan.moves))
     for name, stage in plan.stages.items():
         for note in stage.notes:
             screen.remark(note)
@@ -205,10 +197,7 @@ def _show(screen: Screen, plan: PlanFile) -> None:
             _show_separation(screen, stage.separation)
         if stage.rank is None:
             continue
-        screen.table(
-            ("parameter", "value now", "std error then", "unit"),
-            [(p.name, number(p.value), number(p.std_error), p.unit) for p in stage.parameters],
-        )
+        screen.values(tables.planned_errors(stage))
         errors = ", ".join(f"{joint} {number(x)}" for joint, x in stage.torque_error.items())
         tail = f"; torque error by the parameters, N m: {errors}" if errors else ""
         screen.result(

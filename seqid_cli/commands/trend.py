@@ -10,8 +10,9 @@ import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
 from seqid_cli.commands.options import Output
-from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.params.files import By
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.trend import ChangeEntry, TrendFile
 
 EXAMPLES = (
@@ -86,9 +87,8 @@ def run(
 
 
 def _show(screen: Screen, found: TrendFile) -> None:
-    columns = ("robot", "joint", "quantity", "how", "since", "before", "after", "change", "sigmas")
     shown = found.changes if screen.verbose else _clearest(found.changes)
-    screen.table(columns, [_row(entry) for entry in shown])
+    screen.values(tables.changes(shown))
     hidden = len(found.changes) - len(shown)
     if hidden:
         screen.note(f"{hidden} more of the same joint and stage (-v shows them)")
@@ -108,17 +108,3 @@ def _clearest(changes: list[ChangeEntry]) -> list[ChangeEntry]:
         name = entry.name if entry.stage == "effects" else ""
         found.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
     return list(found.values())
-
-
-def _row(entry: ChangeEntry) -> tuple[str, ...]:
-    return (
-        entry.robot,
-        entry.joint or "-",
-        f"{entry.stage} {entry.name}",
-        entry.kind,
-        entry.since[:10],
-        number(entry.before, 4),
-        number(entry.after, 4),
-        percent(entry.relative),
-        number(entry.sigmas),
-    )

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from datetime import datetime
 
+from seqid_cli.params.results.tables import changes
 from seqid_cli.params.results.trend import ChangeEntry, SeriesEntry, TrendFile
 from seqid_cli.report.figures.chart import Box, Panel, drawing
 from seqid_cli.report.figures.svg import line, padded
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.page import render
-from seqid_cli.report.views import Figure, Group, Section, Table, numbers, texts
-from seqid_cli.report.words import DASH, number, percent, plural
+from seqid_cli.report.views import Figure, Group, Section, Table, numbers, table_of, texts
+from seqid_cli.report.words import number, plural
 
 _WIDTH, _HEIGHT = 640.0, 170.0
 _DAY = 86400.0
@@ -53,35 +53,13 @@ def _overview(file: TrendFile, judgement: Judgement) -> Section:
         f"{judgement.sentence} A change counts from {number(file.limit)} standard errors on: all "
         "steps between two dates and all lines over time were tried, quantity by quantity."
     )
-    tables = [_changes(file.changes)] if file.changes else []
+    made = [table_of("Changes, the clearest first", changes(file.changes))] if file.changes else []
     inflated = [f"{stage} {number(x)}" for stage, x in file.inflation.items() if x > 1.0]
     notes = list(file.notes)
     if inflated:
         notes.append(f"Standard errors were taken larger by these factors: {', '.join(inflated)}")
-    group = Group("changes", "All changes", tables=tables, unfolded=True)
-    return Section("verdict", "What changed", lead, [group] if tables else [], notes=notes)
-
-
-def _changes(entries: Sequence[ChangeEntry]) -> Table:
-    columns = (
-        *texts("robot", "joint", "quantity", "how", "since"),
-        *numbers("before", "after", "change", "std errors"),
-    )
-    rows = [
-        (
-            entry.robot,
-            entry.joint or DASH,
-            f"{entry.stage} {entry.name}",
-            entry.kind,
-            entry.since[:10],
-            number(entry.before),
-            number(entry.after),
-            DASH if entry.relative is None else percent(entry.relative),
-            number(entry.sigmas),
-        )
-        for entry in entries
-    ]
-    return Table("Changes, the clearest first", columns, rows)
+    group = Group("changes", "All changes", tables=made, unfolded=True)
+    return Section("verdict", "What changed", lead, [group] if made else [], notes=notes)
 
 
 def _robot(file: TrendFile, name: str) -> Section:

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 
 from markupsafe import Markup
 
+from seqid_cli.params.results.tables import WORDS, Values
 from seqid_cli.params.schema import Verdict
+from seqid_cli.report.words import effect_words, number, percent, short_path, unit_text
 
 Cell = str | Markup
 
@@ -48,6 +50,13 @@ class Table:
     note: str = ""
     folded: bool = False
     style: str = ""
+
+
+def table_of(caption: str, found: Values, note: str = "", *, folded: bool = False) -> Table:
+    """Return values as a table of the page."""
+    columns = [Column(h.title, h.kind not in WORDS, unit_text(h.unit)) for h in found.heads]
+    cells = found.cells(number, percent, effect=effect_words, path=short_path)
+    return Table(caption, columns, cells, note, folded)
 
 
 @dataclass(frozen=True)

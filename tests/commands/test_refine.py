@@ -233,7 +233,7 @@ def test_what_the_user_sees(rig: Rig, library: Library) -> None:
     assert lines[4].endswith("refused: the interval holds zero")
     assert "whole arm" in lines[4]
     (elbow,) = (" ".join(line.split()) for line in lines if line.startswith("elbow"))
-    assert elbow == "elbow 0.4 0.2 0.18 0.17 to 0.19 75.0 % 70.0 % to 80.0 % 10.0 % 0.8, 0.4"
+    assert elbow == "elbow 0.4 0.2 0.18 0.17 to 0.19 75.0 % 70.0 % to 80.0 % 10.0 % 0.8 0.4"
     assert "stribeck_torque" in done.out
     assert any("stribeck_speed 0.05 rad/s" in line for line in lines)
     assert "note: a remark" in done.err

@@ -14,6 +14,7 @@ from seqid_cli.commands.options import screen_flag
 from seqid_cli.commands.screen.layout import Row, folded, format_table, width_of
 from seqid_cli.commands.screen.visible import visible, visible_cell
 from seqid_cli.params.encode import encode
+from seqid_cli.params.results.tables import Values
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class Screen:
         cells = [[visible_cell(cell) for cell in row] for row in rows]
         style = _style if self.color else None
         sys.stdout.write(format_table(columns, cells, width=width_of(sys.stdout), style=style))
+
+    def values(self, found: Values) -> None:
+        """Print values under their heads."""
+        heads = [f"{head.title} {head.unit}".rstrip() for head in found.heads]
+        self.table(heads, found.cells(number, percent))
 
     def result(self, line: str) -> None:
         """Print one line of the result."""

@@ -5,19 +5,19 @@ Of one joint it says as well what was tried there, and why it was not taken.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 from seqid_cli.commands.screen.chart import text_chart
-from seqid_cli.commands.screen.render import Screen, limits, number, percent
+from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
     EventEntry,
     FindingEntry,
     HiddenEntry,
-    ResidualEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.results.diagnosis_words import nothing_found, over_words
@@ -40,7 +40,7 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None
     show_poor(screen, file.verdicts, "diagnosis")
     _findings(screen, findings, why=why)
     _unexplained(screen, parts, why=why)
-    _joints(screen, joints)
+    screen.values(tables.joint_residuals(joints))
     if joint is not None:
         _tried(screen, joints[joint].tried, "tried beside that")
     _events(screen, [event for event in file.events if not joint or joint in event.joints])
@@ -162,10 +162,7 @@ def _shown(screen: Screen, shown: EvidenceEntry | None) -> None:
 
 
 def _tried(screen: Screen, rivals: Sequence[RivalEntry], title: str) -> None:
-    rows = [
-        (one.effect, one.joint or "whole arm", f"{one.log_gain:.0f}", one.why_not) for one in rivals
-    ]
-    screen.table((title, "joint", "gain, nats", "why it was not taken"), rows)
+    screen.values(tables.rivals(rivals, title))
 
 
 def _nats(gain: float | None) -> str:
@@ -182,53 +179,15 @@ def _quantities(names: Sequence[str]) -> str:
     return ", ".join(names) or "nothing that was logged"
 
 
-def _joints(screen: Screen, joints: Mapping[str, ResidualEntry]) -> None:
-    columns = (
-        "joint",
-        "RMSE N m",
-        "noise floor N m",
-        "95 % interval",
-        "ratio",
-        "with findings N m",
-        "white",
-    )
-    rows = [
-        (
-            name,
-            number(joint.rmse),
-            number(joint.noise_floor),
-            limits(joint.noise_floor_interval),
-            _ratio(joint),
-            number(joint.rmse_explained),
-            "yes" if joint.white else "no",
-        )
-        for name, joint in joints.items()
-    ]
-    screen.table(columns, rows)
-
-
-def _ratio(joint: ResidualEntry) -> str:
-    if joint.rmse is None or not joint.noise_floor:
-        return "-"
-    return number(joint.rmse / joint.noise_floor)
-
-
 def _events(screen: Screen, events: Sequence[EventEntry]) -> None:
     shown = events if screen.verbose else events[:_EVENTS_SHOWN]
-    rows = [
-        (event.log, f"{event.start:.2f}", f"{event.end:.2f}", ", ".join(event.joints))
-        for event in shown
-    ]
-    screen.table(("pushed in log", "from s", "to s", "joints"), rows)
+    screen.values(tables.events(shown))
     if len(shown) < len(events):
         screen.note(f"{len(events) - len(shown)} more such events: -v shows them all.")
 
 
 def _hidden(screen: Screen, hidden: Sequence[HiddenEntry]) -> None:
-    if not hidden:
-        return
-    if not screen.verbose:
+    if screen.verbose:
+        screen.values(tables.hidden(hidden))
+    elif hidden:
         screen.note(f"{len(hidden)} effects these motions cannot show: -v lists them.")
-        return
-    rows = [(item.effect, item.joint or "whole arm", percent(item.visible)) for item in hidden]
-    screen.table(("hidden from these motions", "joint", "visible"), rows)

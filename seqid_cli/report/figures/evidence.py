@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis_words import over_words
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import Box, Panel, drawing
 from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.figures.torque import SMALL
-from seqid_cli.report.views import Figure, Key, Table, numbers, texts
-from seqid_cli.report.words import effect_words, number, unit_text
+from seqid_cli.report.views import Figure, Key, Table, numbers, table_of
+from seqid_cli.report.words import number, unit_text
 
 
 def evidence_figure(
@@ -68,15 +69,6 @@ def _bins(shown: EvidenceEntry, title: str, quantity: str, unit: str) -> Table:
     return Table(title, heads, rows)
 
 
-def rivals_table(title: str, rivals: Sequence[RivalEntry]) -> Table:
+def rivals_table(title: str, tried: Sequence[RivalEntry]) -> Table:
     """Return the terms that were tried, each with the reason why it was not taken."""
-    columns = (
-        *texts("tried", "joint"),
-        *numbers("gain", unit="nats"),
-        *texts("why it was not taken"),
-    )
-    rows = [
-        (effect_words(one.effect), one.joint or "whole arm", f"{one.log_gain:.0f}", one.why_not)
-        for one in rivals
-    ]
-    return Table(title, columns, rows, folded=True)
+    return table_of(title, tables.rivals(tried), folded=True)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
-    DiagnosisFile,
-    EventEntry,
     FindingEntry,
     UnexplainedPart,
 )
@@ -16,18 +15,22 @@ from seqid_cli.report.figures.diagnosis import against_floor, timeline
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.judgement import known_effects
 from seqid_cli.report.sections.parameters import value_rows
-from seqid_cli.report.views import VALUE_COLUMNS, Absent, Group, Section, Table, numbers, texts
+from seqid_cli.report.views import (
+    VALUE_COLUMNS,
+    Absent,
+    Group,
+    Section,
+    Table,
+    table_of,
+)
 from seqid_cli.report.words import (
     command,
     effect_at,
     effect_words,
-    limits,
     listed,
-    number,
     percent,
     plural,
     short_path,
-    unit_text,
 )
 
 _MOST_EVENTS = 200
@@ -77,6 +80,9 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
     ]
     floor = against_floor(file, collection)
     pushed = timeline(file.events)
+    left_out = len(file.events) - _MOST_EVENTS
+    more = f"and {left_out} more" if left_out > 0 else ""
+    units = {name: collection.units(name)[0] for name in collection.robot.joints}
     return Group(
         f"diagnosis-{place + 1}",
         short_path(item.path),
@@ -86,11 +92,11 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
         badge_text=text,
         figures=[*figures, *([floor] if floor else []), *([pushed] if pushed else [])],
         tables=[
-            _joints(file, collection),
+            table_of("Residual per joint", tables.joint_residuals(file.joints, units)),
             *(rivals_table(_not_known(part), part.rivals) for part in file.unexplained),
             *(rivals_table(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
-            _events(file.events),
-            _hidden(file),
+            table_of("Events", tables.events(file.events[:_MOST_EVENTS]), more),
+            table_of("Effects that these motions cannot show", tables.hidden(file.hidden)),
         ],
         notes=[*_unexplained(file.unexplained), *file.notes],
     )
@@ -153,46 +159,3 @@ def _unexplained(parts: Sequence[UnexplainedPart]) -> list[str]:
         f"{listed([name.replace('_', ' ') for name in part.depends_on]) or 'nothing logged'}."
         for part in parts
     ]
-
-
-def _joints(file: DiagnosisFile, collection: Collection) -> Table:
-    columns = (
-        *texts("joint"),
-        *numbers("RMS residual", "noise floor", "95 % interval", "with findings"),
-        *texts("unit", "only noise left"),
-        *numbers("samples"),
-    )
-    rows = [
-        (
-            name,
-            number(entry.rmse),
-            number(entry.noise_floor),
-            limits(entry.noise_floor_interval),
-            number(entry.rmse_explained) if file.findings else number(None),
-            unit_text(collection.units(name)[0]),
-            "yes" if entry.white else "no",
-            str(entry.samples),
-        )
-        for name, entry in file.joints.items()
-    ]
-    return Table("Residual per joint", columns, rows)
-
-
-def _events(events: Sequence[EventEntry]) -> Table:
-    columns = (*texts("log"), *numbers("from", "to", unit="s"), *texts("joints"))
-    rows = [
-        (short_path(event.log), f"{event.start:.2f}", f"{event.end:.2f}", ", ".join(event.joints))
-        for event in events[:_MOST_EVENTS]
-    ]
-    more = len(events) - len(rows)
-    return Table("Events", columns, rows, f"and {more} more" if more else "")
-
-
-def _hidden(file: DiagnosisFile) -> Table:
-    columns = (*texts("effect", "joint"), *numbers("visible"))
-    rows = [
-        (effect_words(item.effect), item.joint or "whole arm", percent(item.visible))
-        for item in file.hidden
-    ]
-    note = "Nothing is known of them either way."
-    return Table("Effects that these motions cannot show", columns, rows, note if rows else "")

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
+from seqid_cli.params.results import tables
 from seqid_cli.params.schema import ClosedLoop, RefinementRound
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.figures.row_chart import RowChart
-from seqid_cli.report.views import Absent, Figure, Group, Key, Section, Table, numbers, texts
+from seqid_cli.report.views import (
+    Absent,
+    Figure,
+    Group,
+    Key,
+    Section,
+    table_of,
+)
 from seqid_cli.report.words import (
-    DASH,
     command,
     effect_at,
-    effect_words,
-    limits,
     listed,
     number,
-    percent,
     short_path,
-    unit_text,
 )
 
 
@@ -45,14 +46,18 @@ def closed_loop(collection: Collection) -> Section:
         "with its 95 % interval."
     )
     figure, added = _figure(collection, loop), [(_title(item), item) for item in loop.rounds]
-    tables = [_errors(collection, loop), _rounds(loop)]
-    tables += [rivals_table(f"Tried in place of {title}", item.rivals) for title, item in added]
+    units = {name: collection.units(name)[0] for name in collection.robot.joints}
+    made = [
+        table_of("RMS error on the held-out logs", tables.loop_errors(loop, units)),
+        table_of("What was tried", tables.rounds(loop)),
+    ]
+    made += [rivals_table(f"Tried in place of {title}", item.rivals) for title, item in added]
     group = Group(
         "loop-errors",
         _headline(loop),
         badge="poor" if loop.verdict == "poor" else "",
         figures=[*([figure] if figure else []), *_shown(collection, loop)],
-        tables=tables,
+        tables=made,
         notes=[*_where(loop), *loop.notes],
         unfolded=True,
     )
@@ -115,65 +120,3 @@ def _figure(collection: Collection, loop: ClosedLoop) -> Figure | None:
 
 def _both(loop: ClosedLoop, name: str) -> list[float]:
     return [errors[name].rmse for errors in (loop.before, loop.after) if name in errors]
-
-
-def _errors(collection: Collection, loop: ClosedLoop) -> Table:
-    columns = (
-        *texts("joint"),
-        *numbers("before", "after", "noise floor", "its 95 % interval"),
-        *texts("unit"),
-        *numbers("gain", "95 % interval", "outside", "before, after there"),
-    )
-    rows = []
-    for name, error in loop.before.items():
-        after = loop.after[name].rmse if name in loop.after else None
-        gain = 1.0 - (after / error.rmse) ** 2 if after is not None and error.rmse else None
-        gained = loop.gain_interval.get(name, [])
-        rows.append(
-            (
-                name,
-                number(error.rmse),
-                number(after),
-                number(loop.noise_floor.get(name)),
-                limits(loop.noise_floor_interval.get(name, ())),
-                unit_text(collection.units(name)[0]),
-                percent(gain),
-                _interval(gained) if after != error.rmse else DASH,
-                percent(error.share_outside),
-                _outside(loop, name),
-            )
-        )
-    return Table("RMS error on the held-out logs", columns, rows)
-
-
-def _outside(loop: ClosedLoop, name: str) -> str:
-    """Errors before and after beyond the positions and speeds of the friction trials."""
-    there = [errors[name].rmse_outside for errors in (loop.before, loop.after) if name in errors]
-    return ", ".join(map(number, there)) if all(x is not None for x in there) else DASH
-
-
-def _rounds(loop: ClosedLoop) -> Table:
-    columns = (
-        *texts("effect", "joint"),
-        *numbers("gain on left-out blocks", "on held-out logs", "95 % interval"),
-        *texts("outcome"),
-    )
-    rows = [_round(item) for item in (*loop.rounds, *loop.refused)]
-    return Table("What was tried", columns, rows)
-
-
-def _round(item: RefinementRound) -> tuple[str, ...]:
-    outcome = "added, not confirmed" if item.accepted else "refused"
-    outcome = "added, confirmed" if item.confirmed else outcome
-    return (
-        effect_words(item.effect),
-        item.joint or "whole arm",
-        percent(item.training_gain),
-        percent(item.held_out_gain),
-        _interval(item.interval),
-        f"{outcome}: {item.reason}" if item.reason else outcome,
-    )
-
-
-def _interval(limits: Sequence[float]) -> str:
-    return f"{percent(limits[0])} to {percent(limits[1])}" if len(limits) == 2 else DASH

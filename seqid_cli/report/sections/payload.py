@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.payload import CarriedBodyEntry, Measured, PayloadFile
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.views import VALUE_COLUMNS, Group, Section, Table, numbers, texts
-from seqid_cli.report.words import DASH, interval, number, percent, with_error
+from seqid_cli.report.views import VALUE_COLUMNS, Group, Section, Table, table_of, texts
+from seqid_cli.report.words import DASH, interval, with_error
 
 
 def payload(collection: Collection) -> Section | None:
@@ -21,6 +22,7 @@ def payload(collection: Collection) -> Section | None:
 
 
 def _group(place: int, file: PayloadFile) -> Group:
+    joints = table_of("Torque error where joints slide", tables.payload_joints(file))
     good = all(verdict.good for verdict in file.verdicts)
     return Group(
         f"payload-{place + 1}",
@@ -28,7 +30,7 @@ def _group(place: int, file: PayloadFile) -> Group:
         lead="; ".join(verdict.reason for verdict in file.verdicts if verdict.reason),
         badge="good" if good else "poor",
         badge_text="good" if good else "poor",
-        tables=[_body(file.payload), _settings(file), _joints(file)],
+        tables=[_body(file.payload), _settings(file), joints],
         notes=file.notes,
         unfolded=True,
     )
@@ -48,22 +50,3 @@ def _row(name: str, own: Measured) -> tuple[str, ...]:
 def _settings(file: PayloadFile) -> Table:
     rows = [(name, text) for name, text in file.settings.items()]
     return Table("As controllers take it", texts("for", "setting"), rows)
-
-
-def _joints(file: PayloadFile) -> Table:
-    columns = (
-        *texts("joint"),
-        *numbers("RMS error without", "RMS error with", unit="N m"),
-        *numbers("of the torque", "friction differs by"),
-    )
-    rows = [
-        (
-            name,
-            number(joint.before),
-            number(joint.after),
-            percent(joint.relative) if joint.relative is not None else DASH,
-            percent(joint.friction_change),
-        )
-        for name, joint in file.joints.items()
-    ]
-    return Table("Torque error where joints slide", columns, rows)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import PlanFile, PlannedStage
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.plan import move_figure
-from seqid_cli.report.views import Group, Section, Table, numbers, texts
+from seqid_cli.report.views import Group, Section, table_of
 from seqid_cli.report.words import number, percent
 
 
@@ -28,7 +29,7 @@ def _group(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
         facts.append(("rank", f"{stage.rank} of {stage.structural_rank}"))
     if stage.condition is not None:
         facts.append(("condition", number(stage.condition)))
-    told = stage.separation
+    told, moves = stage.separation, [move for move in file.moves if move.stage == name]
     if told is not None:
         facts += [
             ("to tell apart", " and ".join(told.between)),
@@ -39,34 +40,10 @@ def _group(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
         key,
         name,
         facts=facts,
-        figures=[move_figure(move, file) for move in file.moves if move.stage == name],
-        tables=[_moves(name, file), _errors(stage)],
+        figures=[move_figure(move, file) for move in moves],
+        tables=[
+            table_of("Moves", tables.moves(moves)),
+            table_of("Standard errors that it will give", tables.planned_errors(stage)),
+        ],
         notes=stage.notes,
     )
-
-
-def _moves(name: str, file: PlanFile) -> Table:
-    columns = (
-        *texts("move", "joints"),
-        *numbers("duration", unit="s"),
-        *numbers("largest torque of the limit"),
-    )
-    rows = [
-        (
-            move.name,
-            ", ".join(move.joints),
-            number(move.duration_s),
-            "not known" if move.torque_share is None else percent(move.torque_share),
-        )
-        for move in file.moves
-        if move.stage == name
-    ]
-    return Table("Moves", columns, rows)
-
-
-def _errors(stage: PlannedStage) -> Table:
-    columns = (*texts("parameter"), *numbers("std error after", "value so far"), *texts("unit"))
-    rows = [
-        (own.name, number(own.std_error), number(own.value), own.unit) for own in stage.parameters
-    ]
-    return Table("Standard errors that it will give", columns, rows)

@@ -78,10 +78,7 @@ class LazyGroup(TyperGroup):
     ) -> tuple[str | None, Command | None, list[str]]:
         """Find the command that the first word names.
 
-        Raises
-        ------
-        UsageError
-            There is none of that name.
+        Raises UsageError: there is no command of that name.
         """
         name = args[0]
         if name not in COMMANDS:

@@ -105,10 +105,8 @@ def workers(
 ) -> Iterator[Executor | None]:
     """Whoever is to read the logs: processes, a Dask cluster, or None for this process.
 
-    Raises
-    ------
-    UsageError
-        A scheduler is given without Dask, Dask is not installed or no scheduler answers.
+    Raises UsageError: a scheduler is given without Dask, Dask is not installed or no scheduler
+    answers.
     """
     if scheduler is not None and engine != "dask":
         hint = "Add --engine dask, or leave out --scheduler."

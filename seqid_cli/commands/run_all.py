@@ -109,10 +109,7 @@ def run(
 def steps_of(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None) -> list[Step]:
     """Plan the commands for the logs that a folder has.
 
-    Raises
-    ------
-    InputError
-        If it is no folder, or has no friction trials in it.
+    Raises InputError: it is no folder, or has no friction trials in it.
     """
     there = {name: folder / name for name in FOLDERS if (folder / name).is_dir()}
     if "friction" not in there:

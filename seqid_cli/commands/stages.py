@@ -22,22 +22,10 @@ def show_stage(
 ) -> int:
     """Show new stages of a file; returns the exit code.
 
-    Parameters
-    ----------
-    told : Told
-        What listened to their identification.
-    file : ParameterFile
-    names : sequence of str
-        The new stages.
-    output : Path or None
-        Where the file went.
-    robot : Path
-        The robot file.
-    strict : bool
-        Whether a poor verdict makes the exit code 1.
-    following : str
-        The command that comes next, with `{output}` and `{robot}` to fill in; it is not proposed
-        after a poor verdict.
+    `told`: what listened to their identification. `names`: the new stages. `output`: where the file
+    went. `robot`: the robot file. `strict`: whether a poor verdict makes the exit code 1.
+    `following`: the command that comes next, with `{output}` and `{robot}` to fill in; it is not
+    proposed after a poor verdict.
     """
     stages = Stages(**{name: getattr(file.stages, name) for name in names})
     told.screen.document(file)

@@ -41,10 +41,7 @@ class Exported(NamedTuple):
 def format_of(path: Path) -> str:
     """Return the format that a path's suffix stands for.
 
-    Raises
-    ------
-    UsageError
-        The suffix is not known.
+    Raises UsageError: the suffix is not known.
     """
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:

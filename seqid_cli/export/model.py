@@ -27,32 +27,13 @@ from seqid_cli.robot.types import Array, Robot
 class ExportModel:
     """One arm, ready to be written.
 
-    Attributes
-    ----------
-    robot : Robot
-    own : (n, 10) array
-        Standard parameters that are written as each link's inertial.
-    kept : (n, 10) array
-        The rest of each body: links behind other joints, which keep theirs.
-    rotor : (n,) array
-        Rotor inertias, motor side [kg m^2].
-    coupling : {"diagonal", "gyroscopic"}
-    surfaces : list of FrictionSurface or None
-    friction : list of ExportedFriction or None
-    deviations : tuple of Deviation
-        Of every identified base parameter.
-    exact : bool
-        Whether the identified base parameters are met exactly.
-    from_cad : tuple of bool
-        Whether a link's expected inertial came from the URDF.
-    springs : (n, 4) array
-        Torque of a spring at each joint by powers of its position [N m, N m/rad ...].
-    gaps : (n,) array
-        Backlash of each joint [rad].
-    observer : Thresholds
-        When a momentum observer raises an alarm.
-    notes : tuple of str
-        What the reader of the file has to know.
+    `own` (n, 10): standard parameters that are written as each link's inertial. `kept` (n, 10): the
+    rest of each body: links behind other joints, which keep theirs. `rotor` (n,): rotor inertias,
+    motor side [kg m^2]. `deviations`: of every identified base parameter. `exact`: whether the
+    identified base parameters are met exactly. `from_cad`: whether a link's expected inertial came
+    from the URDF. `springs` (n, 4): torque of a spring at each joint by powers of its position [N
+    m, N m/rad ...]. `gaps` (n,): backlash of each joint [rad]. `observer`: when a momentum observer
+    raises an alarm. `notes`: what the reader of the file has to know.
     """
 
     robot: Robot
@@ -98,29 +79,12 @@ def export_model(
 ) -> ExportModel:
     """Find physically consistent parameters of a whole arm.
 
-    Parameters
-    ----------
-    robot : Robot
-    stages : Stages
-        Whatever was identified. Without an inertia stage the URDF must say what is missing.
-    bodies : tuple of UrdfBody, optional
-        The links of the URDF that belong to each joint.
-    holds : frozenset of str
-        Effects that the format has a place for.
-    errors : mapping of str to float, optional
-        RMS error of the torque of each joint [N m] on new logs; those of the inertia stage if left
-        out.
-
-    Returns
-    -------
-    ExportModel
-
-    Raises
-    ------
-    ConfigError
-        If neither the file nor the URDF knows the inertias, or the file is of another robot.
-    QualityError
-        If no physically consistent parameters are found.
+    `stages`: whatever was identified. Without an inertia stage the URDF must say what is missing.
+    `bodies`: the links of the URDF that belong to each joint. `holds`: effects that the format has
+    a place for. `errors`: RMS error of the torque of each joint [N m] on new logs; those of the
+    inertia stage if left out. Raises ConfigError: neither the file nor the URDF knows the inertias,
+    or the file is of another robot. Raises QualityError: no physically consistent parameters are
+    found.
     """
     _check_enough(robot, stages)
     effects = absorbed_effects(stages, robot, holds)

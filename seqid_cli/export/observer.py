@@ -50,19 +50,11 @@ def thresholds(
 ) -> Thresholds:
     """Find limits that a model's own error crosses once in `hours_between_alarms`.
 
-    Parameters
-    ----------
-    robot, stages, surfaces
-    mass : (n, n) array
-        Largest entries of the mass matrix, kg m^2.
-    errors : mapping of str to float, optional
-        RMS torque error of each joint [N m]; those of the inertia stage if left out.
-    hours_between_alarms : float
-        Mean time between false alarms of the whole arm, h.
-    margin : float
-        By how much other logs may be worse than those of the error, and its tails heavier.
-    usual_cutoff_hz : float
-        The band of the error where the file does not tell it, Hz.
+    `mass` (n, n): largest entries of the mass matrix, kg m^2. `errors`: RMS torque error of each
+    joint [N m]; those of the inertia stage if left out. `hours_between_alarms`: mean time between
+    false alarms of the whole arm, h. `margin`: by how much other logs may be worse than those of
+    the error, and its tails heavier. `usual_cutoff_hz`: the band of the error where the file does
+    not tell it, Hz.
     """
     rigid = stages.inertia or stages.gravity
     band = (rigid.cutoff_hz if rigid else None) or usual_cutoff_hz

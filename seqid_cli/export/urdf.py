@@ -30,13 +30,7 @@ def edited_urdf(raw: bytes, bodies: Sequence[UrdfBody], model: ExportModel) -> s
     Everything else (visuals, collisions, limits, other branches, comments) stays as it is. A body's
     inertial goes to the link behind its joint; links fixed to that one lose theirs.
 
-    Parameters
-    ----------
-    raw : bytes
-        The original.
-    bodies : sequence of UrdfBody
-        Its links that belong to each joint.
-    model : ExportModel
+    `raw`: the original. `bodies`: its links that belong to each joint.
     """
     document = minidom.parseString(raw)
     root = document.documentElement

@@ -36,17 +36,8 @@ class UrdfBody:
 def bodies_of_urdf(root: ElementTree.Element, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
     """Find the body of each of the identified `joints`.
 
-    Parameters
-    ----------
-    root : Element
-        The URDF, already known to be usable.
-    joints : sequence of str
-        Names of identified joints, in chain order.
-
-    Raises
-    ------
-    ConfigError
-        If a number in it cannot be read.
+    `root`: the URDF, already known to be usable. `joints`: names of identified joints, in chain
+    order. Raises ConfigError: a number in it cannot be read.
     """
     try:
         return _bodies(root, joints)

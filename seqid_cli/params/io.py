@@ -56,11 +56,8 @@ def read_parameters(
 ) -> ParameterFile:
     """Read one parameter file strictly.
 
-    Raises
-    ------
-    ConfigError
-        The file is missing, is no JSON, is another kind of document, is newer than `version`, or
-        does not follow the schema. The message names the line or the key.
+    Raises ConfigError: the file is missing, is no JSON, is another kind of document, is newer than
+    `version`, or does not follow the schema. The message names the line or the key.
     """
     where = str(path)
     data = read_bytes(path)

@@ -159,12 +159,9 @@ def _learned_from(file: ParameterFile) -> set[str]:
 def collect(documents: Sequence[Source]) -> Collection:
     """Sort documents and make sure that they are about one robot and agree.
 
-    Raises
-    ------
-    ConfigError
-        There are none, they are about two robots, a document names joints that its robot has not,
-        or a result was made with a parameter file that has changed since. The message names the
-        files.
+    Raises ConfigError: there are none, they are about two robots, a document names joints that its
+    robot has not, or a result was made with a parameter file that has changed since. The message
+    names the files.
     """
     if not documents:
         hint = "Name the JSON files that the stages wrote."

@@ -25,17 +25,8 @@ def fleet_page(
 ) -> tuple[str, Judgement, list[Section]]:
     """Return the page, the verdict on the worst robot, and the sections.
 
-    Parameters
-    ----------
-    robots : mapping
-        The documents of each robot, by its name.
-    title : str
-        Instead of the number of robots.
-
-    Raises
-    ------
-    ConfigError
-        The documents of a robot contradict each other.
+    `robots`: the documents of each robot, by its name. `title`: instead of the number of robots.
+    Raises ConfigError: the documents of a robot contradict each other.
     """
     collections = {name: collect(documents) for name, documents in robots.items()}
     judged = [(name, found, judge(found)) for name, found in collections.items()]

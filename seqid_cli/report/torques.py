@@ -68,11 +68,8 @@ class TorqueTable:
     def open(cls, path: Path, collection: Collection) -> TorqueTable:
         """Open a torque file and check it against the documents.
 
-        Raises
-        ------
-        InputError
-            It is unreadable, lacks the columns of a torque file, or is of another robot or of
-            other logs than the prediction.
+        Raises InputError: it is unreadable, lacks the columns of a torque file, or is of another
+        robot or of other logs than the prediction.
         """
         where = str(path)
         file = _guarded(path)
@@ -90,10 +87,7 @@ class TorqueTable:
     def series(self, joint: str) -> list[Series]:
         """Read one joint, log by log.
 
-        Raises
-        ------
-        InputError
-            Time is not finite or goes back, or a value is infinite.
+        Raises InputError: time is not finite or goes back, or a value is infinite.
         """
         names = ["t", *(f"{joint}.{kind}" for kind in _KINDS)]
         names += [f"{joint}.{kind}" for kind in _MOTION if f"{joint}.{kind}" in self.columns]

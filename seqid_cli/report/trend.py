@@ -21,11 +21,7 @@ _INTERVAL = 1.96  # standard errors
 def trend_page(file: TrendFile, *, title: str = "") -> tuple[str, Judgement, list[Section]]:
     """Return the page, its verdict and its sections.
 
-    Parameters
-    ----------
-    file : TrendFile
-    title : str
-        Instead of the number of robots.
+    `title`: instead of the number of robots.
     """
     judgement = _judged(file)
     sections = [_overview(file, judgement), *(_robot(file, name) for name in _changed(file))]

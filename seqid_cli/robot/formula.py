@@ -65,18 +65,9 @@ class Formula:
 def parse_formula(text: str, joints: int, settings: Collection[str] = ()) -> Formula:
     """Check a formula.
 
-    Parameters
-    ----------
-    text : str
-    joints : int
-        Number of joints of the robot.
-    settings : collection of str
-        Names of its own that stand for numbers to be searched.
-
-    Raises
-    ------
-    FormulaError
-        If it says anything but a sum of terms that are linear in one coefficient each.
+    `joints`: number of joints of the robot. `settings`: names of its own that stand for numbers to
+    be searched. Raises FormulaError: it says anything but a sum of terms that are linear in one
+    coefficient each.
     """
     if len(text) > LONGEST:
         raise FormulaError(f"is {len(text)} characters long, more than {LONGEST}")

@@ -48,15 +48,10 @@ def format_table(
 ) -> str:
     """Return aligned columns: text to the left, numbers to the right.
 
-    Parameters
-    ----------
-    columns, rows : sequences of str
-    width : int, optional
-        Characters in a line. Names give way in their middle, sentences and heads at their words,
-        long reasons at the end stand below their line; columns that still have no room come in a
-        further table, with the first columns that tell the rows apart.
-    style : callable, optional
-        Turns the text of a cell, and whether it is a head, into the codes put before it.
+    `width`: characters in a line. Names give way in their middle, sentences and heads at their
+    words, long reasons at the end stand below their line; columns that still have no room come in a
+    further table, with the first columns that tell the rows apart. `style`: turns the text of a
+    cell, and whether it is a head, into the codes put before it.
     """
     numeric = [all(is_number(row[i]) for row in rows) for i in range(len(columns))]
     full = [max(len(line[i]) for line in (columns, *rows)) for i in range(len(columns))]

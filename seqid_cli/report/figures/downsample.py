@@ -13,19 +13,9 @@ Indices = NDArray[np.int64]
 def extremes(x: Array, y: Array, columns: int) -> Indices:
     """Return the indices of the smallest and largest y in each of `columns` equal parts of x.
 
-    Parameters
-    ----------
-    x : (N,) array
-        Not falling.
-    y : (N,) array
-        Finite.
-    columns : int
-        As many as the drawing has pixels across.
-
-    Returns
-    -------
-    (M,) array of int
-        Rising, M <= 2 * columns + 2; the first and the last sample are always among them.
+    `x` (N,): not falling. `y` (N,): finite. `columns`: as many as the drawing has pixels across.
+    Returns (M,) array of int: rising, M <= 2 * columns + 2; the first and the last sample are
+    always among them.
     """
     if len(x) <= 2 * columns + 2:
         return np.arange(len(x))

@@ -95,7 +95,8 @@ def run(
     _made(output)
     outcomes: list[Outcome] = []
     for step in steps:
-        outcome = _outcome(screen, step, force=force or _redone(outcomes))
+        redone = any(not outcome.kept for outcome in outcomes)  # then what rests on it is old
+        outcome = _outcome(screen, step, force=force or redone)
         outcomes.append(outcome)
         if not outcome.good and not keep_going and step is not steps[-1]:
             screen.note(f"stopped at {step.command}: its verdict is poor (--keep-going goes on)")
@@ -183,11 +184,6 @@ def _made(output: Path) -> None:
         raise UsageError(
             f"the folder cannot be made: {problem.strerror}", where=str(output), hint="Choose -o."
         ) from None
-
-
-def _redone(outcomes: Sequence[Outcome]) -> bool:
-    """Whether a step before was done just now, so that what rests on it is old."""
-    return any(not outcome.kept for outcome in outcomes)
 
 
 def _outcome(screen: Screen, step: Step, *, force: bool) -> Outcome:

@@ -326,8 +326,10 @@ def _warnings(documents: Sequence[Source]) -> Iterable[str]:
     if len(hashes) > 1:
         yield f"the robot file changed between these results: {', '.join(hashes.values())}"
     given = {item.sha256 for item in documents}
+    if not any(isinstance(item.content, ParameterFile) for item in documents):
+        return
     for item in documents:
-        if isinstance(item.content, ParameterFile) or not _has_parameters(documents):
+        if isinstance(item.content, ParameterFile):
             continue
         for used in models_of(item.content):
             if used.sha256 not in given:
@@ -335,7 +337,3 @@ def _warnings(documents: Sequence[Source]) -> Iterable[str]:
                     f"{item.path} was made with {used.path} (sha256 {used.sha256[:12]}), "
                     "which is not among the files given"
                 )
-
-
-def _has_parameters(documents: Sequence[Source]) -> bool:
-    return any(isinstance(item.content, ParameterFile) for item in documents)

@@ -32,7 +32,8 @@ def fleet_page(
     judged = [(name, found, judge(found)) for name, found in collections.items()]
     judged.sort(key=lambda item: _WORST.index(item[2].level))
     whole = _judged(judged)
-    sections = [_overview(judged, whole), _robots(judged)]
+    groups = [_robot(place, *item) for place, item in enumerate(judged)]
+    sections = [_overview(judged, whole), Section("robots", "Robot by robot", groups=groups)]
     about = [plural(sum(len(found.sources) for found in collections.values()), "file")]
     name = title or plural(len(robots), "robot")
     return render(name, about, whole, sections, subject="Fleet"), whole, sections
@@ -99,11 +100,6 @@ def _figures(robots: Sequence[Judged]) -> list[Figure]:
     title = "Errors of all robots"
     text = "; ".join(f"{name}: up to {percent(max(shares))}" for name, shares in shown.items())
     return [Figure(title, chart.render(title, f"{text}."), [Key("after", "a joint")], wide=True)]
-
-
-def _robots(robots: Sequence[Judged]) -> Section:
-    groups = [_robot(place, *item) for place, item in enumerate(robots)]
-    return Section("robots", "Robot by robot", groups=groups)
 
 
 def _robot(place: int, name: str, found: Collection, judgement: Judgement) -> Group:

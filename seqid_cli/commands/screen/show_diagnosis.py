@@ -135,7 +135,12 @@ def _unit(unit: str) -> str:
 def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart], *, why: bool) -> None:
     columns = ("joint", "unexplained, depends on", "share", "closest effect, share of its gain")
     rows = [
-        (part.joint, _quantities(part.depends_on), percent(part.share), _closest(part))
+        (
+            part.joint,
+            _quantities(part.depends_on),
+            percent(part.share),
+            f"{part.closest.effect}, {percent(part.closest.share)}" if part.closest else "none",
+        )
         for part in parts
     ]
     screen.table(columns, rows)
@@ -167,11 +172,6 @@ def _tried(screen: Screen, rivals: Sequence[RivalEntry], title: str) -> None:
 
 def _nats(gain: float | None) -> str:
     return "" if gain is None else f" ({gain:.0f} nats)"
-
-
-def _closest(part: UnexplainedPart) -> str:
-    near = part.closest
-    return "none" if near is None else f"{near.effect}, {percent(near.share)}"
 
 
 def _quantities(names: Sequence[str]) -> str:

@@ -93,7 +93,10 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
         figures=[*figures, *([floor] if floor else []), *([pushed] if pushed else [])],
         tables=[
             table_of("Residual per joint", tables.joint_residuals(file.joints, units)),
-            *(rivals_table(_not_known(part), part.rivals) for part in file.unexplained),
+            *(
+                rivals_table(f"Tried for what is unexplained at {part.joint}", part.rivals)
+                for part in file.unexplained
+            ),
             *(rivals_table(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
             table_of("Events", tables.events(file.events[:_MOST_EVENTS]), more),
             table_of("Effects that these motions cannot show", tables.hidden(file.hidden)),
@@ -140,10 +143,6 @@ def _finding(key: str, item: FindingEntry, known: bool, collection: Collection) 
         notes=[*notes, *([item.note] if item.note else [])],
         unfolded=True,
     )
-
-
-def _not_known(part: UnexplainedPart) -> str:
-    return f"Tried in place of what is unexplained at {part.joint}"
 
 
 def _about(effect: str) -> str:

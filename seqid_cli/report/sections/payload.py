@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.payload import CarriedBodyEntry, Measured, PayloadFile
+from seqid_cli.params.results.payload import Measured, PayloadFile
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import VALUE_COLUMNS, Group, Section, Table, table_of, texts
 from seqid_cli.report.words import DASH, interval, with_error
@@ -30,14 +30,14 @@ def _group(place: int, file: PayloadFile) -> Group:
         lead="; ".join(verdict.reason for verdict in file.verdicts if verdict.reason),
         badge="good" if good else "poor",
         badge_text="good" if good else "poor",
-        tables=[_body(file.payload), _settings(file), joints],
+        tables=[
+            Table("The body", VALUE_COLUMNS, [_row(*pair) for pair in file.payload.numbers()]),
+            Table("As controllers take it", texts("for", "setting"), list(file.settings.items())),
+            joints,
+        ],
         notes=file.notes,
         unfolded=True,
     )
-
-
-def _body(body: CarriedBodyEntry) -> Table:
-    return Table("The body", VALUE_COLUMNS, [_row(name, own) for name, own in body.numbers()])
 
 
 def _row(name: str, own: Measured) -> tuple[str, ...]:
@@ -45,8 +45,3 @@ def _row(name: str, own: Measured) -> tuple[str, ...]:
         return name, "not determined", DASH, DASH, own.unit
     value, error = with_error(own.value, own.std_error)
     return name, value, error, interval(own.value, own.std_error), own.unit
-
-
-def _settings(file: PayloadFile) -> Table:
-    rows = [(name, text) for name, text in file.settings.items()]
-    return Table("As controllers take it", texts("for", "setting"), rows)

@@ -96,11 +96,12 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, col
     series, drawn = over_logs(collection, tables, name, columns)
     figures: list[Figure | None] = [*drawn]
     absent = []
+    cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.file.logs]
     if series:
         figures += [
             over_quantity(series, place, "position", place.position_unit),
             over_quantity(series, place, "velocity", f"{place.position_unit}/s"),
-            spectrum(series, place, _cutoff(collection), columns),
+            spectrum(series, place, max(cutoffs, default=None), columns),
         ]
         if series[0].position is None:
             text = "The torque file holds no position and velocity: write it anew."
@@ -172,11 +173,6 @@ def _events(collection: Collection, log: str, joint: str) -> list[Event]:
         for event in item.file.events
         if event.log == log and joint in event.joints
     ]
-
-
-def _cutoff(collection: Collection) -> float | None:
-    cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.file.logs]
-    return max(cutoffs, default=None)
 
 
 def _facts(collection: Collection, name: str, place: Place) -> list[tuple[str, str]]:

@@ -91,7 +91,10 @@ def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -
             parent[2] += a[i - 1]
         else:
             parent[2] -= gravity[:, None]
-        w[i], dw[i], a[i] = np.einsum("abn,san->sbn", R[i], parent)
+        turned_back = parent[:, 0, None] * R[i, 0]
+        turned_back += parent[:, 1, None] * R[i, 1]
+        turned_back += parent[:, 2, None] * R[i, 2]
+        w[i], dw[i], a[i] = turned_back
         axis = chain.axis[i][:, None]
         turned = (-skew(chain.axis[i]) @ w[i]) * dq[i]  # w x axis dq
         if chain.prismatic[i]:

@@ -40,6 +40,7 @@ _RP = (*_R, "-p", _GOLDEN)
 _LOGS = {path.name: str(path) for path in SAMPLE.iterdir() if path.is_dir()}
 _CHANGED = tuple(str(SAMPLE / "changed" / f"{name}.parquet") for name in ("fourier", "held_out"))
 _A = ("-o", "{}/a.json")
+_APART = ("--between", "stribeck,quadratic_drag", "--joint", "joint_1")
 Line = tuple[str, ...]
 COMMANDS: dict[str, Line] = {  # {} is the folder for the output
     "init": ("init", _LOGS["friction"], "--force", "-o", "{}/a.toml"),
@@ -55,9 +56,15 @@ COMMANDS: dict[str, Line] = {  # {} is the folder for the output
     "refine": ("refine", _CHANGED[0], "--holdout", _CHANGED[1], *_RP, *_A),
     "payload": ("payload", _LOGS["validation"], *_RP, *_A),
     "plan": ("plan", "friction", *_R, *_A, "--trajectories", "{}/moves"),
-    "trend": ("trend", _GOLDEN, "{}/../later.json", *_A),
+    "plan discriminate": ("plan", "discriminate", *_APART, *_RP, *_A),
+    "trend": ("trend", _GOLDEN, "{}/../later.json", *_A, "--table", "{}/t.parquet"),
     "report": ("report", _GOLDEN, "-o", "{}/a.html"),
-    "export": ("export", _GOLDEN, *_R, "-o", "{}/a.urdf"),
+    "report, a fleet": ("report", _GOLDEN, "{}/../later.json", "--by", "name", "-o", "{}/a.html"),
+    "export, URDF": ("export", _GOLDEN, *_R, "-o", "{}/a.urdf"),
+    "export, MJCF": ("export", _GOLDEN, *_R, "-o", "{}/a.xml"),
+    "export, ROS 2": ("export", _GOLDEN, *_R, "-o", "{}/a.yaml"),
+    "export, C": ("export", _GOLDEN, *_R, "-o", "{}/a.h"),
+    "export, Python": ("export", _GOLDEN, *_R, "-o", "{}/a.py"),
     "run": ("run", str(SAMPLE), *_R, "-o", "{}"),
 }
 

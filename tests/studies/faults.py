@@ -93,7 +93,7 @@ class Forks:
         read, write = os.pipe()
         child = os.fork()
         if not child:
-            _count_events(write)
+            _count_events(write, target)
             return True
         os.close(write)
         with os.fdopen(read) as told:
@@ -108,7 +108,7 @@ class Forks:
                 return True
             killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
             self.killed += killed
-            for rest in target.parent.glob(f".{target.name}.{child}.tmp"):
+            for rest in target.parent.glob(f".*.{child}.tmp"):
                 self.inside += 1
                 if left:  # the last is for the next run
                     rest.unlink()
@@ -135,15 +135,16 @@ class Forks:
             target.write_bytes(OLD)
 
 
-def _count_events(pipe: int) -> None:
+def _count_events(pipe: int, target: Path) -> None:
     """Tell between which calls and returns a file is written and gets its name."""
     count = first = 0
+    temporary = files._temporary(target)
 
-    def profile(frame: FrameType, event: str, called: object) -> None:
+    def profile(frame: FrameType, event: str, _: object) -> None:
         nonlocal count, first
         count += 1
         name = frame.f_code.co_name if event == "return" else ""
-        if first == 0 or called is open:  # Python's own; a library's is not seen
+        if not first and temporary.exists():
             first = count
         if name == "replace":
             sys.setprofile(None)

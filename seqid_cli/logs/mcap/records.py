@@ -45,6 +45,8 @@ _KEPT = frozenset((Opcode.CHUNK, Opcode.MESSAGE_INDEX))
 _LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
 _TAIL = RECORD.size + 20 + len(MAGIC)  # the footer
 _DATA_END = RECORD.size + 4
+# Batches that any file may have, and bytes for each one beyond: a recorder needs hundreds.
+_BATCHES, _BATCH_BYTES = 20_000, 50
 
 
 class Batch(NamedTuple):
@@ -85,6 +87,8 @@ class Scan:
     summary: Summary = field(default_factory=Summary)
     dropped: int = 0  # messages that the indexes of lost chunks name
     _unpacker: Unpacker = field(default_factory=Unpacker)
+    _size: int = 0
+    _batches: int = 0
 
     def batches(self) -> Iterator[Batch]:
         """Yield the messages, those of one channel in one chunk together.
@@ -93,7 +97,7 @@ class Scan:
         noted in `losses`, and reading goes on behind it where that is possible.
         """
         with self.path.open("rb") as file:
-            size = file.seek(0, 2)
+            size = self._size = file.seek(0, 2)
             self.summary, checksum = read_summary(file, size)
             self.channels.update(self.summary.channels)
             self.schemas.update(self.summary.schemas)
@@ -177,11 +181,15 @@ class Scan:
     def _contents(self, data: Bytes, contents: Contents) -> Iterator[Batch]:
         for opcode, start, end in contents.others:
             self._definition(opcode, data[start:end].tobytes())
-        left = contents.channels
-        while len(left):  # a file has few channels
-            number = int(left[0])
-            rows = np.flatnonzero(contents.channels == number)
-            left = left[left != number]
+        order = np.argsort(contents.channels, kind="stable")
+        turns = np.flatnonzero(np.diff(contents.channels[order])) + 1
+        self._batches += len(turns) + 1
+        if self._batches > _BATCHES + self._size // _BATCH_BYTES:
+            self.losses["more channels take turns than in any recording: messages left out"] += 1
+            return
+        batches = np.split(order, turns) if len(order) else []
+        for rows in sorted(batches, key=lambda each: int(each[0])):  # in the order of the file
+            number = int(contents.channels[rows[0]])
             channel = self.channels.get(number)
             if channel is None:
                 what = f"a message belongs to channel {number}, which the file lacks"
